@@ -1,0 +1,14 @@
+"""Records, results, integrators and config files; knows nothing above it."""
+
+from driftjax.core.config import find_config as find_config
+from driftjax.core.config import from_dict as from_dict
+from driftjax.core.config import read_yaml as read_yaml
+from driftjax.core.config import require as require
+from driftjax.core.errors import BadInput as BadInput
+from driftjax.core.integrate import rk4_step as rk4_step
+from driftjax.core.records import Control as Control
+from driftjax.core.records import Scalar as Scalar
+from driftjax.core.records import State as State
+from driftjax.core.records import as_float as as_float
+from driftjax.core.records import features as features
+from driftjax.core.results import RESULTS as RESULTS

@@ -1,0 +1,134 @@
+"""Dataclass configs to and from YAML: unknown keys and wrong types are errors that name the key."""
+
+import dataclasses
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import yaml
+
+from driftjax.core.errors import BadInput
+
+T = TypeVar("T")
+
+
+def configs_dir() -> Path:
+    """Folder of the shipped YAML files: beside the package in a checkout, inside it in a wheel."""
+    package = Path(__file__).resolve().parent.parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def find_config(kind: str, name: str | Path) -> Path:
+    """Path of `name`: a file as typed, else `configs/<kind>/<name>.yaml`.
+
+    Raises `BadInput` when neither exists, listing what does.
+    """
+    typed = Path(name)
+    if typed.is_file():
+        return typed
+    shipped = configs_dir() / kind / f"{typed.name.removesuffix('.yaml')}.yaml"
+    if shipped.is_file():
+        return shipped
+    known = ", ".join(sorted(p.stem for p in (configs_dir() / kind).glob("*.yaml"))) or "none"
+    raise BadInput(f"{name}: no such file; give a path that exists or one of the shipped {kind} names: {known}.")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file; raises `BadInput` that names the file when it holds anything else."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file; check the path.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: cannot be read ({error}); check the file and its permissions.") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f", line {mark.line + 1}" if mark else ""
+        raise BadInput(f"{path}{where}: not valid YAML; check indentation and colons.") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: holds {type(content).__name__}, not keys with values; write 'key: value' lines.")
+    return content
+
+
+def from_dict(cls: type[T], values: dict[str, Any], where: str) -> T:
+    """Build dataclass `cls` from `values`; `where` names the source in errors.
+
+    Lists become tuples, nested mappings nested dataclasses, integers floats where a float is wanted.
+    """
+    hints = get_type_hints(cls)
+    if unknown := sorted(str(key) for key in values if key not in hints):
+        raise BadInput(f"{where}: unknown key '{unknown[0]}'; known keys are {', '.join(sorted(hints))}.")
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+    for name, field in fields.items():
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and name not in values:
+            raise BadInput(f"{where}: key '{name}' is missing; add it.")
+    built = {key: _convert(hints[key], value, f"{where}: key '{key}'") for key, value in values.items()}
+    try:
+        return cls(**built)
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from None
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        options = [arg for arg in args if arg is not type(None)]
+        for option in options:
+            try:
+                return _convert(option, value, where)
+            except BadInput:
+                if option is options[-1]:
+                    raise
+    if origin is typing.Literal:
+        if value not in args:
+            raise BadInput(f"{where} is {value!r}; choose one of {', '.join(map(str, args))}.")
+        return value
+    if origin is tuple:
+        return _convert_tuple(args, value, where)
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
+        return from_dict(typing.cast(type, hint), value, where)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
+        return value
+    raise BadInput(f"{where} is {value!r}; it needs a value of type {hint.__name__}.")
+
+
+def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise BadInput(f"{where} is {value!r}; it needs a list.")
+    if len(args) == 2 and args[1] is Ellipsis:
+        return tuple(_convert(args[0], item, where) for item in value)
+    if len(value) != len(args):
+        raise BadInput(f"{where} has {len(value)} entries; it needs {len(args)}.")
+    return tuple(_convert(arg, item, where) for arg, item in zip(args, value, strict=True))
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Plain mapping of a config, ready for YAML (tuples become lists, paths strings)."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return str(value) if isinstance(value, Path) else value
+
+    return plain(dataclasses.asdict(config))
+
+
+def require(condition: bool, sentence: str) -> None:
+    """Raise `BadInput(sentence)` unless `condition` holds: for `__post_init__` of configs."""
+    if not condition:
+        raise BadInput(sentence)

@@ -1,0 +1,24 @@
+"""Fixed-step integration of pytrees."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+from jax import Array
+from jax.typing import ArrayLike
+
+T = TypeVar("T")
+
+
+def axpy(a: ArrayLike, x: T, y: T) -> T:
+    """a x + y, leaf by leaf."""
+    return jax.tree.map(lambda p, q: a * p + q, x, y)
+
+
+def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
+    """One step of the classical Runge-Kutta method of order 4 for x_dot = f(x), step `dt` [s]."""
+    k1 = f(x)
+    k2 = f(axpy(dt / 2, k1, x))
+    k3 = f(axpy(dt / 2, k2, x))
+    k4 = f(axpy(dt, k3, x))
+    return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4)

@@ -1,0 +1,35 @@
+"""Records that every layer shares."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+Scalar = Float[Array, ""]
+
+
+def as_float(value: ArrayLike) -> Array:
+    """Field converter: a float array, so that a new value never means a new compile."""
+    return jnp.asarray(value, dtype=jnp.result_type(float))
+
+
+class State(NamedTuple):
+    """State of the single-track car (Wu et al. 2025, Eq. 1); fields scalar or any one batch shape."""
+
+    V: Array  # speed of the centre of mass [m/s]
+    beta: Array  # sideslip, atan2(v_y, v_x), left positive [rad]
+    r: Array  # yaw rate, left positive [rad/s]
+
+
+class Control(NamedTuple):
+    """Inputs of the car; fields scalar or any one batch shape."""
+
+    delta: Array  # front-wheel steering angle, left positive [rad]
+    Fxr: Array  # longitudinal force of the rear axle, driving positive [N]
+
+
+def features(x: State, u: Control) -> Array:
+    """GP input z = (V, beta, r, delta, Fxr), stacked on the last axis (Wu et al. 2025, Sec. IV-B)."""
+    return jnp.stack([x.V, x.beta, x.r, u.delta, u.Fxr], axis=-1)

@@ -1,0 +1,69 @@
+"""What a vehicle YAML file may hold, checked, and the nominal car built from it."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.tyre import SimplifiedPacejka
+from driftjax.vehicle.single_track import SingleTrack
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables I and II)."""
+
+    name: str
+    """Name of the car, for titles and file names."""
+    m: float
+    """Mass [kg]."""
+    Iz: float
+    """Yaw moment of inertia [kg m^2]."""
+    a: float
+    """Distance from the centre of mass to the front axle [m]."""
+    b: float
+    """Distance from the centre of mass to the rear axle [m]."""
+    mu: float
+    """Friction coefficient [-]."""
+    B: float
+    """Stiffness factor of the tyre [1/rad]."""
+    C: float
+    """Shape factor of the tyre [-]."""
+    width: float
+    """Overall width [m]: the track has to be wider."""
+    length: float
+    """Overall length [m], for drawing."""
+    delta_max: float
+    """Largest steering angle, either side [rad]."""
+    delta_rate_max: float
+    """Largest steering rate [rad/s]."""
+    Fxr_min: float
+    """Smallest rear longitudinal force [N]; negative brakes."""
+    Fxr_max: float
+    """Largest rear longitudinal force [N]."""
+    Fxr_rate_max: float
+    """Largest rate of the rear longitudinal force [N/s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("m", "Iz", "a", "b", "mu", "B", "C", "width", "length", "delta_max", "delta_rate_max",
+                     "Fxr_max", "Fxr_rate_max"):  # fmt: skip
+            value = getattr(self, name)
+            require(value > 0, f"key '{name}' is {value}; it must be positive, in SI units and radians.")
+        require(self.C > 1, f"key 'C' is {self.C}; a drift needs a tyre with a peak, so C must exceed 1.")
+        require(self.Fxr_min < self.Fxr_max, f"key 'Fxr_min' is {self.Fxr_min}; it must be below 'Fxr_max'.")
+        require(self.delta_max < 1.5, f"key 'delta_max' is {self.delta_max}; give radians below 1.5.")
+
+    def build(self) -> SingleTrack:
+        """The nominal car."""
+        return SingleTrack(m=self.m, Iz=self.Iz, a=self.a, b=self.b, tyre=SimplifiedPacejka(self.mu, self.B, self.C))
+
+
+def load_vehicle(name: str | Path) -> VehicleConfig:
+    """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`)."""
+    path = find_config("vehicle", name)
+    return from_dict(VehicleConfig, read_yaml(path), str(path))
+
+
+def replace(config: VehicleConfig, **changes: float) -> VehicleConfig:
+    """A copy of `config` with some parameters changed, checked again."""
+    return dataclasses.replace(config, **changes)

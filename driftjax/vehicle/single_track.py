@@ -1,0 +1,56 @@
+"""The paper's nominal car: single track, simplified Pacejka, no friction circle."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, State, as_float
+from driftjax.tyre import SimplifiedPacejka
+
+G = 9.81  # gravitational acceleration [m/s^2]
+V_FLOOR = 1e-3  # speed below which beta_dot is held finite [m/s]
+
+
+class SingleTrack(eqx.Module):
+    """Nominal single-track car (Wu et al. 2025, Eq. 1-3); calling it gives the time derivative."""
+
+    m: Array = eqx.field(converter=as_float)  # mass [kg]
+    Iz: Array = eqx.field(converter=as_float)  # yaw moment of inertia [kg m^2]
+    a: Array = eqx.field(converter=as_float)  # centre of mass to front axle [m]
+    b: Array = eqx.field(converter=as_float)  # centre of mass to rear axle [m]
+    tyre: SimplifiedPacejka
+
+    @property
+    def Fzf(self) -> Array:
+        """Static load of the front axle [N]."""
+        return self.m * G * self.b / (self.a + self.b)
+
+    @property
+    def Fzr(self) -> Array:
+        """Static load of the rear axle [N]."""
+        return self.m * G * self.a / (self.a + self.b)
+
+    def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
+        """Front and rear slip angle [rad] (Eq. 3, with atan2, so that V = 0 stays finite)."""
+        vx, vy = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)
+        vx = jnp.where(jnp.abs(vx) < V_FLOOR, V_FLOOR, vx)
+        alpha_f = jnp.arctan2(vy + self.a * x.r, vx) - u.delta
+        alpha_r = jnp.arctan2(vy - self.b * x.r, vx)
+        return alpha_f, alpha_r
+
+    def lateral_forces(self, x: State, u: Control) -> tuple[Array, Array]:
+        """Lateral force of front and rear axle in the wheel frames [N], left positive."""
+        alpha_f, alpha_r = self.slip_angles(x, u)
+        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr)
+
+    def __call__(self, x: State, u: Control) -> State:
+        """Time derivative of `x` (Eq. 1)."""
+        Fyf, Fyr = self.lateral_forces(x, u)
+        V = jnp.maximum(x.V, V_FLOOR)
+        sin, cos = jnp.sin(x.beta), jnp.cos(x.beta)
+        front = u.delta - x.beta
+        return State(
+            V=(-Fyf * jnp.sin(front) + Fyr * sin + u.Fxr * cos) / self.m,
+            beta=(Fyf * jnp.cos(front) + Fyr * cos - u.Fxr * sin) / (self.m * V) - x.r,
+            r=(self.a * Fyf * jnp.cos(u.delta) - self.b * Fyr) / self.Iz,
+        )

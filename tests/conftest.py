@@ -1,0 +1,14 @@
+"""Shared settings of the tests: float64, the persistent compilation cache, two device threads."""
+
+import os
+import tempfile
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", os.environ.get(
+    "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "driftjax-jax-cache")))  # fmt: skip
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
