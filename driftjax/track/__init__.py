@@ -1,0 +1,11 @@
+"""Tracks as curvilinear frames: built, read from files, checked, projected onto."""
+
+from driftjax.track.build import corner as corner
+from driftjax.track.build import from_curvature as from_curvature
+from driftjax.track.build import from_points as from_points
+from driftjax.track.build import playground as playground
+from driftjax.track.check import check_width as check_width
+from driftjax.track.frame import Track as Track
+from driftjax.track.frame import curvilinear_rates as curvilinear_rates
+from driftjax.track.frame import resample as resample
+from driftjax.track.load import load_track as load_track

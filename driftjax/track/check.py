@@ -1,0 +1,56 @@
+"""What makes a track unusable, said in one sentence."""
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.track.frame import Track
+
+MIN_POINTS = 5
+
+
+def _where(track: Track, i: int, rows) -> str:
+    return f", row {rows[i]}" if rows is not None else f" at s = {float(track.s[i]):.4g} m"
+
+
+def check_folding(track: Track, source: str, rows=None) -> None:
+    """Raise where the border on the inside of a bend passes the centre of curvature (kappa w >= 1)."""
+    kappa, right, left = (np.asarray(v) for v in (track.kappa, track.w_right, track.w_left))
+    fold = np.maximum(kappa * left, -kappa * right)
+    if np.any(fold >= 1):
+        i = int(np.argmax(fold))
+        raise BadInput(
+            f"{source}{_where(track, i, rows)}: the inner border folds over itself (radius {1 / abs(kappa[i]):.4g} m,"
+            f" width {fold[i] / abs(kappa[i]):.4g} m); narrow the track there, or smooth the centre line."
+        )
+
+
+def check_crossing(track: Track, source: str, rows=None) -> None:
+    """Raise where the centre line crosses itself."""
+    stride = max(1, len(track.s) // 1500)
+    index = np.arange(0, len(track.s), stride)
+    p = np.stack([np.asarray(track.x)[index], np.asarray(track.y)[index]], axis=1)
+    if track.closed:
+        p = np.concatenate([p, p[:1]])
+    a, d = p[:-1], np.diff(p, axis=0)
+    cross = lambda u, v: u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    denominator = cross(d[:, None], d[None, :])
+    between = a[None, :] - a[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = cross(between, d[None, :]) / denominator
+        u = cross(between, d[:, None]) / denominator
+    hit = (denominator != 0) & (t > 0) & (t < 1) & (u > 0) & (u < 1)
+    if np.any(hit):
+        i, j = np.argwhere(hit)[0]
+        first, second = (_where(track, int(index[k]), rows).removeprefix(",") for k in sorted((i, j)))
+        raise BadInput(f"{source}: crosses itself near{first} and{second}; give a centre line that does not.")
+
+
+def check_width(track: Track, car_width: float, source: str) -> None:
+    """Raise where the track is narrower than a car of `car_width` [m]."""
+    total = np.asarray(track.w_right) + np.asarray(track.w_left)
+    i = int(np.argmin(total))
+    if total[i] <= car_width:
+        raise BadInput(
+            f"{source}{_where(track, i, None)}: {total[i]:.4g} m wide, but the car is {car_width:.4g} m wide;"
+            " widen the track or choose a narrower car."
+        )
