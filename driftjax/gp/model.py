@@ -1,0 +1,122 @@
+"""Exact Gaussian process with fixed-size, padded data: predict, condition, and the empty one."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.scipy.linalg import cho_solve, solve_triangular
+
+from driftjax.gp.kernel import KERNELS
+
+FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
+JITTER = 100.0  # added to the diagonal, in units of eps times the signal variance
+
+
+class Hyper(eqx.Module):
+    """Hyper-parameters of the D outputs, for inputs and outputs divided by their scales."""
+
+    log_lengthscale: Array  # (D, nf), one length per input (automatic relevance determination)
+    log_amplitude: Array  # (D,), log of the standard deviation of the latent function
+    log_noise: Array  # (D,), log of the standard deviation of the noise
+
+
+def gram(kernel: str, hyper: Hyper, X: Array, mask: Array) -> Array:
+    """K + noise of ONE output at scaled inputs `X` (M, nf); a masked row is one of the identity: exact."""
+    k = KERNELS[kernel]
+    scaled = X * jnp.exp(-hyper.log_lengthscale)
+    pairs = jax.vmap(lambda p: jax.vmap(lambda q: k(p - q))(scaled))(scaled)
+    amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
+    jitter = JITTER * jnp.finfo(X.dtype).eps * amplitude
+    K = jnp.where(mask[:, None] & mask[None, :], amplitude * pairs, 0.0)
+    return K + jnp.diag(jnp.where(mask, noise + jitter, 1.0))
+
+
+class GP(eqx.Module):
+    """Exact GP, one per output, zero prior mean (Wu et al. 2025, Sec. III-B; Rasmussen and Williams 2006).
+
+    Everything goes in and comes out in the raw units of the data. Rows with a false `mask` do not exist.
+    """
+
+    kernel: str = eqx.field(static=True)  # name in `KERNELS`
+    hyper: Hyper
+    Z: Array  # (M, nf) inputs
+    mask: Array  # (M,) which rows are data
+    scale: Array  # (nf,) of the inputs
+    output_scale: Array  # (D,)
+    lower: Array  # (D,) smallest target seen, at most 0
+    upper: Array  # (D,) largest target seen, at least 0
+    alpha: Array  # (D, M) = (K + noise)^-1 y, scaled
+    L: Array  # (D, M, M) Cholesky factor of K + noise, scaled
+
+    def correlations(self, z: Array) -> Array:
+        """(D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
+        k = KERNELS[self.kernel]
+        inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale
+        pairs = jax.vmap(lambda w: jax.vmap(lambda zi: k(w * (z - zi)))(self.Z))(inverse)
+        return jnp.where(self.mask, pairs, 0.0)
+
+    def _mean(self, correlations: Array) -> Array:
+        size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
+        return size * jnp.sum(correlations * self.alpha, axis=-1)
+
+    def mean(self, z: Array) -> Array:
+        """(D,): posterior mean at one input `z` (nf,); O(D M nf), no solves."""
+        return self._mean(self.correlations(z))
+
+    def fade(self, z: Array) -> Array:
+        """(D,): 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i k(z, Z_i) / amplitude^2)."""
+        return -jnp.expm1(-FADE_RATE * jnp.sum(self.correlations(z), axis=-1))
+
+    def bounded_mean(self, z: Array) -> Array:
+        """(D,): mean times fade, held within the targets seen: what a controller may trust far from data."""
+        correlations = self.correlations(z)
+        fade = -jnp.expm1(-FADE_RATE * jnp.sum(correlations, axis=-1))
+        return jnp.clip(fade * self._mean(correlations), self.lower, self.upper)
+
+    @property
+    def prior_variance(self) -> Array:
+        """(D,): latent variance without data."""
+        return jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale**2
+
+    def variance(self, z: Array) -> Array:
+        """(D,): posterior variance of the latent function (without the noise) at one input `z` (nf,)."""
+        k = jnp.exp(2 * self.hyper.log_amplitude)[:, None] * self.correlations(z)
+        v = jax.vmap(lambda L, k: solve_triangular(L, k, lower=True))(self.L, k)
+        latent = jnp.exp(2 * self.hyper.log_amplitude) - jnp.sum(v**2, axis=-1)
+        return jnp.maximum(latent, 0.0) * self.output_scale**2  # rounding may leave -1e-16
+
+
+def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
+    """Standard deviation of each input, root mean square of each output over the data; 1 where it is 0."""
+    n = jnp.maximum(jnp.sum(mask), 1)
+    weight = mask[:, None] / n
+    centre = jnp.sum(weight * Z, axis=0)
+    variance = jnp.sum(weight * (Z - centre) ** 2, axis=0)
+    constant = variance <= (1e3 * jnp.finfo(Z.dtype).eps * centre) ** 2
+    square = jnp.sum(weight * Y**2, axis=0)
+    scale = jnp.where(constant, 1.0, jnp.sqrt(jnp.where(constant, 1.0, variance)))
+    return scale, jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 1.0)
+
+
+def condition(
+    Z: Array, Y: Array, mask: Array, hyper: Hyper, scale: Array, output_scale: Array, kernel: str
+) -> GP:
+    """GP that has seen `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters."""
+    mask = mask.astype(bool)
+    Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
+
+    def factor(hyper: Hyper, y: Array) -> tuple[Array, Array]:
+        L = jnp.linalg.cholesky(gram(kernel, hyper, Z / scale, mask))
+        return L, cho_solve((L, True), y)
+
+    L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T)
+    lower, upper = jnp.min(Y, axis=0, initial=0.0), jnp.max(Y, axis=0, initial=0.0)
+    return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)
+
+
+def zero_gp(M: int, nf: int, D: int, kernel: str = "se") -> GP:
+    """GP without data: mean 0 everywhere, in the shapes of one fitted on `M` rows (so nothing recompiles)."""
+    dtype = jnp.result_type(float)
+    hyper = Hyper(jnp.zeros((D, nf), dtype), jnp.zeros(D, dtype), jnp.full(D, jnp.log(0.1), dtype))
+    Z, Y, mask = jnp.zeros((M, nf), dtype), jnp.zeros((M, D), dtype), jnp.zeros(M, bool)
+    return condition(Z, Y, mask, hyper, jnp.ones(nf, dtype), jnp.ones(D, dtype), kernel)
