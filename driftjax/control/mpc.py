@@ -1,0 +1,199 @@
+"""The drift MPC (Wu et al. 2025, Eq. 10): track a reference with the nominal car plus its learnt residual."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State, as_float, features, require, rk4_step
+from driftjax.solve import AbstractOCP, Options, Plan, shift, solve
+from driftjax.track import curvilinear_rates
+from driftjax.vehicle import VehicleConfig
+
+INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is finite there
+
+
+@dataclass(frozen=True)
+class MPCConfig:
+    """Horizon and weights of the drift MPC; the paper leaves horizon and step open."""
+
+    horizon: int = 30
+    """Number of steps N looked ahead."""
+    dt: float = 0.05
+    """Step of prediction and control [s]."""
+    Q: tuple[float, float, float] = (1.0, 700.0, 500.0)
+    """Weights on V [m/s], beta [rad] and r [rad/s]."""
+    Q_path: tuple[float, float] = (0.0, 0.0)
+    """Weights on the lateral error e [m] and the heading error theta [rad]; zeros give the paper's controller."""
+    R: tuple[float, float] = (10.0, 0.001)
+    """Weights on the change per step of delta [rad] and of Fxr [Fxr_unit]."""
+    Fxr_unit: float = 1000.0
+    """Newtons in the unit of force that R is written for: 1000 for the sedan, 1 for the RC car."""
+    tolerance: float = 1e-5
+    """Scaled KKT residual at which a solve counts as converged."""
+    max_steps: int = 40
+    """Interior-point iterations allowed per solve."""
+
+    def __post_init__(self) -> None:
+        require(self.horizon >= 1, f"key 'horizon' is {self.horizon}; it must be at least 1.")
+        require(self.dt > 0, f"key 'dt' is {self.dt}; it must be a positive time in seconds.")
+        require(
+            min(self.Q + self.Q_path) >= 0,
+            f"keys 'Q' and 'Q_path' hold {self.Q}, {self.Q_path}; none may be negative.",
+        )
+        require(min(self.R) > 0, f"key 'R' is {self.R}; both weights must be positive.")
+        require(self.Fxr_unit > 0, f"key 'Fxr_unit' is {self.Fxr_unit}; give newtons per unit, 1000 for kN.")
+        require(self.tolerance > 0, f"key 'tolerance' is {self.tolerance}; it must be positive.")
+        require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; it must be at least 1.")
+
+
+class Reference(eqx.Module):
+    """What to track over one horizon: x_1..x_N are compared with rows 1..N."""
+
+    V: Float[Array, " N+1"]  # speed [m/s]
+    beta: Float[Array, " N+1"]  # sideslip [rad]
+    r: Float[Array, " N+1"]  # yaw rate [rad/s]
+    e: Float[Array, " N+1"]  # offset from the path, left positive [m]
+    theta: Float[Array, " N+1"]  # heading of the car less that of the path [rad]
+    kappa: Float[Array, " N+1"]  # curvature of the path where the car is expected [1/m]
+
+
+class DriftOCP(AbstractOCP):
+    """Eq. 10 with the state (V, beta, r, e, theta, previous delta, previous Fxr), each over its scale.
+
+    The residual rate is taken at the start of a step and held over its Runge-Kutta stages, exactly as it is
+    measured in `learn`; so the GP is evaluated once a step and model and data agree at any step length.
+    """
+
+    nominal: Callable[[State, Control], State]
+    residual: Callable[[Array], Array]  # z (5,) -> (dV, dbeta, dr)
+    dt: Array = eqx.field(converter=as_float)
+    x_scale: Array  # (7,)
+    Q: Array  # (5,) weights in SI
+    R: Array  # (2,) weights in SI
+    lower: Array  # (2,) smallest delta, Fxr
+    upper: Array  # (2,)
+    rate: Array  # (2,) largest change per step
+
+    def _advance(self, x: Array, u: Array, p: Reference, residual: Callable[[Array], Array] | None) -> Array:
+        y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
+        first = State(y[0], y[1], y[2])
+        d = jnp.zeros(3) if residual is None else residual(features(first, command))
+
+        def rates(w: Array) -> Array:
+            dx = self.nominal(State(w[0], w[1], w[2]), command)
+            _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
+            return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
+
+        return jnp.concatenate([rk4_step(rates, y[:5], self.dt) / self.x_scale[:5], u])
+
+    def step(self, x: Array, u: Array, p: Reference) -> Array:
+        """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
+        return self._advance(x, u, p, self.residual)
+
+    def curvature(self, x: Array, u: Array, p: Reference) -> Array:
+        """The nominal car: second derivatives of the GP are costly and change only the rate of convergence."""
+        return self._advance(x, u, p, None)
+
+    def _tracking(self, x: Array, p: Reference) -> Array:
+        error = x[:5] * self.x_scale[:5] - jnp.stack([p.V, p.beta, p.r, p.e, p.theta])
+        return jnp.sum(self.Q * error**2)
+
+    def cost(self, x: Array, u: Array, p: Reference) -> Array:
+        """Tracking of this state and change of the input."""
+        return self._tracking(x, p) + jnp.sum(self.R * ((u - x[5:]) * self.x_scale[5:]) ** 2)
+
+    def terminal(self, x: Array, p: Reference) -> Array:
+        """Tracking of the last state."""
+        return self._tracking(x, p)
+
+    def constraints(self, x: Array, u: Array, p: Reference) -> Array:
+        """Input and rate limits, over their scales."""
+        scale = self.x_scale[5:]
+        change = u - x[5:]
+        return jnp.concatenate(
+            [
+                u - self.lower / scale,
+                self.upper / scale - u,
+                self.rate / scale + change,
+                self.rate / scale - change,
+            ]
+        )
+
+
+def drift_ocp(
+    config: MPCConfig,
+    vehicle: VehicleConfig,
+    residual: Callable[[Array], Array],
+    nominal: Callable[[State, Control], State] | None = None,
+) -> DriftOCP:
+    """The problem of one car; `nominal` defaults to the car that `vehicle` describes."""
+    weight = vehicle.m * 9.81
+    speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
+    x_scale = jnp.array(
+        [speed, 1.0, speed / 5 / (vehicle.a + vehicle.b), vehicle.a + vehicle.b, 1.0, 1.0, weight]
+    )
+    return DriftOCP(
+        nominal=vehicle.build() if nominal is None else nominal,
+        residual=residual,
+        dt=config.dt,
+        x_scale=x_scale,
+        Q=jnp.array(config.Q + config.Q_path),
+        R=jnp.array([config.R[0], config.R[1] / config.Fxr_unit**2]),
+        lower=jnp.array([-vehicle.delta_max, vehicle.Fxr_min]),
+        upper=jnp.array([vehicle.delta_max, vehicle.Fxr_max]),
+        rate=config.dt * jnp.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max]),
+    )
+
+
+def within_limits(
+    ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, " 2"], share: float = INTERIOR
+):
+    """Inputs [rad, N] moved inside rate limits (first) and input limits, by `share` of each limit's range."""
+    margin = share * (ocp.upper - ocp.lower)
+
+    def limit(last, u):
+        u = jnp.clip(u, last - (1 - share) * ocp.rate, last + (1 - share) * ocp.rate)
+        u = jnp.clip(u, ocp.lower + margin, ocp.upper - margin)
+        return u, u
+
+    return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
+
+
+class MPCSolution(eqx.Module):
+    """One solve in SI units: the command to apply, the plan behind it, and how it ended."""
+
+    u: Control  # first input of the plan
+    X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
+    U: Float[Array, "N 2"]  # planned delta, Fxr
+    plan: Plan  # scaled solution with its residuals
+
+
+def solve_mpc(
+    ocp: DriftOCP,
+    x: Float[Array, " 5"],
+    previous: Float[Array, " 2"],
+    reference: Reference,
+    X: Float[Array, "N+1 5"],
+    U: Float[Array, "N 2"],
+    options: Options,
+) -> MPCSolution:
+    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous` and the guess `X`, `U`, all SI."""
+    U = within_limits(ocp, U, previous)
+    scale_x, scale_u = ocp.x_scale[:5], ocp.x_scale[5:]
+    before = jnp.concatenate([previous[None], U]) / scale_u
+    guess = jnp.concatenate([X / scale_x, before], axis=1)
+    start = jnp.concatenate([x / scale_x, previous / scale_u])
+    plan = solve(ocp, start, reference, guess, U / scale_u, options)
+    # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
+    inputs = within_limits(ocp, plan.U * scale_u, previous, share=0.0)
+    return MPCSolution(Control(inputs[0, 0], inputs[0, 1]), plan.X[:, :5] * scale_x, inputs, plan)
+
+
+def shifted(X: Array, U: Array) -> tuple[Array, Array]:
+    """The last plan one step later: guess of the next solve, and the fallback where that fails."""
+    return shift(X), shift(U)

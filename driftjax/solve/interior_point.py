@@ -1,0 +1,284 @@
+"""Batched sequential quadratic programming whose quadratic programs are interior-point Newton systems.
+
+Every iteration linearises the dynamics anew, takes the exact Hessian of the Lagrangian, solves the primal-dual
+barrier system by one Riccati sweep and searches along the direction on an l1 merit function. Interleaving the two
+loops needs a quarter of the iterations of an SQP that solves each quadratic program to the end.
+Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling); Nocedal and Wright 2006,
+Sec. 18.3 and 19.3 (merit function, slack formulation).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, PyTree
+
+from driftjax.core import RESULTS
+from driftjax.solve.ocp import AbstractOCP, Options, Plan
+from driftjax.solve.riccati import Quadratic, newton_direction
+
+BOUNDARY_FRACTION = 0.995  # of the way to a bound that one step may take
+MAX_BACKTRACKS = 10  # halvings before a direction is given up
+ARMIJO = 1e-4
+SLACK_FLOOR = 1e-4  # slack given to a gap that starts closed or violated
+
+
+class Iterate(NamedTuple):
+    """Primal and dual variables; gaps of the stages (N, ng) and of the last state (nt,)."""
+
+    X: Array
+    U: Array
+    costates: Array  # (N, nx), of the dynamics into x_1..x_N
+    slack: tuple[Array, Array]
+    dual: tuple[Array, Array]
+
+
+class Model(NamedTuple):
+    """Derivatives of a problem at one iterate."""
+
+    cost_x: Array
+    cost_u: Array
+    A: Array
+    B: Array
+    defect: Array
+    gap: tuple[Array, Array]
+    grad_N: Array
+
+
+class Loop(NamedTuple):
+    it: Iterate
+    model: Model
+    barrier: Array
+    damping: Array
+    failures: Array
+    num_steps: Array
+    kkt: Array
+    violation: Array
+
+
+class _Problem(eqx.Module):
+    """One problem with its data: everything below is a function of the iterate alone."""
+
+    ocp: AbstractOCP
+    stages: PyTree
+    last: PyTree
+    Gx: Array  # Jacobian of the gaps, constant because they are affine
+    Gu: Array
+    GN: Array
+
+    def objective(self, X: Array, U: Array) -> Array:
+        return jnp.sum(jax.vmap(self.ocp.cost)(X[:-1], U, self.stages)) + self.ocp.terminal(X[-1], self.last)
+
+    def gaps(self, X: Array, U: Array) -> tuple[Array, Array]:
+        stage = jax.vmap(self.ocp.constraints)(X[:-1], U, self.stages)
+        return stage, self.ocp.terminal_constraints(X[-1], self.last)
+
+    def defects(self, X: Array, U: Array) -> Array:
+        return jax.vmap(self.ocp.step)(X[:-1], U, self.stages) - X[1:]
+
+    def linearise(self, X: Array, U: Array) -> Model:
+        cost_x, cost_u = jax.vmap(jax.grad(self.ocp.cost, (0, 1)))(X[:-1], U, self.stages)
+        A, B = jax.vmap(jax.jacfwd(self.ocp.step, (0, 1)))(X[:-1], U, self.stages)
+        grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
+        return Model(cost_x, cost_u, A, B, self.defects(X, U), self.gaps(X, U), grad_N)
+
+    def hessian(self, it: Iterate) -> tuple[Array, Array, Array, Array]:
+        """Blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
+
+        def lagrangian(w, x, costate, p):
+            x, u = w[: x.shape[0]], w[x.shape[0] :]
+            return self.ocp.cost(x, u, p) + costate @ self.ocp.curvature(x, u, p)
+
+        W = jnp.concatenate([it.X[:-1], it.U], axis=1)
+        H = jax.vmap(jax.hessian(lagrangian))(W, it.X[:-1], it.costates, self.stages)
+        nx = it.X.shape[1]
+        return (
+            H[:, :nx, :nx],
+            H[:, nx:, :nx],
+            H[:, nx:, nx:],
+            jax.hessian(self.ocp.terminal)(it.X[-1], self.last),
+        )
+
+
+def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, damping: Array) -> Quadratic:
+    """Newton system with slacks and duals eliminated."""
+    Hxx, Hux, Huu, HN = problem.hessian(it)
+    weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
+    pull = jax.tree.map(lambda w, g, s: w * (g - s) - barrier / s, weight, m.gap, it.slack)
+
+    def damped(H):
+        diagonal = jnp.abs(jnp.diagonal(H, axis1=-2, axis2=-1)) + 1e-3
+        return H + damping * diagonal[..., None] * jnp.eye(H.shape[-1])
+
+    w, Gx, Gu, GN = weight[0], problem.Gx, problem.Gu, problem.GN
+    return Quadratic(
+        Hxx=damped(Hxx) + jnp.einsum("kgi,kg,kgj->kij", Gx, w, Gx),
+        Hux=Hux + jnp.einsum("kgi,kg,kgj->kij", Gu, w, Gx),
+        Huu=damped(Huu) + jnp.einsum("kgi,kg,kgj->kij", Gu, w, Gu),
+        hx=m.cost_x + jnp.einsum("kgi,kg->ki", Gx, pull[0]),
+        hu=m.cost_u + jnp.einsum("kgi,kg->ki", Gu, pull[0]),
+        A=m.A,
+        B=m.B,
+        c=m.defect,
+        HN=damped(HN) + (GN.T * weight[1]) @ GN,
+        hN=m.grad_N + GN.T @ pull[1],
+    )
+
+
+def _direction(problem: _Problem, m: Model, it: Iterate, barrier: Array, damping: Array) -> Iterate:
+    dX, dU, costates = newton_direction(_quadratic(problem, m, it, barrier, damping))
+    d_gap = (
+        jnp.einsum("kgi,ki->kg", problem.Gx, dX[:-1]) + jnp.einsum("kgi,ki->kg", problem.Gu, dU),
+        problem.GN @ dX[-1],
+    )
+    d_slack = jax.tree.map(lambda d, g, s: d + g - s, d_gap, m.gap, it.slack)
+    d_dual = jax.tree.map(lambda s, z, ds: barrier / s - z - z / s * ds, it.slack, it.dual, d_slack)
+    return Iterate(dX, dU, costates - it.costates, d_slack, d_dual)
+
+
+def _to_boundary(values: PyTree, steps: PyTree) -> Array:
+    """Longest step in (0, 1] that keeps every value positive by the boundary fraction."""
+    rates = jax.tree.map(lambda v, d: jnp.max(-d / v, initial=0.0), values, steps)
+    return jnp.minimum(
+        1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12)
+    )
+
+
+def _kkt(problem: _Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
+    """Scaled optimality error (Waechter and Biegler 2006, Eq. 5) and the worst primal violation."""
+    in_costates = jnp.concatenate([jnp.zeros_like(it.costates[:1]), it.costates[:-1]])
+    stage_x = m.cost_x + jnp.einsum("kij,ki->kj", m.A, it.costates) - in_costates
+    stage_x = stage_x - jnp.einsum("kgi,kg->ki", problem.Gx, it.dual[0])
+    stage_u = m.cost_u + jnp.einsum("kij,ki->kj", m.B, it.costates)
+    stage_u = stage_u - jnp.einsum("kgi,kg->ki", problem.Gu, it.dual[0])
+    last = m.grad_N - it.costates[-1] - problem.GN.T @ it.dual[1]
+    size = sum(jnp.sum(jnp.abs(y)) for y in (it.costates, *it.dual))
+    scale = jnp.maximum(1.0, size / (it.costates.size + sum(z.size for z in it.dual)) / 100)
+    products = [jnp.max(jnp.abs(s * z), initial=0.0) for s, z in zip(it.slack, it.dual, strict=True)]
+    parts = [jnp.max(jnp.abs(stage_x[1:]), initial=0.0), jnp.max(jnp.abs(stage_u)), jnp.max(jnp.abs(last))]
+    misfit = [jnp.max(jnp.abs(g - s), initial=0.0) for g, s in zip(m.gap, it.slack, strict=True)]
+    violation = jnp.maximum(jnp.max(jnp.abs(m.defect)), jnp.max(jnp.stack(misfit)))
+    return jnp.max(jnp.stack(parts + products)) / scale, violation
+
+
+def _moved(it: Iterate, step: Iterate, primal: Array, dual: Array) -> Iterate:
+    go = lambda rate: lambda y, d: y + rate * d
+    return Iterate(
+        it.X + primal * step.X,
+        it.U + primal * step.U,
+        it.costates + primal * step.costates,
+        jax.tree.map(go(primal), it.slack, step.slack),
+        jax.tree.map(go(dual), it.dual, step.dual),
+    )
+
+
+def _line_search(problem: _Problem, m: Model, it: Iterate, step: Iterate, barrier: Array, longest: Array):
+    """Step length by backtracking on the l1 merit function; zero where no descent was found."""
+    # 1.1 x the largest multiplier makes the l1 penalty exact, so that the Newton step is a descent direction
+    worst = [jnp.max(jnp.abs(it.costates + step.costates))]
+    worst += [jnp.max(jnp.abs(z + d), initial=0.0) for z, d in zip(it.dual, step.dual, strict=True)]
+    penalty = 1.1 * jnp.max(jnp.stack(worst))
+
+    def merit(length):
+        X, U = it.X + length * step.X, it.U + length * step.U
+        slack = jax.tree.map(lambda s, d: s + length * d, it.slack, step.slack)
+        gap = problem.gaps(X, U)
+        bad = jnp.sum(jnp.abs(problem.defects(X, U))) + sum(
+            jnp.sum(jnp.abs(g - s)) for g, s in zip(gap, slack, strict=True)
+        )
+        logs = sum(jnp.sum(jnp.log(s)) for s in slack)
+        return problem.objective(X, U) - barrier * logs + penalty * bad
+
+    along = jnp.sum(m.cost_x * step.X[:-1]) + jnp.sum(m.cost_u * step.U) + m.grad_N @ step.X[-1]
+    along = along - barrier * sum(jnp.sum(d / s) for s, d in zip(it.slack, step.slack, strict=True))
+    along = along - penalty * (
+        jnp.sum(jnp.abs(m.defect))
+        + sum(jnp.sum(jnp.abs(g - s)) for g, s in zip(m.gap, it.slack, strict=True))
+    )
+    start = merit(0.0)
+    rounding = 1e-10 * (1 + jnp.abs(start))
+
+    def fails(carry):
+        length, count, value = carry
+        enough = value <= start + ARMIJO * length * jnp.minimum(along, 0.0) + rounding
+        return ~(enough & jnp.isfinite(value)) & (count < MAX_BACKTRACKS)
+
+    def shorten(carry):
+        length, count, _ = carry
+        return length / 2, count + 1, merit(length / 2)
+
+    length, count, _ = jax.lax.while_loop(fails, shorten, (longest, jnp.array(0), merit(longest)))
+    return jnp.where(count < MAX_BACKTRACKS, length, 0.0)
+
+
+def _start(problem: _Problem, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
+    X = X.at[0].set(x0)
+    slack = jax.tree.map(lambda g: jnp.maximum(g, SLACK_FLOOR), problem.gaps(X, U))
+    return Iterate(X, U, jnp.zeros_like(X[1:]), slack, jax.tree.map(lambda s: barrier / s, slack))
+
+
+def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
+    it, m, barrier = loop.it, loop.model, loop.barrier
+    step = _direction(problem, m, it, barrier, loop.damping)
+    longest, dual = _to_boundary(it.slack, step.slack), _to_boundary(it.dual, step.dual)
+    finite = jnp.all(jnp.isfinite(step.U)) & jnp.all(jnp.isfinite(step.X))
+    length = jnp.where(finite, _line_search(problem, m, it, step, barrier, longest), 0.0)
+    moved = length > 0
+    new = _moved(it, step, length, dual)
+    new = jax.tree.map(lambda old, candidate: jnp.where(moved, candidate, old), it, new)
+    m = problem.linearise(new.X, new.U)
+    kkt, violation = _kkt(problem, m, new)
+    count = sum(s.size for s in new.slack)
+    gap = sum(jnp.sum(s * z) for s, z in zip(new.slack, new.dual, strict=True)) / max(count, 1)
+    reach = jnp.minimum(length, dual)
+    centring = jnp.clip((1 - reach) ** 2, 0.1, 0.8)
+    lower = jnp.maximum(centring * gap, 0.1 * options.tolerance)
+    damping = jnp.where(length > 0.1, loop.damping / 4, jnp.maximum(4 * loop.damping, 1e-3))
+    damping = jnp.where((damping < 1e-4) & moved, 0.0, damping)
+    failures = jnp.where(moved, 0, loop.failures + 1)
+    barrier = jnp.where(moved, lower, barrier)
+    return Loop(new, m, barrier, damping, failures, loop.num_steps + 1, kkt, violation)
+
+
+def solve(
+    ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None
+) -> Plan:
+    """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
+
+    Returns the last iterate with its residuals. `result` is `successful` only where KKT residual and violation are
+    below the tolerance; `stalled` where no direction gave descent; `not_converged` after the last iteration allowed.
+    """
+    options = Options() if options is None else options
+    stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
+    Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
+    GN = jax.jacfwd(ocp.terminal_constraints)(X[-1], last)
+    problem = _Problem(ocp, stages, last, Gx, Gu, GN)
+    it = _start(problem, x0, X, U, options.barrier)
+    large = jnp.asarray(jnp.inf, X.dtype)
+    zero = jnp.zeros((), int)
+    m = problem.linearise(it.X, it.U)
+    loop = Loop(it, m, options.barrier, jnp.zeros((), X.dtype), zero, zero, large, large)
+
+    def unfinished(s: Loop):
+        open_ = jnp.maximum(s.kkt, s.violation) > options.tolerance
+        return open_ & (s.num_steps < options.max_steps) & (s.failures < 12)
+
+    end = jax.lax.while_loop(unfinished, lambda s: _iterate(problem, s, options), loop)
+    return _plan(problem, end, options)
+
+
+def _plan(problem: _Problem, end: Loop, options: Options) -> Plan:
+    done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
+    failed = RESULTS.where(end.failures >= 12, RESULTS.stalled, RESULTS.not_converged)
+    finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
+    failed = RESULTS.where(finite, failed, RESULTS.non_finite)
+    result = RESULTS.where(done, RESULTS.successful, failed)
+    cost = problem.objective(end.it.X, end.it.U)
+    return Plan(end.it.X, end.it.U, cost, end.kkt, end.violation, end.num_steps, result)
+
+
+def shift(sequence: Float[Array, "N n"]) -> Float[Array, "N n"]:
+    """The sequence one stage later, its last entry repeated: warm start of the next solve."""
+    return jnp.concatenate([sequence[1:], sequence[-1:]])

@@ -1,0 +1,70 @@
+"""What the solver needs to know of an optimal control problem, and what it gives back."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, PyTree
+
+from driftjax.core import RESULTS, as_float
+
+
+class AbstractOCP(eqx.Module):
+    """A discrete-time optimal control problem with the first state fixed.
+
+    minimise sum_k cost(x_k, u_k, p_k) + terminal(x_N, p_N)
+    subject to x_{k+1} = step(x_k, u_k, p_k), constraints(x_k, u_k, p_k) >= 0, terminal_constraints(x_N, p_N) >= 0,
+
+    for one problem and one stage; batches by `vmap` of `solve`. Constraints must be affine in (x, u). Scale the
+    variables to order one. At most two inputs (their 2x2 block is made positive in closed form).
+    """
+
+    @abc.abstractmethod
+    def step(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " nx"]:
+        """Next state."""
+
+    @abc.abstractmethod
+    def cost(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, ""]:
+        """Cost of one stage."""
+
+    @abc.abstractmethod
+    def terminal(self, x: Float[Array, " nx"], p: PyTree) -> Float[Array, ""]:
+        """Cost of the last state."""
+
+    @abc.abstractmethod
+    def constraints(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " ng"]:
+        """Gaps of one stage, feasible where not negative."""
+
+    def terminal_constraints(self, x: Float[Array, " nx"], p: PyTree) -> Float[Array, " nt"]:
+        """Gaps of the last state; none unless overridden by the problem."""
+        return jnp.zeros((0,), x.dtype)
+
+    def curvature(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " nx"]:
+        """Model whose second derivatives stand in for those of `step`.
+
+        A cheaper model changes the speed of convergence, never the solution.
+        """
+        return self.step(x, u, p)
+
+
+class Options(eqx.Module):
+    """How hard the solver tries; all numbers traced, so that a new value never means a new compile."""
+
+    tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
+    barrier: Array = eqx.field(
+        converter=as_float, default=1.0
+    )  # first barrier parameter; small for warm starts
+    max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # interior-point iterations
+
+
+class Plan(eqx.Module):
+    """Solution of one problem and the numbers that justify it."""
+
+    X: Float[Array, "N+1 nx"]  # states
+    U: Float[Array, "N nu"]  # inputs
+    cost: Float[Array, ""]  # objective at (X, U)
+    kkt: Float[Array, ""]  # scaled stationarity and complementarity [-]
+    violation: Float[Array, ""]  # worst defect or constraint violation, 0 if feasible
+    num_steps: Array  # iterations taken
+    result: RESULTS
