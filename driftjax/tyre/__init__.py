@@ -1,3 +1,4 @@
 """Slip and load to force."""
 
+from driftjax.tyre.magic_formula import MagicFormula as MagicFormula
 from driftjax.tyre.pacejka import SimplifiedPacejka as SimplifiedPacejka

@@ -1,6 +1,13 @@
 """Cars: the paper's nominal single track and the plant that stands in for the real one."""
 
 from driftjax.vehicle.corrected import Corrected as Corrected
+from driftjax.vehicle.double_track import DoubleTrack as DoubleTrack
+from driftjax.vehicle.double_track import Motion as Motion
+from driftjax.vehicle.double_track import PlantState as PlantState
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
 from driftjax.vehicle.parameters import load_vehicle as load_vehicle
+from driftjax.vehicle.plant_config import PlantConfig as PlantConfig
+from driftjax.vehicle.plants import load_plant as load_plant
+from driftjax.vehicle.plants import sample_plants as sample_plants
+from driftjax.vehicle.plants import stack_plants as stack_plants
 from driftjax.vehicle.single_track import SingleTrack as SingleTrack

@@ -1,0 +1,160 @@
+"""The plant: a double-track car that stands in for the real one."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+
+from driftjax.core import Control, as_float, rk4_step
+from driftjax.tyre import MagicFormula
+from driftjax.vehicle.actuators import Actuators
+from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
+from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels
+
+STEERED = (1.0, 1.0, 0.0, 0.0)
+
+
+class PlantState(NamedTuple):
+    """State of the double-track car; wheels front left, front right, rear left, rear right on the last axis."""
+
+    x: Array  # position [m]
+    y: Array  # position [m]
+    psi: Array  # heading, left positive, not wrapped [rad]
+    vx: Array  # forward velocity of the centre of mass [m/s]
+    vy: Array  # velocity to the left [m/s]
+    r: Array  # yaw rate, left positive [rad/s]
+    delta: Array  # road-wheel angle [rad]
+    drive: Array  # force of the rear axle that drive and brake ask of it, before the power limit [N]
+    pitch: Array  # longitudinal acceleration that the wheel loads follow [m/s^2]
+    roll: Array  # lateral acceleration that the wheel loads follow [m/s^2]
+    omega: Array  # wheel speeds (4,) [rad/s]
+    kappa: Array  # transient longitudinal slips (4,), driving positive [-]
+    alpha: Array  # transient lateral slips (4,), positive when the wheel slides to the left [-]
+
+
+class Motion(NamedTuple):
+    """What ideal sensors would see."""
+
+    V: Array  # speed of the centre of mass [m/s]
+    beta: Array  # sideslip, atan2(v_y, v_x), left positive [rad]
+    r: Array  # yaw rate, left positive [rad/s]
+    x: Array  # position [m]
+    y: Array  # position [m]
+    psi: Array  # heading, not wrapped [rad]
+    ax: Array  # forward specific force at the centre of mass [m/s^2]
+    ay: Array  # specific force to the left [m/s^2]
+    delta: Array  # road-wheel angle reached [rad]
+    Fxr: Array  # axle torque over wheel radius reached, within the power limit [N]
+    omega: Array  # wheel speeds (4,) [rad/s]
+
+
+class Forces(NamedTuple):
+    """Forces on the wheels and on the body."""
+
+    Fx: Array  # tyre forces along the wheels (4,) [N]
+    Fy: Array  # tyre forces to the left of the wheels (4,) [N]
+    Fz: Array  # vertical loads (4,) [N]
+    ax: Array  # forward specific force [m/s^2]
+    ay: Array  # specific force to the left [m/s^2]
+    yaw: Array  # yaw moment [N m]
+    drive: Array  # drive force within the power limit [N]
+    kappa_rate: Array  # rates of the transient slips (4,) [1/s]
+    alpha_rate: Array  # rates of the transient slips (4,) [1/s]
+
+
+class DoubleTrack(eqx.Module):
+    """Rear-driven car on four wheels: spin, combined slip, load transfer, relaxation, differential, actuators, drag.
+
+    Every parameter is a numeric leaf, so all plants share one program; a leading axis on all leaves is a batch.
+    """
+
+    chassis: Chassis
+    tyre: MagicFormula
+    wheels: Wheels
+    actuators: Actuators
+
+    def rolling(
+        self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0
+    ) -> PlantState:
+        """State of straight free rolling at speed `V` [m/s] without drive."""
+        V, x, y, psi = as_float(V), as_float(x), as_float(y), as_float(psi)
+        zero, none = jnp.zeros_like(V), jnp.zeros(4, V.dtype)
+        omega = V / self.wheels.radius * jnp.ones(4, V.dtype)
+        return PlantState(x, y, psi, V, zero, zero, zero, zero, zero, zero, omega, none, none)
+
+    def forces(self, state: PlantState) -> Forces:
+        """Forces in `state`: slip and load at each wheel, tyre forces, their sum on the body with drag."""
+        chassis, wheels = self.chassis, self.wheels
+        px, py = chassis.positions()
+        steer = state.delta * jnp.array(STEERED)
+        sin, cos = jnp.sin(steer), jnp.cos(steer)
+        hub_x, hub_y = state.vx - state.r * py, state.vy + state.r * px
+        v, w = cos * hub_x + sin * hub_y, cos * hub_y - sin * hub_x
+        kappa_rate, alpha_rate = wheels.slip_rates(v, w, state.omega, state.kappa, state.alpha)
+
+        Fz0 = chassis.static_loads()
+        per_ax, per_ay = chassis.transfer()
+        Fz = smooth_positive(Fz0 + per_ax * state.pitch + per_ay * state.roll, LOAD_FLOOR * Fz0)
+        Fx, Fy = self.tyre.forces(
+            state.kappa + wheels.carcass_time * kappa_rate,
+            state.alpha + wheels.carcass_time * alpha_rate,
+            Fz,
+            Fz0,
+        )
+
+        body_x, body_y = cos * Fx - sin * Fy, sin * Fx + cos * Fy
+        drag = chassis.drag * jnp.sqrt(state.vx**2 + state.vy**2 + SPEED_FLOOR**2)
+        drive = self.actuators.limited(state.drive, wheels.radius * (state.omega[2] + state.omega[3]) / 2)
+        return Forces(
+            Fx=Fx,
+            Fy=Fy,
+            Fz=Fz,
+            ax=(body_x.sum() - drag * state.vx) / chassis.m,
+            ay=(body_y.sum() - drag * state.vy) / chassis.m,
+            yaw=(px * body_y - py * body_x).sum(),
+            drive=drive,
+            kappa_rate=kappa_rate,
+            alpha_rate=alpha_rate,
+        )
+
+    def rates(self, state: PlantState, command: Control) -> PlantState:
+        """Time derivative of `state` under `command`."""
+        force, chassis = self.forces(state), self.chassis
+        delta_rate, drive_rate = self.actuators.rates(state.delta, state.drive, command)
+        sin, cos = jnp.sin(state.psi), jnp.cos(state.psi)
+        return PlantState(
+            x=cos * state.vx - sin * state.vy,
+            y=sin * state.vx + cos * state.vy,
+            psi=state.r,
+            vx=force.ax + state.r * state.vy,
+            vy=force.ay - state.r * state.vx,
+            r=force.yaw / chassis.Iz,
+            delta=delta_rate,
+            drive=drive_rate,
+            pitch=(force.ax - state.pitch) / chassis.pitch_lag,
+            roll=(force.ay - state.roll) / chassis.roll_lag,
+            omega=self.wheels.spin_rates(state.omega, force.drive, force.Fx, force.Fz),
+            kappa=force.kappa_rate,
+            alpha=force.alpha_rate,
+        )
+
+    def advance(self, state: PlantState, command: Control, dt: ArrayLike, num_substeps: int) -> PlantState:
+        """State after `dt` [s] of held `command`: classical Runge-Kutta in `num_substeps` equal steps."""
+        flat, unravel = ravel_pytree(state)
+        rates = lambda z: ravel_pytree(self.rates(unravel(z), command))[0]
+        step = as_float(dt) / num_substeps
+        last, _ = jax.lax.scan(lambda z, _: (rk4_step(rates, z, step), None), flat, length=num_substeps)
+        return unravel(last)
+
+    def motion(self, state: PlantState, command: Control) -> Motion:
+        """What ideal sensors would see in `state`; the accelerations need no `command`, which is for symmetry."""
+        del command
+        force = self.forces(state)
+        V = jnp.sqrt(state.vx**2 + state.vy**2 + 1e-12)
+        beta = jnp.arctan2(state.vy, jnp.where(V < 2e-6, 1e-6, state.vx))  # atan2(0, 0) has no gradient
+        return Motion(V, beta, state.r, state.x, state.y, state.psi, force.ax, force.ay, state.delta, force.drive,
+                      state.omega)  # fmt: skip

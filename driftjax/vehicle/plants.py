@@ -1,0 +1,108 @@
+"""Shipped plants, plants drawn from a distribution, and batches of plants."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import norm
+
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.vehicle.double_track import DoubleTrack
+from driftjax.vehicle.plant_config import PlantConfig
+
+SHARED = ("mu", "mu_difference")  # keys of a distribution that set both axles
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How one parameter varies between plants: give exactly one of the two."""
+
+    uniform: tuple[float, float] | None = None
+    """Lowest and highest value."""
+    normal: tuple[float, float] | None = None
+    """Mean and standard deviation; draws stay within two standard deviations."""
+
+    def __post_init__(self) -> None:
+        require((self.uniform is None) != (self.normal is None), "give either 'uniform' or 'normal'.")
+        low, high = self.limits
+        require(low <= high, f"the range {low} to {high} is empty; order it, with no negative deviation.")
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest value that can be drawn."""
+        if self.uniform is not None:
+            return self.uniform
+        mean, deviation = self.normal or (0.0, 0.0)
+        return mean - 2 * deviation, mean + 2 * deviation
+
+    def draw(self, generator: np.random.Generator) -> float:
+        """One value; takes exactly one uniform number from `generator`."""
+        share = generator.random()
+        if self.uniform is not None:
+            return self.uniform[0] + share * (self.uniform[1] - self.uniform[0])
+        mean, deviation = self.normal or (0.0, 0.0)
+        return float(mean + deviation * norm.ppf(norm.cdf(-2) + share * (norm.cdf(2) - norm.cdf(-2))))
+
+
+def load_plant(name: str | Path) -> PlantConfig:
+    """Read a plant YAML: a path, or a shipped name; a key `base` names the plant whose other values it takes."""
+    path = find_config("plant", name)
+    return from_dict(PlantConfig, _resolved(path), str(path))
+
+
+def _resolved(path: Path) -> dict[str, Any]:
+    values = read_yaml(path)
+    base = values.pop("base", None)
+    if base is None:
+        return values
+    under = find_config("plant", path.parent / f"{base}.yaml")
+    if under == path:
+        raise BadInput(f"{path}: key 'base' names this file; name another plant.")
+    return _resolved(under) | values
+
+
+def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
+    """Base plant and spread of each varied parameter, from `configs/plant/<car>_distribution.yaml`."""
+    path = find_config("plant", f"{car}_distribution")
+    values = read_yaml(path)
+    base = load_plant(str(values.pop("base", car)))
+    known = {field.name for field in dataclasses.fields(PlantConfig)} - {"name"} | set(SHARED)
+    spreads = {}
+    for key, spread in values.items():
+        if key not in known:
+            raise BadInput(f"{path}: unknown key '{key}'; known keys are {', '.join(sorted(known))}.")
+        if not isinstance(spread, dict):
+            raise BadInput(
+                f"{path}: key '{key}' is {spread!r}; write 'uniform: [low, high]' or 'normal: [mean, sd]'."
+            )
+        spreads[key] = from_dict(Spread, spread, f"{path}: key '{key}'")
+    return base, spreads
+
+
+def sample_plants(car: str, num: int, seed: int) -> list[PlantConfig]:
+    """`num` plants of `car`; plant i depends on `seed` and i only.
+
+    `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.
+    """
+    base, spreads = load_distribution(car)
+    plants = []
+    for index in range(num):
+        generator = np.random.default_rng([seed, index])
+        drawn = {key: spreads[key].draw(generator) for key in sorted(spreads)}
+        mu = drawn.pop("mu", (base.muf + base.mur) / 2)
+        half = drawn.pop("mu_difference", 0.0) / 2
+        if set(SHARED) & set(spreads):
+            drawn |= {"muf": mu * (1 + half), "mur": mu * (1 - half)}
+        plants.append(dataclasses.replace(base, name=f"{car}_{seed}_{index}", **drawn))
+    return plants
+
+
+def stack_plants(configs: Sequence[PlantConfig]) -> DoubleTrack:
+    """One batch of plants: every leaf has a leading axis of lanes, in the order of `configs`."""
+    require(len(configs) > 0, "no plants to stack; give at least one.")
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.build() for config in configs))
