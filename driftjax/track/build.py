@@ -11,11 +11,12 @@ from driftjax.core import BadInput, require
 from driftjax.track.check import MIN_POINTS, check_crossing, check_folding
 from driftjax.track.frame import Track
 
+NARROWED = 0.9  # of the radius, left as width where a folding border is drawn in [-]
 FINE = 16  # quadrature panels per grid cell or spline interval
 
 
 def from_curvature(knots: ArrayLike, kappa: ArrayLike, width: float, num: int, closed: bool = False) -> Track:
-    """Track whose curvature is linear between `knots` (arc lengths [m], from 0): straights, arcs and clothoids.
+    """Track whose curvature is linear between `knots` (arc lengths [m], from 0): straights, arcs, clothoids.
 
     Starts at the origin along +x, `width` [m] to either side. psi is exact; x and y by Gauss quadrature.
     """
@@ -35,10 +36,7 @@ def from_curvature(knots: ArrayLike, kappa: ArrayLike, width: float, num: int, c
     fine = np.linspace(0.0, length, FINE * (len(s) - 1) + 1)
     h = fine[1] - fine[0]
     psi = heading(fine[:-1, None] + h * (nodes + 1) / 2)
-    xy = [
-        np.concatenate([[0.0], np.cumsum(f(psi) @ weights * h / 2)])[::FINE][: len(s)]
-        for f in (np.cos, np.sin)
-    ]
+    xy = [np.concatenate([[0.0], np.cumsum(f(psi) @ weights * h / 2)])[::FINE][: len(s)] for f in (np.cos, np.sin)]
     keep = slice(0, num)
     w = np.full(num, float(width))
     return Track(s[keep], xy[0][keep], xy[1][keep], heading(s)[keep], np.interp(s, knots, kappa)[keep], w, w,
@@ -46,12 +44,10 @@ def from_curvature(knots: ArrayLike, kappa: ArrayLike, width: float, num: int, c
 
 
 def _turn(ramp: float, radius: float, angle: float) -> list[tuple[float, float]]:
-    """`(length, kappa at its end)` of ramp in, arc and ramp out that turn by `angle` in all (negative: right)."""
+    """`(length, kappa at its end)` of ramp in, arc, ramp out, turning by `angle` in all (negative: right)."""
     require(ramp > 0 and radius > 0, f"ramp {ramp} and radius {radius} must both be positive, in metres.")
     arc = radius * abs(angle) - ramp
-    require(
-        arc > 0, f"ramps of {ramp} m at radius {radius} m turn more than {abs(angle):.3f} rad; shorten them."
-    )
+    require(arc > 0, f"ramps of {ramp} m at radius {radius} m turn more than {abs(angle):.3f} rad; shorten them.")
     kappa = float(np.sign(angle)) / radius
     return [(ramp, kappa), (arc, kappa), (ramp, 0.0)]
 
@@ -72,7 +68,7 @@ def corner(
 ) -> Track:
     """One corner between two straights: lengths in m, `width` to either side.
 
-    Curvature ramps linearly over `ramp`; `angle` [rad] is turned in all, ramps included; negative turns right.
+    Curvature ramps linearly over `ramp`; `angle` [rad] is turned in all, ramps included; negative: right.
     """
     turn = _turn(ramp, radius, angle)
     track = _chain([(straight_in, 0.0), *turn, (straight_out, 0.0)], width, num)
@@ -82,7 +78,7 @@ def corner(
 
 
 def playground(scale: float = 1.0, width: float = 3.0, num: int = 1600) -> Track:
-    """A closed lap to the left: a hairpin (R 15 m), a fast bend to either side (R 45 m), two corners (R 22 m).
+    """A closed lap to the left: a hairpin (R 15 m), a fast bend either way (R 45 m), two corners (R 22 m).
 
     All lengths times `scale`, but for `width` [m] to either side. The two free straights close it exactly.
     """
@@ -98,9 +94,7 @@ def playground(scale: float = 1.0, width: float = 3.0, num: int = 1600) -> Track
 
     def parts(first: float, last: float) -> list[tuple[float, float]]:
         straights = [first, 45.0, 15.0, 40.0, last]
-        joined = [
-            part for straight, turn in zip(straights, turns, strict=True) for part in [(straight, 0.0), *turn]
-        ]
+        joined = [part for straight, turn in zip(straights, turns, strict=True) for part in [(straight, 0.0), *turn]]
         joined.append((30.0, 0.0))  # start and finish line 30 m after the last corner's exit
         return [(scale * length, kappa / scale) for length, kappa in joined]
 
@@ -126,14 +120,17 @@ def from_points(
     closed: bool,
     *,
     smoothing: float = 0.0,
+    narrow: bool = False,
     num: int | None = None,
     source: str = "track",
     rows: ArrayLike | None = None,
 ) -> Track:
     """Track through points in driving order: cubic spline over chord length, resampled to even arc length.
 
-    `smoothing` [m]: root-mean-square distance by which the curve may miss the points (0: interpolates). A closed
-    track must not repeat its first point. `source` and `rows` (row of each point) name the input in errors.
+    `smoothing` [m]: root-mean-square distance by which the curve may miss the points (0: interpolates).
+    `narrow`: where the inner border of a bend folds over itself, as noisy measurements do, draw it in to 0.9
+    of the radius instead of raising. A closed track must not repeat its first point. `source` and `rows`
+    (row of each point) name the input in errors.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     w_right, w_left = (np.broadcast_to(np.asarray(w, float), x.shape) for w in (w_right, w_left))
@@ -143,16 +140,17 @@ def from_points(
     px, py = (np.append(v, v[0]) if closed else v for v in (x, y))
     chord = np.hypot(np.diff(px), np.diff(py))
     if np.any(bad := chord <= 1e-6 * np.median(chord)):
-        raise BadInput(
-            f"{source}, row {rows[np.argmax(bad)]}: the next point repeats it; remove one of the two."
-        )
+        raise BadInput(f"{source}, row {rows[np.argmax(bad)]}: the next point repeats it; remove one of the two.")
     at = np.concatenate([[0.0], np.cumsum(chord)])
     curve = _spline(at, px, py, closed, smoothing)
     length, t = _arc_length(curve, at, num or int(np.clip(4 * len(x), 400, 4000)), closed)
     s = np.linspace(0.0, length, len(t), endpoint=not closed)
-    (gx, gy), (dx, dy), (ddx, ddy) = (curve(t, order) for order in (0, 1, 2))
+    (gx, gy), (dx, dy), (ddx, ddy) = (np.asarray(curve(t, order)) for order in (0, 1, 2))
     kappa = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
     right, left = (np.interp(t, at, np.append(w, w[0]) if closed else w) for w in (w_right, w_left))
+    if narrow:
+        left = np.minimum(left, NARROWED / np.maximum(kappa, 1e-9))
+        right = np.minimum(right, NARROWED / np.maximum(-kappa, 1e-9))
     track = Track(s, gx, gy, np.unwrap(np.arctan2(dy, dx)), kappa, right, left, length=length, closed=closed)
     row_at = rows[np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(rows) - 1)]
     check_folding(track, source, row_at)
@@ -172,9 +170,7 @@ def _spline(at, px, py, closed: bool, smoothing: float):
 def _arc_length(curve, at, num: int, closed: bool):
     """Length, and the spline parameters of `num` points evenly spaced along the curve."""
     nodes, weights = leggauss(3)
-    fine = np.concatenate(
-        [np.linspace(a, b, FINE, endpoint=False) for a, b in zip(at[:-1], at[1:], strict=True)]
-    )
+    fine = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(at[:-1], at[1:], strict=True)])
     fine = np.append(fine, at[-1])
     h = np.diff(fine)
     inner = fine[:-1, None] + h[:, None] * (nodes + 1) / 2

@@ -19,8 +19,9 @@ def check_folding(track: Track, source: str, rows=None) -> None:
     if np.any(fold >= 1):
         i = int(np.argmax(fold))
         raise BadInput(
-            f"{source}{_where(track, i, rows)}: the inner border folds over itself (radius {1 / abs(kappa[i]):.4g} m,"
-            f" width {fold[i] / abs(kappa[i]):.4g} m); narrow the track there, or smooth the centre line."
+            f"{source}{_where(track, i, rows)}: the inner border folds over itself (radius"
+            f" {1 / abs(kappa[i]):.4g} m, width {fold[i] / abs(kappa[i]):.4g} m); correct the width, smooth"
+            " the centre line, or load the track with 'narrow'."
         )
 
 

@@ -15,8 +15,8 @@ NEWTON = 6  # refinement steps; from half a grid spacing three reach round-off
 class Track(eqx.Module):
     """Centre line on a uniform arc-length grid, with its distances to the borders.
 
-    A closed track is periodic: grid point n would be point 0 again, one lap later. An open track goes on straight
-    before 0 and after `length`, with the end's widths.
+    A closed track is periodic: grid point n would be point 0 again, one lap later. An open track goes on
+    straight before 0 and after `length`, with the end's widths.
     """
 
     s: Array = eqx.field(converter=as_float)  # arc length of the grid points, from 0, uniform [m]
@@ -43,7 +43,7 @@ class Track(eqx.Module):
         return 2 * jnp.pi * jnp.round(gained / (2 * jnp.pi))
 
     def _cell(self, s: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Left and right grid index, fraction between them, whole laps done, and metres beyond an open end."""
+        """Left and right grid index, fraction between, whole laps done, metres beyond an open end."""
         n = self.s.shape[0]
         if self.closed:
             laps, over = lax.stop_gradient(jnp.floor(s / self.length)), jnp.zeros_like(s)
@@ -81,9 +81,9 @@ class Track(eqx.Module):
         """`(s, e)` of the foot point near `s_guess`; e > 0 is left of the centre line [m].
 
         Nearest of the points within `window` [m] (default 12 grid spacings) of `s_guess`, then Newton on
-        (p - c(s)) . t(s) = 0 with steps of at most one spacing: a neighbouring leg outside the window is never
-        chosen. `s` continues from `s_guess`: on a closed track it may lie outside [0, length). Unique where
-        |e kappa| < 1. Gradients are those of the exact foot point.
+        (p - c(s)) . t(s) = 0 with steps of at most one spacing: a neighbouring leg outside the window is
+        never chosen. `s` continues from `s_guess`: on a closed track it may lie outside [0, length). Unique
+        where |e kappa| < 1. Gradients are those of the exact foot point.
         """
         x, y, s_guess = as_float(x), as_float(y), lax.stop_gradient(as_float(s_guess))
         window = WINDOW * self.spacing if window is None else as_float(window)
@@ -112,9 +112,7 @@ class Track(eqx.Module):
 
         s = lax.stop_gradient(s)
         coarse = lax.fori_loop(0, NEWTON, lambda _, s: newton(s, self.spacing), s)
-        s = newton(
-            lax.stop_gradient(coarse), self.spacing
-        )  # one step with gradients: implicit differentiation
+        s = newton(lax.stop_gradient(coarse), self.spacing)  # one step with gradients: implicit differentiation
         cx, cy, psi, _ = self.pose(s)
         return s, -(x - cx) * jnp.sin(psi) + (y - cy) * jnp.cos(psi)
 
@@ -138,14 +136,12 @@ def curvilinear_rates(V: Array, beta: Array, r: Array, e: Array, theta: Array, k
 def resample(S, x, y, psi, kappa, w_right, w_left, num: int, closed: bool = False) -> Track:
     """Track through samples at increasing, uneven arc lengths `S` [m], put on `num` even grid points.
 
-    In JAX, so that a path that comes out of a solver stays differentiable. A closed path repeats its first point
-    as the last sample.
+    In JAX, so that a path that comes out of a solver stays differentiable. A closed path repeats its first
+    point as the last sample.
     """
     S = S - S[0]
     grid = jnp.linspace(0.0, 1.0, num + 1 if closed else num)[:num] * S[-1]
-    i = jnp.clip(
-        jnp.searchsorted(lax.stop_gradient(S), lax.stop_gradient(grid), side="right") - 1, 0, len(S) - 2
-    )
+    i = jnp.clip(jnp.searchsorted(lax.stop_gradient(S), lax.stop_gradient(grid), side="right") - 1, 0, len(S) - 2)
     h = S[i + 1] - S[i]
     u = (grid - S[i]) / h
     curve = lambda p, dp: hermite(u, p[i], p[i + 1], h * dp[i], h * dp[i + 1])

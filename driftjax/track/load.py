@@ -39,8 +39,8 @@ class CornerConfig:
 
     def build(self, source: str) -> Track:
         """The track."""
-        return corner(self.straight_in, self.ramp, self.radius, math.radians(self.angle_deg), self.straight_out,
-                      self.width, self.num)  # fmt: skip
+        angle = math.radians(self.angle_deg)
+        return corner(self.straight_in, self.ramp, self.radius, angle, self.straight_out, self.width, self.num)
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class CsvConfig:
     kind: Literal["csv"] = "csv"
     smoothing: float = 0.0
     """Root-mean-square distance by which the curve may miss the points [m]."""
+    narrow: bool = False
+    """Whether to draw in an inner border that folds over itself, instead of refusing the track."""
     closed: bool | None = None
     """Whether the last point joins the first; left out: where they are neighbours."""
 
@@ -77,17 +79,20 @@ class CsvConfig:
 
     def build(self, source: str) -> Track:
         """The track."""
-        return read_csv(Path(source).parent / self.path, self.smoothing, self.closed)
+        return read_csv(Path(source).parent / self.path, self.smoothing, self.narrow, self.closed)
 
 
 KINDS = {"corner": CornerConfig, "playground": PlaygroundConfig, "csv": CsvConfig}
 
 
-def load_track(name: str | Path) -> Track:
-    """Track from a CSV or YAML file, or a shipped one by name (`sedan_corner`, `rc_corner`, ...)."""
+def load_track(name: str | Path, narrow: bool = False) -> Track:
+    """Track from a CSV or YAML file, or a shipped one by name (`sedan_corner`, `rc_corner`, ...).
+
+    `narrow`: for a CSV, draw in an inner border that folds over itself, instead of refusing the track.
+    """
     path = Path(name)
     if path.suffix.lower() == ".csv":
-        return read_csv(path)
+        return read_csv(path, narrow=narrow)
     path = find_config("track", name)
     values = read_yaml(path)
     kind = values.get("kind")
@@ -100,7 +105,7 @@ def load_track(name: str | Path) -> Track:
         raise BadInput(str(error) if kind == "csv" else f"{path}: {error}") from None
 
 
-def read_csv(path: Path, smoothing: float = 0.0, closed: bool | None = None) -> Track:
+def read_csv(path: Path, smoothing: float = 0.0, narrow: bool = False, closed: bool | None = None) -> Track:
     """Track from rows `x, y, w_right, w_left` [m]; lines after # and one row of names are passed over.
 
     Closed where the last point lies within 2.5 median spacings of the first, unless `closed` says.
@@ -111,15 +116,13 @@ def read_csv(path: Path, smoothing: float = 0.0, closed: bool | None = None) -> 
     for column in (2, 3):
         if np.any(bad := values[:, column] <= 0):
             i = int(np.argmax(bad))
-            raise BadInput(
-                f"{path}, row {rows[i]}: {COLUMNS[column]} is {values[i, column]:g}; widths are positive."
-            )
+            raise BadInput(f"{path}, row {rows[i]}: {COLUMNS[column]} is {values[i, column]:g}; widths are positive.")
     gap = np.hypot(*(values[-1, :2] - values[0, :2]))
     spacing = np.median(np.hypot(*np.diff(values[:, :2], axis=0).T))
     closed = bool(gap < CLOSING_GAP * spacing) if closed is None else closed
     if closed and gap < 1e-3 * spacing:  # the first point again
         rows, values = rows[:-1], values[:-1]
-    return from_points(*values.T, closed=closed, smoothing=smoothing, source=str(path), rows=rows)
+    return from_points(*values.T, closed=closed, smoothing=smoothing, narrow=narrow, source=str(path), rows=rows)
 
 
 def _read_rows(path: Path) -> tuple[np.ndarray, np.ndarray]:
