@@ -55,15 +55,15 @@ def load_plant(name: str | Path) -> PlantConfig:
     return from_dict(PlantConfig, _resolved(path), str(path))
 
 
-def _resolved(path: Path) -> dict[str, Any]:
+def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     values = read_yaml(path)
     base = values.pop("base", None)
     if base is None:
         return values
     under = find_config("plant", path.parent / f"{base}.yaml")
-    if under == path:
-        raise BadInput(f"{path}: key 'base' names this file; name another plant.")
-    return _resolved(under) | values
+    if under in (*above, path):
+        raise BadInput(f"{path}: key 'base' leads back to {under.name}; name another plant.")
+    return _resolved(under, (*above, path)) | values
 
 
 def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
