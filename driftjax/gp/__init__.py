@@ -1,5 +1,8 @@
 """Exact Gaussian processes of fixed, padded size: fit, predict, pick the points worth keeping. No cars."""
 
+from driftjax.gp.dictionary import select_dictionary as select_dictionary
+from driftjax.gp.fit import FitResult as FitResult
+from driftjax.gp.fit import fit as fit
 from driftjax.gp.kernel import KERNELS as KERNELS
 from driftjax.gp.model import GP as GP
 from driftjax.gp.model import Hyper as Hyper

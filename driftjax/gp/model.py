@@ -20,14 +20,20 @@ class Hyper(eqx.Module):
     log_noise: Array  # (D,), log of the standard deviation of the noise
 
 
-def gram(kernel: str, hyper: Hyper, X: Array, mask: Array) -> Array:
-    """K + noise of ONE output at scaled inputs `X` (M, nf); a masked row is one of the identity: exact."""
-    k = KERNELS[kernel]
-    scaled = X * jnp.exp(-hyper.log_lengthscale)
-    pairs = jax.vmap(lambda p: jax.vmap(lambda q: k(p - q))(scaled))(scaled)
+def squares(X: Array) -> Array:
+    """(nf, M, M): squared difference of every pair of scaled inputs `X` (M, nf), per input."""
+    return jax.vmap(lambda x: (x[:, None] - x[None, :]) ** 2)(X.T)
+
+
+def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array) -> Array:
+    """K + noise of ONE output from `squares(X)`; a masked row is one of the identity, which is exact.
+
+    The squares do not depend on the hyper-parameters, so that many starts and outputs share them.
+    """
+    q = jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
-    jitter = JITTER * jnp.finfo(X.dtype).eps * amplitude
-    K = jnp.where(mask[:, None] & mask[None, :], amplitude * pairs, 0.0)
+    jitter = JITTER * jnp.finfo(q.dtype).eps * amplitude
+    K = jnp.where(mask[:, None] & mask[None, :], amplitude * KERNELS[kernel](q), 0.0)
     return K + jnp.diag(jnp.where(mask, noise + jitter, 1.0))
 
 
@@ -52,7 +58,7 @@ class GP(eqx.Module):
         """(D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
         k = KERNELS[self.kernel]
         inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale
-        pairs = jax.vmap(lambda w: jax.vmap(lambda zi: k(w * (z - zi)))(self.Z))(inverse)
+        pairs = jax.vmap(lambda w: jax.vmap(lambda zi: k(jnp.sum((w * (z - zi)) ** 2)))(self.Z))(inverse)
         return jnp.where(self.mask, pairs, 0.0)
 
     def _mean(self, correlations: Array) -> Array:
@@ -98,15 +104,15 @@ def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     return scale, jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 1.0)
 
 
-def condition(
-    Z: Array, Y: Array, mask: Array, hyper: Hyper, scale: Array, output_scale: Array, kernel: str
-) -> GP:
+def condition(Z: Array, Y: Array, mask: Array, hyper: Hyper, scale: Array, output_scale: Array, kernel: str) -> GP:
     """GP that has seen `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters."""
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
 
+    pairs = squares(Z / scale)
+
     def factor(hyper: Hyper, y: Array) -> tuple[Array, Array]:
-        L = jnp.linalg.cholesky(gram(kernel, hyper, Z / scale, mask))
+        L = jnp.linalg.cholesky(gram(kernel, hyper, pairs, mask))
         return L, cho_solve((L, True), y)
 
     L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T)

@@ -1,0 +1,48 @@
+"""Which rows of a long record to keep: the most informative ones, up to a size."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.gp.kernel import KERNELS
+from driftjax.gp.model import scales
+
+
+def select_dictionary(
+    Z: Array,
+    Y: Array,
+    mask: Array,
+    size: int,
+    *,
+    lengthscale: float | Array = 1.0,
+    noise: float | Array = 0.1,
+    kernel: str = "se",
+) -> tuple[Array, Array, Array]:
+    """At most `size` rows of `Z` (N, nf), `Y` (N, D) where `mask`, and the mask of those kept.
+
+    Greedy: each next row is the one whose value is least known given the rows kept so far (largest conditional
+    variance of a unit GP with `lengthscale` in standard deviations of the inputs and `noise` per row), which is
+    a pivoted Cholesky factorisation. The noise lets a point be kept twice and keeps the recursion well posed.
+    """
+    N = Z.shape[0]
+    mask = mask.astype(bool)
+    clean = jnp.where(mask[:, None], Z, 0.0)
+    X = clean / scales(clean, jnp.where(mask[:, None], Y, 0.0), mask)[0] / lengthscale
+    k = jax.vmap(lambda p, q: KERNELS[kernel](jnp.sum((p - q) ** 2)), in_axes=(0, None))
+
+    def keep(step, carry):
+        factor, variance, free, rows, valid = carry
+        row = jnp.argmax(jnp.where(free, variance, -jnp.inf))
+        column = k(X, X[row]) - factor @ factor[row]
+        column = column / jnp.sqrt(variance[row] + noise**2)
+        return (
+            factor.at[:, step].set(column),
+            jnp.maximum(variance - column**2, 0.0),
+            free.at[row].set(False),
+            rows.at[step].set(row),
+            valid.at[step].set(free[row]),
+        )
+
+    start = (jnp.zeros((N, size), X.dtype), jnp.ones(N, X.dtype), mask, jnp.zeros(size, int), jnp.zeros(size, bool))
+    _, _, _, rows, valid = jax.lax.fori_loop(0, size, keep, start)
+    return jnp.where(valid[:, None], Z[rows], 0.0), jnp.where(valid[:, None], Y[rows], 0.0), valid
