@@ -6,17 +6,15 @@ from jax import Array
 
 from driftjax.core import as_float
 
-SLIP_FLOOR = (
-    1e-4  # added in quadrature to the slip, so that its direction has a finite gradient at zero slip [-]
-)
+SLIP_FLOOR = 1e-4  # added in quadrature to the slip, so that its direction has a finite gradient at zero slip [-]
 
 
 class MagicFormula(eqx.Module):
-    r"""Isotropic Magic Formula by the similarity method (Pacejka 2012, Sec. 4.3), a friction circle by construction.
+    r"""Isotropic Magic Formula by the similarity method (Pacejka 2012, Sec. 4.3): a friction circle.
 
     With the slip vector $s = (k\kappa, -\alpha)$ and $\rho = |s|$ the force is
-    $F = \mu F_z \sin(C \arctan(B\rho - E(B\rho - \arctan B\rho)))\, s/\rho$, and the friction falls with the load as
-    $\mu = \mu_0 \exp(-\lambda (F_z/F_{z0} - 1))$. Fields broadcast against the slips: scalar, or one entry per wheel.
+    $F = \mu F_z \sin(C \arctan(B\rho - E(B\rho - \arctan B\rho)))\, s/\rho$, and friction falls with the load,
+    $\mu = \mu_0 \exp(-\lambda (F_z/F_{z0} - 1))$. Fields broadcast against the slips: scalars or one entry per wheel.
     """
 
     mu: Array = eqx.field(converter=as_float)  # friction coefficient at the reference load [-]
@@ -24,19 +22,21 @@ class MagicFormula(eqx.Module):
     C: Array = eqx.field(converter=as_float)  # shape factor [-]
     E: Array = eqx.field(converter=as_float)  # curvature factor, at most 1 [-]
     slip_ratio: Array = eqx.field(converter=as_float)  # longitudinal over lateral slip stiffness, k [-]
-    load_sensitivity: Array = eqx.field(
-        converter=as_float
-    )  # relative loss of friction per relative load, lambda [-]
+    load_sensitivity: Array = eqx.field(converter=as_float)  # relative loss of friction per relative load [-]
 
     def friction(self, Fz: Array, Fz0: Array) -> Array:
         """Friction coefficient at vertical load `Fz` [N], where `Fz0` [N] is the reference load."""
         return self.mu * jnp.exp(-self.load_sensitivity * (Fz / Fz0 - 1))
 
+    def saturation(self, kappa: Array, alpha: Array) -> Array:
+        """Combined slip over the slip of the peak, roughly, B rho/2: below 1 the tyre grips, above it slides."""
+        return self.B / 2 * jnp.sqrt((self.slip_ratio * kappa) ** 2 + alpha**2 + SLIP_FLOOR**2)
+
     def forces(self, kappa: Array, alpha: Array, Fz: Array, Fz0: Array) -> tuple[Array, Array]:
         """Longitudinal and lateral force in the wheel frame [N]: driving and left positive.
 
-        `kappa` is positive when driving and `alpha` has the sign of the lateral velocity of the wheel, both relative
-        to its travelling speed. The force has a non-negative product with (kappa, -alpha): it never adds energy.
+        `kappa` is positive when driving and `alpha` has the sign of the lateral velocity of the wheel, both over its
+        travelling speed. The force has a non-negative product with (kappa, -alpha): sliding never adds energy.
         """
         slip = self.slip_ratio * kappa
         rho = jnp.sqrt(slip**2 + alpha**2 + SLIP_FLOOR**2)

@@ -18,9 +18,7 @@ class Actuators(eqx.Module):
     Fxr_max: Array = eqx.field(converter=as_float)  # strongest driving force of the rear axle [N]
     Fxr_rate_max: Array = eqx.field(converter=as_float)  # largest rate of that force [N/s]
     power_max: Array = eqx.field(converter=as_float)  # largest driving power [W]
-    creep_speed: Array = eqx.field(
-        converter=as_float
-    )  # rim speed below which power and brake limits fade [m/s]
+    creep_speed: Array = eqx.field(converter=as_float)  # rim speed below which power and brake limits fade [m/s]
 
     def rates(self, delta: Array, drive: Array, command: Control) -> tuple[Array, Array]:
         """Rates of the road-wheel angle [rad/s] and of the drive force [N/s]."""

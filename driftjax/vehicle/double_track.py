@@ -19,7 +19,7 @@ STEERED = (1.0, 1.0, 0.0, 0.0)
 
 
 class PlantState(NamedTuple):
-    """State of the double-track car; wheels front left, front right, rear left, rear right on the last axis."""
+    """State of the double-track car; wheels are front left, front right, rear left, rear right."""
 
     x: Array  # position [m]
     y: Array  # position [m]
@@ -67,9 +67,9 @@ class Forces(NamedTuple):
 
 
 class DoubleTrack(eqx.Module):
-    """Rear-driven car on four wheels: spin, combined slip, load transfer, relaxation, differential, actuators, drag.
+    """Rear-driven car on four wheels: spin, combined and transient slip, load transfer, differential, actuators.
 
-    Every parameter is a numeric leaf, so all plants share one program; a leading axis on all leaves is a batch.
+    Every parameter is a numeric leaf, so all plants share one program; a leading axis on each leaf is a batch.
     """
 
     chassis: Chassis
@@ -77,9 +77,7 @@ class DoubleTrack(eqx.Module):
     wheels: Wheels
     actuators: Actuators
 
-    def rolling(
-        self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0
-    ) -> PlantState:
+    def rolling(self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0) -> PlantState:
         """State of straight free rolling at speed `V` [m/s] without drive."""
         V, x, y, psi = as_float(V), as_float(x), as_float(y), as_float(psi)
         zero, none = jnp.zeros_like(V), jnp.zeros(4, V.dtype)
@@ -94,17 +92,15 @@ class DoubleTrack(eqx.Module):
         sin, cos = jnp.sin(steer), jnp.cos(steer)
         hub_x, hub_y = state.vx - state.r * py, state.vy + state.r * px
         v, w = cos * hub_x + sin * hub_y, cos * hub_y - sin * hub_x
-        kappa_rate, alpha_rate = wheels.slip_rates(v, w, state.omega, state.kappa, state.alpha)
+        kappa, alpha = state.kappa, state.alpha
+        saturation = self.tyre.saturation(kappa, alpha)
+        kappa_rate, alpha_rate = wheels.slip_rates(v, w, state.omega, kappa, alpha, saturation)
 
         Fz0 = chassis.static_loads()
         per_ax, per_ay = chassis.transfer()
         Fz = smooth_positive(Fz0 + per_ax * state.pitch + per_ay * state.roll, LOAD_FLOOR * Fz0)
-        Fx, Fy = self.tyre.forces(
-            state.kappa + wheels.carcass_time * kappa_rate,
-            state.alpha + wheels.carcass_time * alpha_rate,
-            Fz,
-            Fz0,
-        )
+        damping = wheels.carcass_time / jnp.sqrt(1 + saturation**2)
+        Fx, Fy = self.tyre.forces(kappa + damping * kappa_rate, alpha + damping * alpha_rate, Fz, Fz0)
 
         body_x, body_y = cos * Fx - sin * Fy, sin * Fx + cos * Fy
         drag = chassis.drag * jnp.sqrt(state.vx**2 + state.vy**2 + SPEED_FLOOR**2)
@@ -151,7 +147,7 @@ class DoubleTrack(eqx.Module):
         return unravel(last)
 
     def motion(self, state: PlantState, command: Control) -> Motion:
-        """What ideal sensors would see in `state`; the accelerations need no `command`, which is for symmetry."""
+        """What ideal sensors would see in `state`; it does not depend on `command`, which acts through the state."""
         del command
         force = self.forces(state)
         V = jnp.sqrt(state.vx**2 + state.vy**2 + 1e-12)

@@ -26,9 +26,7 @@ class Chassis(eqx.Module):
     roll_split: Array = eqx.field(converter=as_float)  # share of the roll moment on the front axle [-]
     roll_lag: Array = eqx.field(converter=as_float)  # time constant of the lateral load transfer [s]
     pitch_lag: Array = eqx.field(converter=as_float)  # time constant of the longitudinal load transfer [s]
-    drag: Array = eqx.field(
-        converter=as_float
-    )  # aerodynamic drag over speed squared, rho CdA / 2 [N s^2/m^2]
+    drag: Array = eqx.field(converter=as_float)  # aerodynamic drag over speed squared, rho CdA / 2 [N s^2/m^2]
 
     def positions(self) -> tuple[Array, Array]:
         """Longitudinal and lateral position of the wheels in the body frame [m]."""
@@ -51,5 +49,5 @@ class Chassis(eqx.Module):
 
 
 def smooth_positive(x: Array, width: Array) -> Array:
-    """Smooth positive part of `x`, (x + sqrt(x^2 + width^2))/2: width/2 at x = 0 and x + width^2/(4 x) far above."""
+    """Smooth positive part of `x`: (x + sqrt(x^2 + width^2))/2, which is width/2 at x = 0."""
     return (x + jnp.sqrt(x**2 + width**2)) / 2

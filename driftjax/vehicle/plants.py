@@ -77,9 +77,7 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
         if key not in known:
             raise BadInput(f"{path}: unknown key '{key}'; known keys are {', '.join(sorted(known))}.")
         if not isinstance(spread, dict):
-            raise BadInput(
-                f"{path}: key '{key}' is {spread!r}; write 'uniform: [low, high]' or 'normal: [mean, sd]'."
-            )
+            raise BadInput(f"{path}: key '{key}' is {spread!r}; write 'uniform: [low, high]' or 'normal: [mean, sd]'.")
         spreads[key] = from_dict(Spread, spread, f"{path}: key '{key}'")
     return base, spreads
 

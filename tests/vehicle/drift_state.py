@@ -29,7 +29,9 @@ def _state(car: DoubleTrack, z, beta, R):
 def _residual(car, z, beta, R):
     state = _state(car, z, beta, R)
     dx = car.rates(state, Control(state.delta, state.drive))
-    return jnp.concatenate([jnp.stack([dx.vx, dx.vy, dx.r * R]), dx.omega * car.wheels.radius, jnp.stack([dx.pitch, dx.roll])])
+    return jnp.concatenate(
+        [jnp.stack([dx.vx, dx.vy, dx.r * R]), dx.omega * car.wheels.radius, jnp.stack([dx.pitch, dx.roll])]
+    )
 
 
 @eqx.filter_jit

@@ -20,7 +20,18 @@ def drive(car: DoubleTrack, start: PlantState, delta, Fxr, dt) -> tuple[PlantSta
     return jax.lax.scan(step, start, Control(jnp.asarray(delta), jnp.asarray(Fxr)))[1]
 
 
-run = eqx.filter_jit(drive)
+_compiled = eqx.filter_jit(drive)
+
+
+def run(car: DoubleTrack, start: PlantState, delta, Fxr, dt) -> tuple[PlantState, Motion]:
+    """`drive`, compiled once for each number of commands: everything else goes in as strongly typed arrays."""
+    strong = lambda leaf: jnp.asarray(leaf, float).astype(float)
+    return _compiled(car, jax.tree.map(strong, start), strong(delta), strong(Fxr), strong(dt))
+
+
+def last(states: PlantState) -> PlantState:
+    """State at the end of a run."""
+    return jax.tree.map(lambda leaf: leaf[-1], states)
 
 
 def energy(car: DoubleTrack, state: PlantState):

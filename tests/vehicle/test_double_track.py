@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from drift_state import drift_state
-from plant_runs import drive, energy, run
+from plant_runs import drive, energy, last, run
 
 from driftjax.core import Control
 from driftjax.vehicle import DoubleTrack, load_plant, load_vehicle, sample_plants, stack_plants
@@ -52,15 +52,21 @@ def test_mirrored_commands_drive_the_mirrored_path(name):
 
 @pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("beta", [0.1, -1.05, -1.5, 2.5])
-def test_coasting_never_gains_energy_at_any_sideslip(name, beta):
-    """A relaxing tyre gives back what its carcass stored: at most 0.1 % of the energy at the start."""
-    car = load_plant(name).build()
-    start = sliding(car, SPEED[name], beta, 0.4 * SPEED[name] / 5)
-    states, _ = run(car, start, commands(name)[0], np.zeros(NUM), STEP[name])
-    history = np.append(energy(car, start), energy(car, states)) / energy(car, start)
-    assert np.all(np.isfinite(history))
-    assert np.diff(history).max() <= 1e-3
-    assert history[-1] < 0.9
+def test_coasting_gains_no_energy_at_any_sideslip(name, beta):
+    """A relaxing tyre gives back what its carcass stored: at most 1 % of the energy at the start, and the less the
+    shorter the relaxation length.
+    """
+    config = load_plant(name)
+    for share, regained in ((1.0, 0.01), (0.25, 0.0025)):
+        car = dataclasses.replace(
+            config, relaxation=share * config.relaxation, relaxation_long=share * config.relaxation_long
+        ).build()
+        start = sliding(car, SPEED[name], beta, 0.08 * SPEED[name])
+        states, _ = run(car, start, commands(name)[0], np.zeros(NUM), STEP[name])
+        history = np.append(energy(car, start), energy(car, states)) / energy(car, start)
+        assert np.all(np.isfinite(history))
+        assert (history - np.minimum.accumulate(history)).max() <= regained
+        assert history[-1] < 0.9
 
 
 @pytest.mark.parametrize("name", CARS)
@@ -125,9 +131,13 @@ def test_small_slip_without_load_transfer_is_the_linear_bicycle():
 def test_braking_stops_the_car_and_turns_no_wheel_backwards(name):
     config = load_plant(name)
     car = config.build()
-    num = 600 if name == "sedan" else 400
-    states, motion = run(car, car.rolling(0.7 * SPEED[name]), np.zeros(num), np.full(num, config.Fxr_min), STEP[name])
-    rim = np.asarray(states.omega * config.wheel_radius)
+    state = car.rolling(0.7 * SPEED[name])
+    rim = []
+    for _ in range(3):
+        states, motion = run(car, state, np.zeros(NUM), np.full(NUM, config.Fxr_min), STEP[name])
+        state = last(states)
+        rim.append(states.omega * config.wheel_radius)
+    rim = np.concatenate(rim)
     assert rim[:, 2:].min() > -0.2 * config.creep_speed
     assert float(motion.V[-1]) < 0.03 * SPEED[name]
     assert np.isfinite(rim).all()
@@ -143,8 +153,8 @@ def test_car_starts_from_rest_with_finite_gradients(name):
     duration = num * STEP[name]
     assert 0.5 < float(motion.V[-1]) / (0.2 * 9.81 * (duration - config.drive_lag)) < 1.0  # wheels take their part
     assert float(states.psi[-1]) > 0
-    last = lambda z: run(car, car.rolling(z[0]), jnp.full(num, z[1]), jnp.full(num, z[2]), STEP[name])[1].V[-1]
-    slope = jax.grad(last)(jnp.array([0.0, 0.05, push]))
+    speed = lambda z: run(car, car.rolling(z[0]), jnp.full(num, z[1]), jnp.full(num, z[2]), STEP[name])[1].V[-1]
+    slope = jax.grad(speed)(jnp.array([0.0, 0.05, push]))
     assert np.isfinite(slope).all() and float(slope[2]) > 0
     at_rest = jax.grad(lambda V: sum(car.motion(car.rolling(V), Control(V, V))[:3]))(0.0)
     assert np.isfinite(at_rest)
@@ -221,8 +231,7 @@ def test_steady_drift_is_within_reach_of_the_commands(name):
 def test_steady_drift_holds_in_the_simulation():
     car = load_plant("sedan").build()
     state, _ = drift_state(car, np.deg2rad(-25.0), 15.0)
-    num = 50
-    _, motion = run(car, state, np.full(num, state.delta), np.full(num, state.drive), STEP["sedan"])
+    _, motion = run(car, state, np.full(NUM, state.delta), np.full(NUM, state.drive), 0.0025)
     np.testing.assert_allclose(motion.beta, np.deg2rad(-25.0), atol=1e-5)
     np.testing.assert_allclose(motion.V, motion.V[0], rtol=1e-5)
 
@@ -259,13 +268,15 @@ def test_integration_is_of_fourth_order():
 def test_working_step_is_stable_and_near_a_finer_one(name, speeds):
     """Substeps of 1 ms (sedan) and 0.5 ms (RC) against a quarter of that, gentle steering at three speeds."""
     config = load_plant(name)
-    car, dt, num = config.build(), STEP[name], 100
-    delta, Fxr = 0.05 * np.sin(np.arange(num) * dt * 6), np.full(num, 0.2 * config.Fxr_max)
+    car, dt = config.build(), STEP[name]
+    delta, Fxr = 0.05 * np.sin(np.arange(NUM) * dt * 6), np.full(NUM, 0.2 * config.Fxr_max)
     for V in speeds:
         coarse, _ = run(car, car.rolling(V), delta, Fxr, dt)
-        fine, _ = run(car, car.rolling(V), delta.repeat(4), Fxr.repeat(4), dt / 4)
-        np.testing.assert_allclose(coarse.y[-1], fine.y[-1], atol=1e-4 * V)
-        np.testing.assert_allclose(coarse.omega[-1], fine.omega[-1], rtol=1e-4)
+        state = car.rolling(V)
+        for part in np.split(delta.repeat(4), 4):
+            state = last(run(car, state, part, Fxr, dt / 4)[0])
+        np.testing.assert_allclose(coarse.y[-1], state.y, atol=1e-4 * V)
+        np.testing.assert_allclose(coarse.omega[-1], state.omega, rtol=1e-4)
 
 
 def test_batch_of_plants_equals_single_runs_with_one_trace():
@@ -274,7 +285,9 @@ def test_batch_of_plants_equals_single_runs_with_one_trace():
     counted = eqx.filter_jit(eqx.debug.assert_max_traces(drive, max_traces=1))
     delta, Fxr = commands("sedan")
     lanes = jax.vmap(lambda car: car.rolling(12.0))(batch)
-    together, _ = eqx.filter_jit(eqx.filter_vmap(drive, in_axes=(0, 0, None, None, None)))(batch, lanes, delta, Fxr, 0.01)
+    together, _ = eqx.filter_jit(eqx.filter_vmap(drive, in_axes=(0, 0, None, None, None)))(
+        batch, lanes, delta, Fxr, 0.01
+    )
     for lane, config in enumerate(plants):
         car = config.build()
         alone, _ = counted(car, car.rolling(12.0), delta, Fxr, 0.01)
