@@ -13,7 +13,7 @@ from driftjax.core import Control, as_float, rk4_step
 from driftjax.tyre import MagicFormula
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
-from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels
+from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, quickening
 
 STEERED = (1.0, 1.0, 0.0, 0.0)
 
@@ -99,7 +99,7 @@ class DoubleTrack(eqx.Module):
         Fz0 = chassis.static_loads()
         per_ax, per_ay = chassis.transfer()
         Fz = smooth_positive(Fz0 + per_ax * state.pitch + per_ay * state.roll, LOAD_FLOOR * Fz0)
-        damping = wheels.carcass_time / jnp.sqrt(1 + saturation**2)
+        damping = wheels.carcass_time / quickening(saturation)
         Fx, Fy = self.tyre.forces(kappa + damping * kappa_rate, alpha + damping * alpha_rate, Fz, Fz0)
 
         body_x, body_y = cos * Fx - sin * Fy, sin * Fx + cos * Fy

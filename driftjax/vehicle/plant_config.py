@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from driftjax.core import require
 from driftjax.tyre import MagicFormula
 from driftjax.vehicle.actuators import Actuators
@@ -118,7 +120,7 @@ class PlantConfig:
             roll_split=self.roll_split, roll_lag=self.roll_lag, pitch_lag=self.pitch_lag, drag=self.drag,
         )  # fmt: skip
         tyre = MagicFormula(
-            mu=[self.muf, self.muf, self.mur, self.mur], B=[self.Bf, self.Bf, self.Br, self.Br], C=self.C, E=self.E,
+            mu=np.array([self.muf, self.muf, self.mur, self.mur]), B=np.array([self.Bf, self.Bf, self.Br, self.Br]), C=self.C, E=self.E,
             slip_ratio=self.slip_ratio, load_sensitivity=self.load_sensitivity,
         )  # fmt: skip
         wheels = Wheels(

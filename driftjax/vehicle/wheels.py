@@ -7,6 +7,12 @@ from jax import Array
 from driftjax.core import as_float
 
 SPEED_FLOOR = 1e-3  # added in quadrature to the travelling speed of a wheel, for a finite gradient at rest [m/s]
+SATURATION_MAX = 8.0  # bounds that rise, so that an explicit step stays stable in any wheelspin [-]
+
+
+def quickening(saturation: Array) -> Array:
+    r"""How many times shorter the relaxation length is at `saturation` q: $\sqrt{(1+q^2)/(1+(q/q_{max})^2)}$."""
+    return jnp.sqrt((1 + saturation**2) / (1 + (saturation / SATURATION_MAX) ** 2))
 
 
 class Wheels(eqx.Module):
@@ -33,10 +39,10 @@ class Wheels(eqx.Module):
         $\sigma\dot\kappa + |u|\kappa = \omega R - v$ and $\sigma\dot\alpha + |u|\alpha = w$ (Pacejka 2012, Sec. 7.2)
         with the travelling speed $|u| = \sqrt{v^2 + w^2}$ in place of |v|: alpha tends to the sine of the slip angle,
         bounded at any sideslip, and the pair keeps the direction of the sliding velocity. The relaxation length is
-        divided by $\sqrt{1 + q^2}$ at `saturation` q, since a sliding tyre loads its carcass no further.
+        divided by `quickening` at `saturation` q, since a sliding tyre loads its carcass no further.
         """
         speed = jnp.sqrt(v**2 + w**2 + SPEED_FLOOR**2)
-        quicker = jnp.sqrt(1 + saturation**2)
+        quicker = quickening(saturation)
         kappa_rate = (omega * self.radius - v - speed * kappa) * quicker / self.relaxation_long
         return kappa_rate, (w - speed * alpha) * quicker / self.relaxation
 

@@ -1,5 +1,7 @@
 """Tyres: limits, the friction circle, dissipation and smoothness."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,6 @@ def test_gradients_are_finite_without_slip_and_without_load(load):
 @pytest.mark.parametrize(("B", "C"), [(10.92, 1.458), (18.10, 1.323)])
 def test_nominal_peak_is_where_the_force_is_largest(B, C):
     law = SimplifiedPacejka(1.0, B, C)
-    best = minimize_scalar(lambda a: float(law.lateral(jnp.asarray(a), FZ)), bounds=(0.01, 0.6), method="bounded")
+    best: Any = minimize_scalar(lambda a: float(law.lateral(jnp.asarray(a), FZ)), bounds=(0.01, 0.6), method="bounded")
     np.testing.assert_allclose(law.alpha_peak, best.x, atol=1e-4)
     np.testing.assert_allclose(-best.fun, 4500.0)
