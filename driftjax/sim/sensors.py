@@ -53,8 +53,7 @@ def load_sensors(name: str | Path) -> SensorConfig:
 
 def measure(motion: Motion, sensors: SensorConfig, *, key: Array) -> Measurement:
     """`motion` with Gaussian noise added, drawn from `key`; the same key gives the same noise."""
-    sigma = Measurement(sensors.sigma_V, sensors.sigma_beta, sensors.sigma_r, sensors.sigma_x, sensors.sigma_y,
-                        sensors.sigma_psi)  # fmt: skip
+    sigma = [getattr(sensors, f"sigma_{name}") for name in Measurement._fields]
     true = Measurement(motion.V, motion.beta, motion.r, motion.x, motion.y, motion.psi)
     noise = jax.random.normal(key, (6, *jnp.shape(motion.V)), jnp.result_type(motion.V))
     return Measurement(*(value + scale * unit for value, scale, unit in zip(true, sigma, noise, strict=True)))

@@ -120,8 +120,8 @@ class PlantConfig:
             roll_split=self.roll_split, roll_lag=self.roll_lag, pitch_lag=self.pitch_lag, drag=self.drag,
         )  # fmt: skip
         tyre = MagicFormula(
-            mu=np.array([self.muf, self.muf, self.mur, self.mur]), B=np.array([self.Bf, self.Bf, self.Br, self.Br]), C=self.C, E=self.E,
-            slip_ratio=self.slip_ratio, load_sensitivity=self.load_sensitivity,
+            mu=np.array([self.muf, self.muf, self.mur, self.mur]), B=np.array([self.Bf, self.Bf, self.Br, self.Br]),
+            C=self.C, E=self.E, slip_ratio=self.slip_ratio, load_sensitivity=self.load_sensitivity,
         )  # fmt: skip
         wheels = Wheels(
             radius=self.wheel_radius, inertia=self.wheel_inertia, drive_inertia=self.drive_inertia,
