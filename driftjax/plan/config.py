@@ -1,0 +1,75 @@
+"""What a person may choose about a minimum-time plan."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from driftjax.core import find_config, from_dict, read_yaml, require
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """Options of the minimum-time planner; SI and radians. The defaults suit the sedan."""
+
+    entry_speed: float = 12.31
+    """Speed at the start, where the car rolls straight along the centre line [m/s]."""
+    num_nodes: int | None = None
+    """Nodes along the track, both ends included; left out: 0.15 wheelbases apart, but at least 301."""
+    V_min: float = 3.0
+    """Smallest speed allowed [m/s]."""
+    V_max: float = 40.0
+    """Largest speed allowed [m/s]."""
+    margin: float = 0.0
+    """Distance kept between the side of the car and the border, beside half its width [m]."""
+    beta_max: float = 0.9
+    """Largest sideslip, either side [rad]."""
+    end_slip: float = 0.1
+    """Largest sideslip, and angle between course and track, at the end [rad]."""
+    drift: bool = True
+    """Whether tight corners must be taken sideways: at minimum time this model grips unless told to drift."""
+    beta_d: float = 0.349066
+    """Sideslip that the drift device demands at least, out of the corner [rad]."""
+    drift_radius: float = 18.0
+    """Corners tighter than this radius are drifted [m]."""
+    drift_angle: float = 1.2
+    """Heading that such a corner must turn at least to be drifted [rad]."""
+    drift_from: float = 0.0
+    """Where the device begins to rise, as a share of the tight part of the corner [-]."""
+    drift_to: float = 1.0
+    """Where the device has fallen to zero, as a share of the tight part of the corner [-]."""
+    drift_ramp: float = 0.15
+    """Length over which the device rises to beta_d, and later falls, as a share of the tight part [-]."""
+    label_beta: float = 0.1
+    """Sideslip, opposite in sign to the yaw rate, from which a node is labelled a drift [rad]."""
+    rate_weight: float = 0.002
+    """Seconds paid per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
+    lead: float = 0.15
+    """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
+    tolerance: float = 1e-5
+    """On the solver's scaled KKT residual and constraint violation [-]."""
+    max_steps: int = 300
+    """Solver iterations allowed."""
+
+    def __post_init__(self) -> None:
+        for name in ("entry_speed", "V_min", "V_max", "beta_max", "end_slip", "drift_radius", "tolerance"):
+            value = getattr(self, name)
+            require(value > 0, f"key '{name}' is {value}; it must be positive.")
+        for name in ("margin", "beta_d", "drift_angle", "label_beta", "rate_weight"):
+            value = getattr(self, name)
+            require(value >= 0, f"key '{name}' is {value}; it must not be negative.")
+        require(
+            self.num_nodes is None or self.num_nodes >= 20, f"key 'num_nodes' is {self.num_nodes}; give at least 20."
+        )
+        require(0 < self.lead <= 0.9, f"key 'lead' is {self.lead}; give a share of the lap up to 0.9.")
+        require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; give at least 1.")
+        require(self.V_min < self.V_max, f"key 'V_min' is {self.V_min}; it must be below 'V_max'.")
+        require(self.beta_max < 1.4, f"key 'beta_max' is {self.beta_max}; give radians below 1.4.")
+        require(self.beta_d < self.beta_max, f"key 'beta_d' is {self.beta_d}; it must be below 'beta_max'.")
+        require(self.drift_ramp > 0, f"key 'drift_ramp' is {self.drift_ramp}; it must be positive.")
+        ordered = 0 <= self.drift_from < self.drift_to - 2 * self.drift_ramp and self.drift_to <= 1
+        require(ordered, "keys 'drift_from' and 'drift_to' must lie in 0..1, with room between them for two ramps.")
+
+
+def load_plan_config(name: str | Path) -> PlanConfig:
+    """Read planner options from a YAML: a path, or a shipped name (`sedan`, `rc`)."""
+    path = find_config("plan", name)
+    return from_dict(PlanConfig, read_yaml(path), str(path))

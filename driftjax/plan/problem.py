@@ -1,0 +1,125 @@
+"""The minimum-time problem over arc length, written for the stage-wise solver."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, State, as_float
+from driftjax.solve import AbstractOCP
+from driftjax.track import curvilinear_rates
+
+SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
+
+
+class Stage(NamedTuple):
+    """What the track and the drift device say at one node; rows for all nodes."""
+
+    kappa: Array  # curvature at the node, half a step on, and a step on (3,) [1/m]
+    e_min: Array  # corridor of the centre of mass [m]
+    e_max: Array
+    side: Array  # +1 left-hand corner, -1 right-hand
+    slip: Array  # -side beta must be at least this; far negative where the device is off [rad]
+    share: Array  # of the step in the time integral: 1, but 1/2 at both ends (trapezoidal rule)
+
+
+class Limits(NamedTuple):
+    """Bounds, in SI."""
+
+    V_min: Array
+    V_max: Array
+    beta_max: Array
+    delta_max: Array
+    delta_rate_max: Array
+    Fxr_min: Array
+    Fxr_max: Array
+    Fxr_rate_max: Array
+    end_slip: Array
+
+
+class MinimumTime(AbstractOCP):
+    """Minimum time through a corridor (Wu et al. 2025, Eq. 8), with the inputs' rates bounded and slightly priced.
+
+    State (V/V0, beta, r L0/V0, e/e0, theta, delta, Fxr/F0), input (delta_dot, Fxr_dot) as a share of their largest;
+    independent variable s, one classical Runge-Kutta step of `ds` per stage, the time by the trapezoidal rule in
+    units of L0/V0.
+    """
+
+    model: Callable[[State, Control], State]
+    limits: Limits
+    ds: Array = eqx.field(converter=as_float)  # step [m]
+    V0: Array = eqx.field(converter=as_float)  # scale of the speed [m/s]
+    L0: Array = eqx.field(converter=as_float)  # scale of length: smallest radius [m]
+    e0: Array = eqx.field(converter=as_float)  # scale of the lateral offset [m]
+    rate_weight: Array = eqx.field(converter=as_float)  # [-]
+
+    @property
+    def scale(self) -> Array:
+        """SI value of one unit of each state."""
+        one = jnp.ones_like(self.V0)
+        r0, F0 = self.V0 / self.L0, self.limits.Fxr_max
+        return jnp.stack([self.V0, one, r0, self.e0, one, one, F0])
+
+    def slope(self, x: Array, u: Array, kappa: Array) -> Array:
+        """dx/ds in scaled states [1/m]."""
+        V, beta, r, e, theta, delta, Fxr = x * self.scale
+        dx = self.model(State(V, beta, r), Control(delta, Fxr))
+        s_dot, e_dot, theta_dot = curvilinear_rates(V, beta, r, e, theta, kappa)
+        rates = (u[0] * self.limits.delta_rate_max, u[1] * self.limits.Fxr_rate_max)
+        return jnp.stack([*dx, e_dot, theta_dot, *rates]) / self.scale / self.progress(s_dot)
+
+    def progress(self, s_dot: Array) -> Array:
+        """s_dot, floored where no feasible trajectory goes [m/s]."""
+        return jnp.maximum(s_dot, SLOWEST * self.V0)
+
+    def slowness(self, x: Array, kappa: Array) -> Array:
+        """dt/ds [s/m]."""
+        V, beta, r, e, theta, _, _ = x * self.scale
+        return 1 / self.progress(curvilinear_rates(V, beta, r, e, theta, kappa)[0])
+
+    def step(self, x: Array, u: Array, p: Stage) -> Array:
+        """State one step of `ds` further."""
+        h = self.ds
+        k1 = self.slope(x, u, p.kappa[0])
+        k2 = self.slope(x + h / 2 * k1, u, p.kappa[1])
+        k3 = self.slope(x + h / 2 * k2, u, p.kappa[1])
+        k4 = self.slope(x + h * k3, u, p.kappa[2])
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    def curvature(self, x: Array, u: Array, p: Stage) -> Array:
+        """Euler's step: its second derivatives are a fair stand-in, at a fraction of the work."""
+        return x + self.ds * self.slope(x, u, p.kappa[1])
+
+    def cost(self, x: Array, u: Array, p: Stage) -> Array:
+        """Time of the stage and the price of its rates, in units of L0/V0."""
+        time = p.share * self.ds * self.slowness(x, p.kappa[0]) * self.V0 / self.L0
+        return time + self.rate_weight * self.ds / self.L0 * (u[0] ** 2 + u[1] ** 2)
+
+    def terminal(self, x: Array, p: Stage) -> Array:
+        """Last half step of the trapezoidal rule."""
+        return p.share * self.ds * self.slowness(x, p.kappa[0]) * self.V0 / self.L0
+
+    def constraints(self, x: Array, u: Array, p: Stage) -> Array:
+        """Gaps of a stage, in scaled units."""
+        return jnp.concatenate([self.bounds(x, p), 1 - u, 1 + u])
+
+    def terminal_constraints(self, x: Array, p: Stage) -> Array:
+        """Gaps of the last state, which also has to be a normal one: little sideslip, along the track."""
+        slip, course, end = x[1], x[1] + x[4], self.limits.end_slip
+        return jnp.concatenate([self.bounds(x, p), jnp.stack([end - slip, end + slip, end - course, end + course])])
+
+    def bounds(self, x: Array, p: Stage) -> Array:
+        """Gaps of the state bounds."""
+        V, beta, _, e, theta, delta, F = x
+        lim = self.limits
+        course = beta + theta  # |course| < 1.2 keeps s_dot well above zero
+        return jnp.stack([
+            V - lim.V_min / self.V0, lim.V_max / self.V0 - V,
+            lim.beta_max - beta, lim.beta_max + beta, 1.2 - course, 1.2 + course,
+            (p.e_max / self.e0 - e), (e - p.e_min / self.e0),
+            lim.delta_max - delta, lim.delta_max + delta,
+            lim.Fxr_max / lim.Fxr_max - F, F - lim.Fxr_min / lim.Fxr_max,
+            -p.side * beta - p.slip,
+        ])  # fmt: skip
