@@ -22,12 +22,11 @@ def select_dictionary(
 
     Greedy: each next row is the one whose value is least known given the rows kept so far (largest conditional
     variance of a unit GP with `lengthscale` in standard deviations of the inputs and `noise` per row), which is
-    a pivoted Cholesky factorisation. The noise lets a point be kept twice and keeps the recursion well posed.
+    a pivoted Cholesky factorisation. The noise keeps the recursion well posed.
     """
     N = Z.shape[0]
     mask = mask.astype(bool)
-    clean = jnp.where(mask[:, None], Z, 0.0)
-    X = clean / scales(clean, jnp.where(mask[:, None], Y, 0.0), mask)[0] / lengthscale
+    X = jnp.where(mask[:, None], Z, 0.0) / scales(Z, Y, mask)[0] / lengthscale
     k = jax.vmap(lambda p, q: KERNELS[kernel](jnp.sum((p - q) ** 2)), in_axes=(0, None))
 
     def keep(step, carry):

@@ -94,6 +94,7 @@ class GP(eqx.Module):
 
 def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     """Standard deviation of each input, root mean square of each output over the data; 1 where it is 0."""
+    Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     n = jnp.maximum(jnp.sum(mask), 1)
     weight = mask[:, None] / n
     centre = jnp.sum(weight * Z, axis=0)

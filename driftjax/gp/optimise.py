@@ -43,7 +43,7 @@ def minimise(
         value_and_grad=True,
         maxiter=max_iterations,
         tol=tolerance,
-        linesearch=search,
+        linesearch=search,  # pyright: ignore[reportArgumentType]
         linesearch_init="max",
         stop_if_linesearch_fails=True,
         implicit_diff=False,
@@ -53,6 +53,7 @@ def minimise(
     end = solver.run(jnp.clip(guess, lower, upper), (lower, upper), *args)
     x, state = end.params, end.state
     finite = jnp.isfinite(state.value) & jnp.all(jnp.isfinite(x))
-    result = RESULTS.where(state.error <= tolerance, RESULTS.successful, RESULTS.not_converged)
-    result = RESULTS.where(finite, result, RESULTS.non_finite)
+    converged, failed = state.error <= tolerance, ~finite
+    result = RESULTS.where(converged, RESULTS.successful, RESULTS.not_converged)  # pyright: ignore
+    result = RESULTS.where(failed, RESULTS.non_finite, result)  # pyright: ignore[reportArgumentType]
     return Minimum(x, state.value, state.error, state.iter_num, result)
