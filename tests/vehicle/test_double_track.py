@@ -279,6 +279,21 @@ def test_working_step_is_stable_and_near_a_finer_one(name, speeds):
         np.testing.assert_allclose(coarse.omega[-1], state.omega, rtol=1e-4)
 
 
+@pytest.mark.parametrize(("name", "fastest"), [("sedan", 40.0), ("rc", 8.0)])
+def test_no_command_breaks_a_sampled_plant(name, fastest):
+    """Full throttle, full brake and full-range commands, from rest and from high speed, spins included."""
+    limits = load_vehicle(name)
+    delta, Fxr = commands(name, seed=4)
+    for config in sample_plants(name, 3, seed=2):
+        car = config.build()
+        for V in (0.0, fastest):
+            for force in (np.full(NUM, limits.Fxr_max), np.full(NUM, limits.Fxr_min), Fxr):
+                states, _ = run(car, car.rolling(V), delta, force, STEP[name])
+                assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(states))
+                gained = energy(car, last(states)) - energy(car, car.rolling(V))
+                assert float(gained) <= config.power_max * NUM * STEP[name]
+
+
 def test_batch_of_plants_equals_single_runs_with_one_trace():
     plants = sample_plants("sedan", 3, seed=1)
     batch = stack_plants(plants)
