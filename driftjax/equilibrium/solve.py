@@ -1,0 +1,165 @@
+"""Steady states of any car model by Levenberg-Marquardt, with implicit gradients."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax import Array
+
+from driftjax.core import RESULTS, Control, State, as_float
+from driftjax.equilibrium.branch import classify
+from driftjax.equilibrium.decoupled import Roots, decoupled_roots, drift_roots, pick
+from driftjax.vehicle import SingleTrack
+from driftjax.vehicle.single_track import G
+
+Model = Callable[[State, Control], State]
+TOLERANCE = 1e-9  # largest scaled residual of a solution
+ANY = -1  # `branch` of a caller who takes any
+
+
+class Equilibrium(eqx.Module):
+    """A steady state and what justifies it; without `result == successful` the values are the last iterate."""
+
+    x: State
+    u: Control
+    residual: Array  # largest of V_dot / (mu g), beta_dot V / (mu g), r_dot Iz (a + b) / (mu m g a b) [-]
+    kind: Array  # `Branch` by the slip angles of the nominal car
+    num_steps: Array
+    eta: Array  # share of the learnt residual reached by a continuation, 1 for a direct solve [-]
+    result: RESULTS
+
+
+class SpeedYaw(eqx.Module):
+    """Fixed speed and yaw rate (Wu et al. 2025, Sec. III-D); 0, 1, 2 or 3 values of beta fit."""
+
+    V: Array = eqx.field(converter=as_float)  # [m/s]
+    r: Array = eqx.field(converter=as_float)  # [rad/s]
+
+    def point(self, free: Array) -> State:
+        """State whose free part is `free` [-]."""
+        return State(self.V, free, self.r)
+
+    def free(self, x: State) -> Array:
+        """The unknown of the state, scaled."""
+        return x.beta
+
+    def roots(self, nominal: SingleTrack) -> Roots:
+        """Every steady state of the nominal car."""
+        return decoupled_roots(nominal, self.V, self.r)
+
+
+class SlipRadius(eqx.Module):
+    """Fixed sideslip and radius, r = V / R: well posed where fixing V and r is not."""
+
+    beta: Array = eqx.field(converter=as_float)  # [rad]
+    R: Array = eqx.field(converter=as_float)  # [m], positive to the left
+
+    def point(self, free: Array) -> State:
+        """State whose free part is `free` [-], the speed over sqrt(g R)."""
+        V = free * jnp.sqrt(G * jnp.abs(self.R))
+        return State(V, self.beta, V / self.R)
+
+    def free(self, x: State) -> Array:
+        """The unknown of the state, scaled."""
+        return x.V / jnp.sqrt(G * jnp.abs(self.R))
+
+    def roots(self, nominal: SingleTrack) -> Roots:
+        """Every steady state of the nominal car."""
+        return drift_roots(nominal, self.beta, self.R)
+
+
+class SlipSpeed(eqx.Module):
+    """Fixed sideslip and speed; the yaw rate follows."""
+
+    beta: Array = eqx.field(converter=as_float)  # [rad]
+    V: Array = eqx.field(converter=as_float)  # [m/s]
+
+    def point(self, free: Array) -> State:
+        """State whose free part is `free` [-], V r / g."""
+        return State(self.V, self.beta, free * G / self.V)
+
+    def free(self, x: State) -> Array:
+        """The unknown of the state, scaled."""
+        return x.r * self.V / G
+
+
+Fixed = SpeedYaw | SlipRadius | SlipSpeed
+
+
+def scaled_rates(nominal: SingleTrack, x: State, dx: State) -> Array:
+    """(3,): rates over what the tyres could do, so that one tolerance serves both cars."""
+    limit = nominal.tyre.mu * G
+    wheelbase = nominal.a + nominal.b
+    yaw = nominal.Iz * wheelbase / (nominal.m * limit * nominal.a * nominal.b)
+    return jnp.stack([dx.V / limit, dx.beta * x.V / limit, dx.r * yaw])
+
+
+def solve(
+    model: Model,
+    nominal: SingleTrack,
+    fixed: Fixed,
+    guess: tuple[State, Control],
+    *,
+    branch: Array | int = ANY,
+    throw: bool = False,
+) -> Equilibrium:
+    """Steady state of `model` with `fixed` held, from `guess`; `nominal` gives scales and judges the branch.
+
+    `branch` is the `Branch` asked for: a solution on another one has result `off_branch`. `not_converged` means
+    that no zero was found near the guess, not that there is none. Differentiable in `model` and `fixed` by the
+    implicit function theorem; the guess carries no gradient.
+    """
+    weight = nominal.m * G
+    x0, u0 = jax.lax.stop_gradient(guess)
+    unknowns = jnp.stack([fixed.free(x0), u0.delta, u0.Fxr / weight])
+
+    def point(y: Array) -> tuple[State, Control]:
+        return fixed.point(y[0]), Control(y[1], y[2] * weight)
+
+    def residual(y: Array, args: tuple) -> Array:
+        model, nominal, fixed = args
+        x, u = fixed.point(y[0]), Control(y[1], y[2] * nominal.m * G)
+        return scaled_rates(nominal, x, model(x, u))
+
+    solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-12)
+    args = (model, nominal, fixed)
+    found = optx.root_find(residual, solver, jax.lax.stop_gradient(unknowns), args, max_steps=100, throw=False)
+    x, u = point(found.value)
+    worst = jnp.max(jnp.abs(residual(found.value, args)))
+    kind = classify(nominal, x, u)
+    result = _judge(worst, (kind == branch) | (jnp.asarray(branch) == ANY))
+    out = Equilibrium(x, u, worst, kind, found.stats["num_steps"], jnp.ones_like(worst), result)
+    return result.error_if(out, result != RESULTS.successful) if throw else out
+
+
+def _judge(worst: Array, on_branch: Array) -> RESULTS:
+    right = RESULTS.where(on_branch, RESULTS.successful, RESULTS.off_branch)  # pyright: ignore
+    result = RESULTS.where(worst <= TOLERANCE, right, RESULTS.not_converged)  # pyright: ignore
+    return RESULTS.where(jnp.isfinite(worst), result, RESULTS.non_finite)  # pyright: ignore
+
+
+def solve_nominal(
+    nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int, throw: bool = False
+) -> Equilibrium:
+    """The nominal car's steady state on `branch`, from no guess; `no_root` where it has none there."""
+    x, u, exists = pick(fixed.roots(nominal), branch)
+    out = solve(nominal, nominal, fixed, (x, u), branch=branch)
+    result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
+    out = eqx.tree_at(lambda e: e.result, out, result)
+    return result.error_if(out, result != RESULTS.successful) if throw else out
+
+
+def solve_at(
+    model: Model, nominal: SingleTrack, V: Array, r: Array, guess: tuple[State, Control], **options
+) -> Equilibrium:
+    """Steady state at speed `V` [m/s] and yaw rate `r` [rad/s], the paper's question; see `solve`."""
+    return solve(model, nominal, SpeedYaw(V, r), guess, **options)
+
+
+def solve_drift(
+    model: Model, nominal: SingleTrack, beta: Array, R: Array, guess: tuple[State, Control], **options
+) -> Equilibrium:
+    """Steady state at sideslip `beta` [rad] on radius `R` [m] (positive to the left); see `solve`."""
+    return solve(model, nominal, SlipRadius(beta, R), guess, **options)

@@ -1,0 +1,79 @@
+"""Drifts of a corrected car: followed from the nominal root, and honest where that breaks."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.core import RESULTS, features
+from driftjax.equilibrium import Branch, SlipRadius, continuation, solve_nominal
+from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.vehicle import Corrected, load_vehicle
+
+CAR = load_vehicle("sedan").build()
+FIXED = SlipRadius(-0.45, 15.0)
+
+
+class Missing(eqx.Module):
+    """A synthetic model error: some drag, some drift torque."""
+
+    size: jax.Array
+
+    def __call__(self, z):
+        return self.size * jnp.stack([-4e-4 * z[0] ** 2, 0.05 * z[1], 0.4 * z[1] + 0.2 * z[3]])
+
+
+def learnt(d, rows=60):
+    """A GP that has seen `d` around the nominal drift."""
+    centre = jnp.array([12.0, -0.45, 0.8, -0.2, 7e3])
+    spread = jnp.array([2.0, 0.2, 0.15, 0.25, 3e3])
+    Z = centre + spread * jax.random.uniform(jax.random.key(0), (rows, 5), minval=-1.0, maxval=1.0)
+    Y, mask = jax.vmap(d)(Z), jnp.ones(rows, bool)
+    hyper = Hyper(jnp.log(3.0) * jnp.ones((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(1e-3)))
+    return condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se")
+
+
+@eqx.filter_jit
+def follow(residual, fixed):
+    start = solve_nominal(CAR, fixed, branch=Branch.COUNTERSTEER)
+    return continuation(CAR, residual, fixed, (start.x, start.u), branch=Branch.COUNTERSTEER)
+
+
+def test_a_gp_without_data_leaves_the_nominal_drift():
+    plain = solve_nominal(CAR, FIXED, branch=Branch.COUNTERSTEER)
+    out = follow(zero_gp(60, 5, 3).bounded_mean, FIXED)
+    assert out.result == RESULTS.successful and out.eta == 1
+    np.testing.assert_allclose(jnp.stack([out.x.V, out.u.delta]), jnp.stack([plain.x.V, plain.u.delta]), rtol=1e-9)
+
+
+def test_learnt_drift_is_the_drift_of_the_true_car():
+    d = Missing(jnp.asarray(1.0))
+    truth, gp = follow(d, FIXED), learnt(d)
+    out = follow(gp.bounded_mean, FIXED)
+    plain = solve_nominal(CAR, FIXED, branch=Branch.COUNTERSTEER)
+    assert out.result == RESULTS.successful and out.eta == 1 and out.kind == Branch.COUNTERSTEER
+    assert jnp.all(gp.fade(features(out.x, out.u)) > 0.99)
+    for pick in (lambda e: e.x.V, lambda e: e.u.delta, lambda e: e.u.Fxr):
+        assert abs(pick(out) - pick(truth)) < 0.1 * abs(pick(plain) - pick(truth))
+    dx = Corrected(CAR, gp.bounded_mean)(out.x, out.u)
+    assert jnp.max(jnp.abs(jnp.stack(dx))) < 1e-7
+
+
+def test_too_large_an_error_is_reported_with_how_far_it_came():
+    out = follow(Missing(jnp.asarray(60.0)), FIXED)
+    assert out.result != RESULTS.successful and out.eta < 1
+
+
+def test_no_nominal_drift_is_not_a_success():
+    out = follow(Missing(jnp.asarray(1.0)), SlipRadius(0.45, 15.0))
+    assert out.result != RESULTS.successful
+
+
+def test_gradient_through_the_continuation_equals_central_differences():
+    def steer(size):
+        return follow(Missing(size), FIXED).u.delta
+
+    size, h = jnp.asarray(0.7), 1e-4
+    difference = (steer(size + h) - steer(size - h)) / (2 * h)
+    np.testing.assert_allclose(jax.grad(steer)(size), difference, rtol=1e-5)
+    assert abs(difference) > 1e-3
