@@ -21,7 +21,9 @@ class PlanConfig:
     margin: float = 0.0
     """Distance kept between the side of the car and the border, beside half its width [m]."""
     beta_max: float = 0.9
-    """Largest sideslip, either side [rad]."""
+    """Largest sideslip in a drift, either side [rad]."""
+    beta_normal: float = 0.15
+    """Largest sideslip elsewhere [rad]: without it this model brakes sideways on the straights."""
     end_slip: float = 0.1
     """Largest sideslip, and angle between course and track, at the end [rad]."""
     drift: bool = True
@@ -38,22 +40,33 @@ class PlanConfig:
     """Where the device has fallen to zero, as a share of the tight part of the corner [-]."""
     drift_ramp: float = 0.15
     """Length over which the device rises to beta_d, and later falls, as a share of the tight part [-]."""
-    label_beta: float = 0.1
+    drift_reach: float = 0.35
+    """How far before and after the tight part the car may be sideways, as a share of it [-]."""
+    label_beta: float = 0.15
     """Sideslip, opposite in sign to the yaw rate, from which a node is labelled a drift [rad]."""
     rate_weight: float = 0.002
     """Seconds paid per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
     lead: float = 0.15
     """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
-    tolerance: float = 1e-5
+    tolerance: float = 1e-6
     """On the solver's scaled KKT residual and constraint violation [-]."""
     max_steps: int = 300
     """Solver iterations allowed."""
 
     def __post_init__(self) -> None:
-        for name in ("entry_speed", "V_min", "V_max", "beta_max", "end_slip", "drift_radius", "tolerance"):
+        for name in (
+            "entry_speed",
+            "V_min",
+            "V_max",
+            "beta_max",
+            "beta_normal",
+            "end_slip",
+            "drift_radius",
+            "tolerance",
+        ):
             value = getattr(self, name)
             require(value > 0, f"key '{name}' is {value}; it must be positive.")
-        for name in ("margin", "beta_d", "drift_angle", "label_beta", "rate_weight"):
+        for name in ("margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight"):
             value = getattr(self, name)
             require(value >= 0, f"key '{name}' is {value}; it must not be negative.")
         require(
@@ -63,6 +76,7 @@ class PlanConfig:
         require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; give at least 1.")
         require(self.V_min < self.V_max, f"key 'V_min' is {self.V_min}; it must be below 'V_max'.")
         require(self.beta_max < 1.4, f"key 'beta_max' is {self.beta_max}; give radians below 1.4.")
+        require(self.beta_normal <= self.beta_max, f"key 'beta_normal' is {self.beta_normal}; it exceeds 'beta_max'.")
         require(self.beta_d < self.beta_max, f"key 'beta_d' is {self.beta_d}; it must be below 'beta_max'.")
         require(self.drift_ramp > 0, f"key 'drift_ramp' is {self.drift_ramp}; it must be positive.")
         ordered = 0 <= self.drift_from < self.drift_to - 2 * self.drift_ramp and self.drift_to <= 1

@@ -14,12 +14,13 @@ from driftjax.plan.config import PlanConfig
 from driftjax.plan.nodes import nodes
 from driftjax.plan.problem import Limits, MinimumTime, Stage
 from driftjax.plan.stages import guesses, stages
-from driftjax.solve import Options, solve
+from driftjax.plan.filter_solver import solve
+from driftjax.solve import Options
 from driftjax.solve import Plan as Solution
 from driftjax.track import Track, check_width, resample
 from driftjax.vehicle import VehicleConfig
 
-BARRIER = 0.01  # first barrier parameter: the guesses lie inside most bounds
+BARRIER = 0.03  # first barrier parameter: the guesses lie inside most bounds
 VIOLATED = 1e-4  # violation from which an unconverged plan is called infeasible [-]
 PATH_POINTS = 2  # grid points of the path per node
 
@@ -65,7 +66,7 @@ class Plan(eqx.Module):
 
 def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, model=None) -> MinimumTime:
     """The optimal control problem of `plan`, in its scaled units."""
-    limits = Limits(config.V_min, config.V_max, config.beta_max, vehicle.delta_max, vehicle.delta_rate_max,
+    limits = Limits(config.V_min, config.V_max, vehicle.delta_max, vehicle.delta_rate_max,
                     vehicle.Fxr_min, vehicle.Fxr_max, vehicle.Fxr_rate_max, config.end_slip)  # fmt: skip
     kappa = np.abs(np.asarray(stage.kappa))
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
@@ -81,7 +82,7 @@ def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options
     slowness = jax.vmap(jax.vmap(ocp.slowness), (0, None))(X, stage.kappa[:, 0])[:, :-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
     U = jnp.clip(jnp.diff(X[:, :, 5:] * ocp.scale[5:], axis=1) / (ocp.ds * slowness) / full, -0.8, 0.8)
-    return jax.vmap(lambda X, U: solve(ocp, x0, stage, X, U, options))(X, U)
+    return jax.lax.map(lambda XU: solve(ocp, x0, stage, *XU, options), (X, U))
 
 
 def _fastest(found: Solution) -> Solution:

@@ -22,6 +22,7 @@ class Stage(NamedTuple):
     e_max: Array
     side: Array  # +1 left-hand corner, -1 right-hand
     slip: Array  # -side beta must be at least this; far negative where the device is off [rad]
+    beta_max: Array  # largest sideslip, either side [rad]
     share: Array  # of the step in the time integral: 1, but 1/2 at both ends (trapezoidal rule)
 
 
@@ -30,7 +31,6 @@ class Limits(NamedTuple):
 
     V_min: Array
     V_max: Array
-    beta_max: Array
     delta_max: Array
     delta_rate_max: Array
     Fxr_min: Array
@@ -117,7 +117,7 @@ class MinimumTime(AbstractOCP):
         course = beta + theta  # |course| < 1.2 keeps s_dot well above zero
         return jnp.stack([
             V - lim.V_min / self.V0, lim.V_max / self.V0 - V,
-            lim.beta_max - beta, lim.beta_max + beta, 1.2 - course, 1.2 + course,
+            p.beta_max - beta, p.beta_max + beta, 1.2 - course, 1.2 + course,
             (p.e_max / self.e0 - e), (e - p.e_min / self.e0),
             lim.delta_max - delta, lim.delta_max + delta,
             lim.Fxr_max / lim.Fxr_max - F, F - lim.Fxr_min / lim.Fxr_max,

@@ -45,16 +45,20 @@ def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[
     ]
 
 
-def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray]:
-    """`(side, slip)` at the nodes: in a corner to be drifted -side beta >= slip, which ramps up to beta_d."""
-    side, slip = np.ones_like(s), np.full_like(s, DEVICE_OFF)
+def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`(side, slip, beta_max)` at the nodes; in a corner to be drifted -side beta >= slip, which ramps up to beta_d.
+
+    Sideslip beyond `beta_normal` is only for these corners and their surroundings.
+    """
+    side, slip, beta_max = np.ones_like(s), np.full_like(s, DEVICE_OFF), np.full_like(s, config.beta_normal)
     for c in corners if config.drift else []:
         share = (s - c.start) / (c.end - c.start)
-        a, b, ramp = config.drift_from, config.drift_to, config.drift_ramp
-        rise = np.clip(np.minimum(share - a, b - share) / ramp, 0.0, 1.0)
+        rise = np.clip(np.minimum(share - config.drift_from, config.drift_to - share) / config.drift_ramp, 0.0, 1.0)
         side = np.where(rise > 0, c.side, side)
         slip = np.where(rise > 0, config.beta_d * rise, slip)
-    return side, slip
+        near = (share >= -config.drift_reach) & (share <= 1 + config.drift_reach)
+        beta_max = np.where(near, config.beta_max, beta_max)
+    return side, slip, beta_max
 
 
 def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarray) -> tuple[Stage, list[Corner]]:
@@ -71,11 +75,11 @@ def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarr
             " widen the track or lower 'margin'."
         )
     corners = tight_corners(s, kappa[:-1:2], config)
-    side, slip = device(s, corners, config)
+    side, slip, beta_max = device(s, corners, config)
     share = np.ones_like(s)
     share[[0, -1]] = 0.5
     kappas = np.stack([kappa[:-2:2], kappa[1:-1:2], kappa[2::2]], axis=1)
-    return Stage(*map(jnp.asarray, (kappas, e_min, e_max, side, slip, share))), corners
+    return Stage(*map(jnp.asarray, (kappas, e_min, e_max, side, slip, beta_max, share))), corners
 
 
 def speed_profile(s: np.ndarray, kappa: np.ndarray, vehicle: VehicleConfig, config: PlanConfig) -> np.ndarray:
