@@ -1,0 +1,6 @@
+"""Active exploration: candidate corner speeds (V-sets) and which of them to drive next (Algorithm 1)."""
+
+from driftjax.explore.select import Choice as Choice
+from driftjax.explore.select import select as select
+from driftjax.explore.speed_sets import SpeedSets as SpeedSets
+from driftjax.explore.speed_sets import v_sets as v_sets

@@ -22,10 +22,11 @@ def balance(c, V, beta, r, delta, Fxr):
     return np.array([x, y, yaw / (c.a + c.b)]) / (c.m * 9.81)
 
 
-def _roots(f, cells=3000):
+def _roots(f, cells=3000) -> list[float]:
     grid = np.linspace(-np.pi / 2, np.pi / 2, cells)
-    values = [f(g) for g in grid]
-    return [brentq(f, grid[i], grid[i + 1], xtol=1e-14) for i in range(cells - 1) if values[i] * values[i + 1] < 0]
+    values = np.array([f(g) for g in grid])
+    cells_with_root = np.flatnonzero(values[1:] * values[:-1] < 0)
+    return [brentq(f, grid[i], grid[i + 1], xtol=1e-14) for i in cells_with_root]  # pyright: ignore
 
 
 def steady_states(c, V, r):
