@@ -24,37 +24,38 @@ class Nodes(NamedTuple):
 def nodes(track: Track, wheelbase: float, config: PlanConfig) -> Nodes:
     """Nodes of an open track from end to end; of a closed one a lap with run-up and run-out, to be cut off.
 
-    A closed lap starts rolling in the middle of its longest straight and ends on a later straight, a lap on; the
-    cut lies half-way between the two, so that neither end shows in the lap.
+    A closed lap starts rolling in the middle of its longest straight, is cut in the middle of a later straight, and
+    runs out to one later still, so that neither the start nor the finish shows in the lap.
     """
     length = float(track.length)
     if not track.closed:
         num = config.num_nodes or max(FEWEST, math.ceil(length / (SPACING * wheelbase)) + 1)
         return Nodes(np.linspace(0.0, length, num), 0, num - 1)
-    start, beyond = _straights(track, config.lead)
-    total = length + beyond
+    start, cut, end = _straights(track, config.lead / 2)
+    total = length + end
     num = config.num_nodes or max(FEWEST, math.ceil(total / (SPACING * wheelbase)) + 1)
     per_lap = round((num - 1) * length / total)
     ds = length / per_lap  # so that a lap is a whole number of steps
-    first = math.floor(beyond / 2 / ds)
+    first = round(cut / ds)
+    if first + per_lap >= num:
+        raise BadInput(f"key 'num_nodes' is {num}; this lap with its run-up and run-out needs more.")
     return Nodes(start + ds * np.arange(num), first, first + per_lap)
 
 
-def _straights(track: Track, lead: float) -> tuple[float, float]:
-    """Middle of the longest straight, and the way on from there to the run-out's end on another one [m]."""
+def _straights(track: Track, lead: float) -> tuple[float, float, float]:
+    """Middle of the longest straight, and the ways on from there to two later middles, `lead` laps apart [m]."""
     kappa, length = np.abs(np.asarray(track.kappa)), float(track.length)
     n = len(kappa)
     straight = kappa <= 0.1 * kappa.max()
     if not straight.any():
         raise BadInput("track: a closed lap without a straight has no place to start; give one with a straight.")
-    if straight.all():
-        return 0.0, length
     shift = int(np.argmin(straight))  # roll so that no straight lies across the seam
     rolled = np.concatenate([[False], np.roll(straight, -shift), [False]])
     edges = np.flatnonzero(rolled[1:] != rolled[:-1])
     begin, end = edges[::2], edges[1::2]
     middle, size = ((begin + end) / 2 + shift) * length / n, end - begin
     longest = int(np.argmax(size))
-    ahead = (middle - middle[longest]) % length
-    reachable = ahead[(ahead >= lead * length) & (size >= 0.2 * size[longest])]
-    return float(middle[longest] % length), float(reachable.min()) if len(reachable) else length
+    ahead = np.sort((middle - middle[longest])[size >= 0.2 * size[longest]] % length)
+    ahead = np.concatenate([ahead, ahead + length, ahead + 2 * length])
+    cut = ahead[ahead >= lead * length].min()
+    return float(middle[longest] % length), float(cut), float(ahead[ahead >= cut + lead * length].min())

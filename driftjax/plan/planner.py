@@ -44,6 +44,7 @@ class Plan(eqx.Module):
     drift: Bool[Array, " n"]  # sideslip and yaw rate opposite in sign, and more than label_beta
     path: Track  # the planned path; its tangent is the course psi + beta, its widths reach to the track's borders
     lap_time: Array  # [s]
+    closing: Array  # distance between the ends of a closed lap before they are joined [m]
     violation: Array  # worst defect or constraint violation, in scaled units of order one [-]
     kkt: Array  # scaled optimality error [-]
     num_steps: Array  # solver iterations of the guess that was kept
@@ -112,9 +113,17 @@ def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, found: Solut
     along = jnp.cos(theta + beta)  # borders are measured square to the course, not to the centre line
     S = _path_length(t, V, dx.V)
     count = PATH_POINTS * (len(s) - 1) + 1
-    path = resample(S, x, y, psi + beta, kappa, (w_right + e) / along, (w_left - e) / along, count)
+    course, share = psi + beta, S / S[-1]
+    ends = jnp.stack([x[-1] - x[0], y[-1] - y[0], course[-1] - course[0] - track.turn])
+    closing = jnp.hypot(ends[0], ends[1]) if track.closed else jnp.zeros(())
+    if track.closed:  # run-up and run-out leave a small gap: spread it over the lap
+        px, py, course = (v - gap * share for v, gap in zip((x, y, course), ends, strict=True))
+    else:
+        px, py = x, y
+    widths = ((w_right + e) / along, (w_left - e) / along)
+    path = resample(S, px, py, course, kappa, *widths, count - track.closed, track.closed)
     drift = (beta * r < 0) & (jnp.abs(beta) > label_beta)
-    return Plan(s, t, V, beta, r, e, theta, delta, Fxr, x, y, psi, S, drift, path, t[-1], best.violation, best.kkt,
+    return Plan(s, t, V, beta, r, e, theta, delta, Fxr, x, y, psi, S, drift, path, t[-1], closing, best.violation, best.kkt,
                 best.num_steps, result)  # fmt: skip
 
 

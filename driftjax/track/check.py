@@ -39,7 +39,10 @@ def check_crossing(track: Track, source: str, rows=None) -> None:
     with np.errstate(divide="ignore", invalid="ignore"):
         t = cross(between, d[None, :]) / denominator
         u = cross(between, d[:, None]) / denominator
-    hit = (denominator != 0) & (t > 0) & (t < 1) & (u > 0) & (u < 1)
+    low, high = -1e-9, 1 + 1e-9  # a crossing right at a grid point counts
+    apart = np.abs(np.subtract.outer(np.arange(len(d)), np.arange(len(d))))
+    apart = np.minimum(apart, len(d) - apart) if track.closed else apart
+    hit = (apart > 1) & (denominator != 0) & (t > low) & (t < high) & (u > low) & (u < high)
     if np.any(hit):
         i, j = np.argwhere(hit)[0]
         first, second = (_where(track, int(index[k]), rows).removeprefix(",") for k in sorted((i, j)))
