@@ -1,0 +1,154 @@
+"""Which steady states does a car have? Map of sideslip, steering and drive force over speed and yaw rate.
+
+`driftjax equilibria` writes `equilibria.png` and `equilibria.csv` (one row per steady state).
+"""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+
+from driftjax.core import RESULTS, Control, State, require
+from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, solve_at
+from driftjax.vehicle import SingleTrack, load_vehicle
+from driftjax.vehicle.single_track import G
+
+SHOWN = (Branch.GRIP, Branch.COUNTERSTEER, Branch.FRONT_SATURATED)
+TITLES = {
+    Branch.GRIP: "grip",
+    Branch.COUNTERSTEER: "drift, countersteer",
+    Branch.FRONT_SATURATED: "drift, front saturated",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Map of the nominal car's steady states in left turns; right turns mirror them."""
+
+    vehicle: str = "sedan"
+    """Car: a shipped name (sedan, rc) or the path of a vehicle YAML."""
+    V_min: float = 0.0
+    """Lowest speed [m/s]; 0 takes that of 3 wheelbases radius at the friction limit."""
+    V_max: float = 0.0
+    """Highest speed [m/s]; 0 takes three times the lowest."""
+    num_V: int = 41
+    """Speeds [-]."""
+    ratio_min: float = 0.5
+    """Lowest V r / (mu g) [-]."""
+    ratio_max: float = 1.4
+    """Highest V r / (mu g) [-]."""
+    num_ratio: int = 73
+    """Values of V r / (mu g) [-]."""
+
+    def __post_init__(self) -> None:
+        require(self.num_V > 1 and self.num_ratio > 1, "keys 'num_V' and 'num_ratio' must be at least 2.")
+        require(0 < self.ratio_min < self.ratio_max, "key 'ratio_max' must exceed 'ratio_min', both positive.")
+        require(self.V_min >= 0 and self.V_max >= 0, "keys 'V_min' and 'V_max' are speeds; give 0 or more m/s.")
+        require(not 0 < self.V_max <= self.V_min, "key 'V_max' must exceed 'V_min'.")
+
+
+@eqx.filter_jit
+def solve_map(car: SingleTrack, V: Array, r: Array) -> Equilibrium:
+    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding."""
+
+    def at(V: Array, r: Array) -> Equilibrium:
+        roots = decoupled_roots(car, V, r)
+
+        def confirm(x: State, u: Control, kind: Array, exists: Array) -> Equilibrium:
+            out = solve_at(car, car, V, r, (x, u), branch=kind)
+            result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
+            return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
+
+        return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.found)
+
+    return jax.vmap(at)(V, r)
+
+
+def grid(cfg: Config, car: SingleTrack) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds [m/s] and V r / (mu g) [-] of the map."""
+    limit, wheelbase = float(car.tyre.mu) * G, float(car.a + car.b)
+    low = cfg.V_min or (3 * wheelbase * limit) ** 0.5
+    return np.linspace(low, cfg.V_max or 3 * low, cfg.num_V), np.linspace(cfg.ratio_min, cfg.ratio_max, cfg.num_ratio)
+
+
+def main(cfg: Config, out: Path) -> dict[str, float]:
+    """Write map and table to `out`; returns counts and the worst residual."""
+    vehicle = load_vehicle(cfg.vehicle)
+    car = vehicle.build()
+    speeds, ratios = grid(cfg, car)
+    limit = float(car.tyre.mu) * G
+    V, ratio = (axis.ravel() for axis in np.meshgrid(speeds, ratios))
+    points = solve_map(car, jnp.asarray(V), jnp.asarray(ratio * limit / V))
+    out.mkdir(parents=True, exist_ok=True)
+    found = np.asarray(points.result == RESULTS.successful)
+    write_table(out / "equilibria.csv", points, found)
+    figure = draw(points, found, speeds, ratios, f"{vehicle.name}: steady states of the nominal car")
+    figure.savefig(out / "equilibria.png", dpi=130)
+    plt.close(figure)
+    kind = np.asarray(points.kind)
+    share = {b: float(np.mean(np.any(found & (kind == b), axis=1))) for b in SHOWN}
+    drift_ratio = ratio[np.any(found & (kind == Branch.COUNTERSTEER), axis=1)]
+    return {
+        "steady_states": float(found.sum()),
+        "unconfirmed": float(np.sum((kind >= 0) & ~found)),
+        "share_with_grip": share[Branch.GRIP],
+        "share_with_countersteer_drift": share[Branch.COUNTERSTEER],
+        "share_with_front_saturated_drift": share[Branch.FRONT_SATURATED],
+        "lowest_drift_ratio": float(drift_ratio.min()) if drift_ratio.size else float("nan"),
+        "worst_residual": float(np.max(np.asarray(points.residual)[found], initial=0.0)),
+    }
+
+
+def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
+    """One row per steady state, SI and radians."""
+    columns = (points.x.V, points.x.r, points.x.beta, points.u.delta, points.u.Fxr, points.residual)
+    values = [np.asarray(column)[found] for column in columns]
+    names = [Branch(k).name.lower() for k in np.asarray(points.kind)[found]]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["V", "r", "beta", "delta", "Fxr", "residual", "branch"])
+        for *numbers, name in zip(*values, names, strict=True):
+            writer.writerow([f"{number:.9g}" for number in numbers] + [name])
+
+
+def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.ndarray, title: str) -> Figure:
+    """One row per branch, one column per unknown; where there is no such steady state the map is hatched.
+
+    Beyond the ratio where the countersteer root's front axle passes its peak, both drifts are front saturated by
+    their slip angles: shown is the one with more steering into the turn, which continues that branch.
+    """
+    kind = np.asarray(points.kind)
+    force = 1e3 if np.nanmax(np.abs(np.asarray(points.u.Fxr)[found]), initial=0.0) > 1e3 else 1.0
+    columns = (
+        ("sideslip beta [deg]", np.rad2deg(points.x.beta), "viridis"),
+        ("steering delta [deg]", np.rad2deg(points.u.delta), "coolwarm"),
+        (f"drive force Fxr [{'kN' if force > 1 else 'N'}]", np.asarray(points.u.Fxr) / force, "magma"),
+    )
+    figure, axes = plt.subplots(3, 3, figsize=(13, 10), sharex=True, sharey=True, layout="constrained")
+    for row, branch in zip(axes, SHOWN, strict=True):
+        match = found & (kind == branch)
+        exists = match.any(axis=1)
+        last = match.shape[1] - 1 - np.argmax(match[:, ::-1], axis=1)  # roots ascend in steering
+        for axis, (label, values, colours) in zip(row, columns, strict=True):
+            level = np.where(exists, np.take_along_axis(values, last[:, None], axis=1)[:, 0], np.nan)
+            axis.set_facecolor("0.93")
+            axis.patch.set(hatch="///", edgecolor="0.75")
+            level = np.ma.masked_invalid(level.reshape(len(ratios), len(speeds)))
+            mesh = axis.pcolormesh(speeds, ratios, level, cmap=colours, shading="nearest")
+            figure.colorbar(mesh, ax=axis, label=label)
+            axis.set_title(TITLES[branch])
+        row[0].set_ylabel("V r / (mu g) [-]")
+    for axis in axes[-1]:
+        axis.set_xlabel("speed V [m/s]")
+    figure.suptitle(f"{title} (left turn; hatched: none on this branch)")
+    return figure
