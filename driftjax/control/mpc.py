@@ -71,6 +71,7 @@ class DriftOCP(AbstractOCP):
 
     nominal: Callable[[State, Control], State]
     residual: Callable[[Array], Array]  # z (5,) -> (dV, dbeta, dr)
+    horizon: int = eqx.field(static=True)
     dt: Array = eqx.field(converter=as_float)
     x_scale: Array  # (7,)
     Q: Array  # (5,) weights in SI
@@ -140,6 +141,7 @@ def drift_ocp(
     return DriftOCP(
         nominal=vehicle.build() if nominal is None else nominal,
         residual=residual,
+        horizon=config.horizon,
         dt=config.dt,
         x_scale=x_scale,
         Q=jnp.array(config.Q + config.Q_path),
@@ -162,6 +164,19 @@ def within_limits(
         return u, u
 
     return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
+
+
+def predict(ocp: DriftOCP, x: Float[Array, " 5"], U: Float[Array, "N 2"], kappa: Array) -> Float[Array, "N+1 5"]:
+    """States from `x` under inputs `U` [rad, N] on a path of constant curvature `kappa` [1/m], all SI."""
+    zero = jnp.zeros_like(kappa)
+    constant = Reference(zero, zero, zero, zero, zero, kappa)
+
+    def move(y, u):
+        scaled = jnp.concatenate([y / ocp.x_scale[:5], u / ocp.x_scale[5:]])
+        after = ocp.step(scaled, u / ocp.x_scale[5:], constant)[:5] * ocp.x_scale[:5]
+        return after, after
+
+    return jnp.concatenate([x[None], jax.lax.scan(move, x, U)[1]])
 
 
 class MPCSolution(eqx.Module):

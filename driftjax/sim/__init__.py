@@ -1,0 +1,10 @@
+"""Closed-loop laps of the plant, with sensors and noise."""
+
+from driftjax.sim.lap import LapCode as LapCode
+from driftjax.sim.lap import LapConfig as LapConfig
+from driftjax.sim.lap import Laps as Laps
+from driftjax.sim.lap import Sensed as Sensed
+from driftjax.sim.lap import Trace as Trace
+from driftjax.sim.lap import drive as drive
+from driftjax.sim.lap import keep_where as keep_where
+from driftjax.sim.lap import wrap as wrap

@@ -1,10 +1,11 @@
 """Batched sequential quadratic programming whose quadratic programs are interior-point Newton systems.
 
-Every iteration linearises the dynamics anew, takes the exact Hessian of the Lagrangian, solves the primal-dual
-barrier system by one Riccati sweep and searches along the direction on an l1 merit function. Interleaving the two
-loops needs a quarter of the iterations of an SQP that solves each quadratic program to the end.
-Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling); Nocedal and Wright 2006,
-Sec. 18.3 and 19.3 (merit function, slack formulation).
+Every iteration linearises the dynamics anew, takes the Hessian of the Lagrangian, solves the primal-dual barrier
+system by one Riccati sweep and searches along the policy that comes out of it: trial points are roll-outs of the
+nonlinear dynamics under the feedback, with the defects of the guess closed in proportion to the step. So unstable
+dynamics stay tame, and the l1 merit function sees no second-order defects that would shorten good steps.
+Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling); Mastalli et al. 2020 (roll-out
+with gaps); Nocedal and Wright 2006, Sec. 18.3 and 19.3 (merit function, slacks).
 """
 
 from typing import NamedTuple
@@ -17,12 +18,18 @@ from jaxtyping import Float, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.solve.ocp import AbstractOCP, Options, Plan
-from driftjax.solve.riccati import Quadratic, newton_direction
+from driftjax.solve.riccati import Direction, Quadratic, newton_direction
 
 BOUNDARY_FRACTION = 0.995  # of the way to a bound that one step may take
-MAX_BACKTRACKS = 10  # halvings before a direction is given up
+MAX_BACKTRACKS = 8  # halvings before a direction is given up
+MAX_FAILURES = 10  # directions without descent in a row before the solve counts as stalled
 ARMIJO = 1e-4
+CENTRALITY = 100.0  # factor by which a product of slack and dual may differ from the barrier parameter
 SLACK_FLOOR = 1e-4  # slack given to a gap that starts closed or violated
+# What a failed search changes, level by level: share of the dynamics' curvature kept, damping of the Hessian.
+# Without that curvature a convex cost gives a descent direction (Gauss-Newton); damping then shortens it.
+CURVATURE = (1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+DAMPING = (0.0, 1e-2, 1e-1, 1.0, 1e-1, 1.0)
 
 
 class Iterate(NamedTuple):
@@ -51,7 +58,7 @@ class Loop(NamedTuple):
     it: Iterate
     model: Model
     barrier: Array
-    damping: Array
+    caution: Array  # level in CURVATURE and DAMPING
     failures: Array
     num_steps: Array
     kkt: Array
@@ -84,12 +91,12 @@ class _Problem(eqx.Module):
         grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
         return Model(cost_x, cost_u, A, B, self.defects(X, U), self.gaps(X, U), grad_N)
 
-    def hessian(self, it: Iterate) -> tuple[Array, Array, Array, Array]:
+    def hessian(self, it: Iterate, curvature: Array) -> tuple[Array, Array, Array, Array]:
         """Blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
         def lagrangian(w, x, costate, p):
             x, u = w[: x.shape[0]], w[x.shape[0] :]
-            return self.ocp.cost(x, u, p) + costate @ self.ocp.curvature(x, u, p)
+            return self.ocp.cost(x, u, p) + curvature * costate @ self.ocp.curvature(x, u, p)
 
         W = jnp.concatenate([it.X[:-1], it.U], axis=1)
         H = jax.vmap(jax.hessian(lagrangian))(W, it.X[:-1], it.costates, self.stages)
@@ -102,9 +109,10 @@ class _Problem(eqx.Module):
         )
 
 
-def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, damping: Array) -> Quadratic:
+def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
     """Newton system with slacks and duals eliminated."""
-    Hxx, Hux, Huu, HN = problem.hessian(it)
+    damping = jnp.asarray(DAMPING)[caution]
+    Hxx, Hux, Huu, HN = problem.hessian(it, jnp.asarray(CURVATURE)[caution])
     weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
     pull = jax.tree.map(lambda w, g, s: w * (g - s) - barrier / s, weight, m.gap, it.slack)
 
@@ -127,15 +135,15 @@ def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, damping
     )
 
 
-def _direction(problem: _Problem, m: Model, it: Iterate, barrier: Array, damping: Array) -> Iterate:
-    dX, dU, costates = newton_direction(_quadratic(problem, m, it, barrier, damping))
+def _direction(problem: _Problem, m: Model, it: Iterate, q: Quadratic, barrier: Array) -> tuple[Iterate, Direction]:
+    newton = newton_direction(q)
     d_gap = (
-        jnp.einsum("kgi,ki->kg", problem.Gx, dX[:-1]) + jnp.einsum("kgi,ki->kg", problem.Gu, dU),
-        problem.GN @ dX[-1],
+        jnp.einsum("kgi,ki->kg", problem.Gx, newton.dX[:-1]) + jnp.einsum("kgi,ki->kg", problem.Gu, newton.dU),
+        problem.GN @ newton.dX[-1],
     )
     d_slack = jax.tree.map(lambda d, g, s: d + g - s, d_gap, m.gap, it.slack)
     d_dual = jax.tree.map(lambda s, z, ds: barrier / s - z - z / s * ds, it.slack, it.dual, d_slack)
-    return Iterate(dX, dU, costates - it.costates, d_slack, d_dual)
+    return Iterate(newton.dX, newton.dU, newton.costates - it.costates, d_slack, d_dual), newton
 
 
 def _to_boundary(values: PyTree, steps: PyTree) -> Array:
@@ -163,54 +171,71 @@ def _kkt(problem: _Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
     return jnp.max(jnp.stack(parts + products)) / scale, violation
 
 
-def _moved(it: Iterate, step: Iterate, primal: Array, dual: Array) -> Iterate:
-    go = lambda rate: lambda y, d: y + rate * d
-    return Iterate(
-        it.X + primal * step.X,
-        it.U + primal * step.U,
-        it.costates + primal * step.costates,
-        jax.tree.map(go(primal), it.slack, step.slack),
-        jax.tree.map(go(dual), it.dual, step.dual),
+class Trial(NamedTuple):
+    """A point along the direction."""
+
+    X: Array
+    U: Array
+    slack: tuple[Array, Array]
+    merit: Array
+
+
+def _roll(problem: _Problem, m: Model, it: Iterate, newton: Direction, length: Array) -> tuple[Array, Array]:
+    """Roll-out of the dynamics under the policy at step `length`; defects shrink by exactly 1 - length."""
+
+    def move(x, stage):
+        X, U, K, k, defect, p = stage
+        u = U + length * k + K @ (x - X)
+        x_next = problem.ocp.step(x, u, p) - (1 - length) * defect
+        return x_next, (x_next, u)
+
+    stages = (it.X[:-1], it.U, newton.K, newton.k, m.defect, problem.stages)
+    _, (X, U) = jax.lax.scan(move, it.X[0], stages)
+    return jnp.concatenate([it.X[:1], X]), U
+
+
+def _try(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, weights, length: Array) -> Trial:
+    barrier, penalty = weights
+    X, U = _roll(problem, m, it, newton, length)
+    gap = problem.gaps(X, U)
+    # a gap that is open by itself is its own slack; only one that is closed keeps the slack of the linear step
+    slack = jax.tree.map(
+        lambda g, s, d: jnp.where(g > (1 - BOUNDARY_FRACTION) * s, g, s + length * d), gap, it.slack, step.slack
     )
+    bad = (1 - length) * jnp.sum(jnp.abs(m.defect))
+    bad = bad + sum(jnp.sum(jnp.abs(g - s)) for g, s in zip(gap, slack, strict=True))
+    logs = sum(jnp.sum(jnp.log(s)) for s in slack)
+    return Trial(X, U, slack, problem.objective(X, U) - barrier * logs + penalty * bad)
 
 
-def _line_search(problem: _Problem, m: Model, it: Iterate, step: Iterate, barrier: Array, longest: Array):
-    """Step length by backtracking on the l1 merit function; zero where no descent was found."""
+def _line_search(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, barrier, longest):
+    """Step length by backtracking on the l1 merit function, with its point; 0 where no descent was found."""
     # 1.1 x the largest multiplier makes the l1 penalty exact, so that the Newton step is a descent direction
     worst = [jnp.max(jnp.abs(it.costates + step.costates))]
     worst += [jnp.max(jnp.abs(z + d), initial=0.0) for z, d in zip(it.dual, step.dual, strict=True)]
     penalty = 1.1 * jnp.max(jnp.stack(worst))
-
-    def merit(length):
-        X, U = it.X + length * step.X, it.U + length * step.U
-        slack = jax.tree.map(lambda s, d: s + length * d, it.slack, step.slack)
-        gap = problem.gaps(X, U)
-        bad = jnp.sum(jnp.abs(problem.defects(X, U))) + sum(
-            jnp.sum(jnp.abs(g - s)) for g, s in zip(gap, slack, strict=True)
-        )
-        logs = sum(jnp.sum(jnp.log(s)) for s in slack)
-        return problem.objective(X, U) - barrier * logs + penalty * bad
-
+    misfit = sum(jnp.sum(jnp.abs(g - s)) for g, s in zip(m.gap, it.slack, strict=True))
+    bad = jnp.sum(jnp.abs(m.defect)) + misfit
     along = jnp.sum(m.cost_x * step.X[:-1]) + jnp.sum(m.cost_u * step.U) + m.grad_N @ step.X[-1]
-    along = along - barrier * sum(jnp.sum(d / s) for s, d in zip(it.slack, step.slack, strict=True))
-    along = along - penalty * (
-        jnp.sum(jnp.abs(m.defect))
-        + sum(jnp.sum(jnp.abs(g - s)) for g, s in zip(m.gap, it.slack, strict=True))
-    )
-    start = merit(0.0)
+    along = along - barrier * sum(jnp.sum(d / s) for s, d in zip(it.slack, step.slack, strict=True)) - penalty * bad
+    logs = sum(jnp.sum(jnp.log(s)) for s in it.slack)
+    start = problem.objective(it.X, it.U) - barrier * logs + penalty * bad
     rounding = 1e-10 * (1 + jnp.abs(start))
+    attempt = lambda length: _try(problem, m, it, step, newton, (barrier, penalty), length)
 
     def fails(carry):
-        length, count, value = carry
-        enough = value <= start + ARMIJO * length * jnp.minimum(along, 0.0) + rounding
-        return ~(enough & jnp.isfinite(value)) & (count < MAX_BACKTRACKS)
+        length, count, trial = carry
+        enough = trial.merit <= start + ARMIJO * length * jnp.minimum(along, 0.0) + rounding
+        return ~(enough & jnp.isfinite(trial.merit)) & (count < MAX_BACKTRACKS)
 
     def shorten(carry):
         length, count, _ = carry
-        return length / 2, count + 1, merit(length / 2)
+        return length / 2, count + 1, attempt(length / 2)
 
-    length, count, _ = jax.lax.while_loop(fails, shorten, (longest, jnp.array(0), merit(longest)))
-    return jnp.where(count < MAX_BACKTRACKS, length, 0.0)
+    hopeless = along > rounding  # not a descent direction: no step along it is worth trying
+    first = jnp.where(hopeless, MAX_BACKTRACKS, 0)
+    length, count, trial = jax.lax.while_loop(fails, shorten, (longest, first, attempt(longest)))
+    return jnp.where(count < MAX_BACKTRACKS, length, 0.0), trial
 
 
 def _start(problem: _Problem, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
@@ -219,27 +244,42 @@ def _start(problem: _Problem, x0: Array, X: Array, U: Array, barrier: Array) -> 
     return Iterate(X, U, jnp.zeros_like(X[1:]), slack, jax.tree.map(lambda s: barrier / s, slack))
 
 
+def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, tolerance: Array) -> Array:
+    """Barrier parameter of the next iteration: follows the complementarity `gap` down while steps are long.
+
+    After a short step it stays until the barrier problem is nearly solved: going down with iterates pressed
+    against their bounds jams them there.
+    """
+    follow = jnp.clip((1 - length) ** 2, 0.1, 0.8) * gap
+    solved = kkt < 10 * barrier
+    stay = jnp.where(solved, 0.2 * barrier, barrier)
+    return jnp.maximum(jnp.where(length > 0.8, jnp.minimum(follow, barrier), stay), 0.1 * tolerance)
+
+
 def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     it, m, barrier = loop.it, loop.model, loop.barrier
-    step = _direction(problem, m, it, barrier, loop.damping)
+    step, newton = _direction(problem, m, it, _quadratic(problem, m, it, barrier, loop.caution), barrier)
     longest, dual = _to_boundary(it.slack, step.slack), _to_boundary(it.dual, step.dual)
-    finite = jnp.all(jnp.isfinite(step.U)) & jnp.all(jnp.isfinite(step.X))
-    length = jnp.where(finite, _line_search(problem, m, it, step, barrier, longest), 0.0)
-    moved = length > 0
-    new = _moved(it, step, length, dual)
+    length, trial = _line_search(problem, m, it, step, newton, barrier, longest)
+    moved = length > 0  # False also where the direction was not finite
+    costates = it.costates + length * step.costates
+    # roll-out and reset moved the slacks off the linear step: keep the products near the barrier
+    duals = jax.tree.map(
+        lambda z, d, s: jnp.clip(z + dual * d, barrier / (CENTRALITY * s), CENTRALITY * barrier / s),
+        it.dual, step.dual, trial.slack,
+    )  # fmt: skip
+    new = Iterate(trial.X, trial.U, costates, trial.slack, duals)
     new = jax.tree.map(lambda old, candidate: jnp.where(moved, candidate, old), it, new)
     m = problem.linearise(new.X, new.U)
     kkt, violation = _kkt(problem, m, new)
     count = sum(s.size for s in new.slack)
     gap = sum(jnp.sum(s * z) for s, z in zip(new.slack, new.dual, strict=True)) / max(count, 1)
-    reach = jnp.minimum(length, dual)
-    centring = jnp.clip((1 - reach) ** 2, 0.1, 0.8)
-    lower = jnp.maximum(centring * gap, 0.1 * options.tolerance)
-    damping = jnp.where(length > 0.1, loop.damping / 4, jnp.maximum(4 * loop.damping, 1e-3))
-    damping = jnp.where((damping < 1e-4) & moved, 0.0, damping)
+    lower = _next_barrier(barrier, gap, kkt, jnp.minimum(length, dual), options.tolerance)
+    easy = length > 0.3 * longest  # at most one halving; a short way to a bound is not the model's fault
+    caution = jnp.clip(loop.caution + jnp.where(easy, -1, 1), 0, len(DAMPING) - 1)
     failures = jnp.where(moved, 0, loop.failures + 1)
     barrier = jnp.where(moved, lower, barrier)
-    return Loop(new, m, barrier, damping, failures, loop.num_steps + 1, kkt, violation)
+    return Loop(new, m, barrier, caution, failures, loop.num_steps + 1, kkt, violation)
 
 
 def solve(
@@ -259,11 +299,11 @@ def solve(
     large = jnp.asarray(jnp.inf, X.dtype)
     zero = jnp.zeros((), int)
     m = problem.linearise(it.X, it.U)
-    loop = Loop(it, m, options.barrier, jnp.zeros((), X.dtype), zero, zero, large, large)
+    loop = Loop(it, m, options.barrier, zero, zero, zero, large, large)
 
     def unfinished(s: Loop):
         open_ = jnp.maximum(s.kkt, s.violation) > options.tolerance
-        return open_ & (s.num_steps < options.max_steps) & (s.failures < 12)
+        return open_ & (s.num_steps < options.max_steps) & (s.failures < MAX_FAILURES)
 
     end = jax.lax.while_loop(unfinished, lambda s: _iterate(problem, s, options), loop)
     return _plan(problem, end, options)
@@ -271,7 +311,7 @@ def solve(
 
 def _plan(problem: _Problem, end: Loop, options: Options) -> Plan:
     done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
-    failed = RESULTS.where(end.failures >= 12, RESULTS.stalled, RESULTS.not_converged)
+    failed = RESULTS.where(end.failures >= MAX_FAILURES, RESULTS.stalled, RESULTS.not_converged)
     finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
     failed = RESULTS.where(finite, failed, RESULTS.non_finite)
     result = RESULTS.where(done, RESULTS.successful, failed)

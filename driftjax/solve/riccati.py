@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-EIGENVALUE_FLOOR = 1e-4  # of the input Hessian scaled to unit diagonal [-]
+EIGENVALUE_FLOOR = 1e-8  # added to the eigenvalues of the input Hessian scaled to unit diagonal [-]
 
 
 class Quadratic(NamedTuple):
@@ -25,29 +25,43 @@ class Quadratic(NamedTuple):
     hN: Float[Array, " nx"]
 
 
-def inverse_floored(R: Float[Array, "nu nu"]) -> Float[Array, "nu nu"]:
-    """Inverse of a 1x1 or 2x2 symmetric matrix whose scaled eigenvalues are first raised to a positive floor."""
+def inverse_absolute(R: Float[Array, "nu nu"]) -> Float[Array, "nu nu"]:
+    """Inverse of a 1x1 or 2x2 symmetric matrix whose eigenvalues are first replaced by their absolute values.
+
+    Along a direction of negative curvature the step is then as long as the curvature is weak, not unbounded as it
+    would be with a small floor (Dauphin et al. 2014); where the matrix is positive nothing changes.
+    """
     scale = 1 / jnp.sqrt(jnp.maximum(jnp.abs(jnp.diag(R)), 1e-12))
     S = R * scale[:, None] * scale[None, :]
     if R.shape[0] == 1:
-        return scale[None, :] ** 2 / jnp.maximum(S, EIGENVALUE_FLOOR)
-    a, b, d = S[0, 0], S[0, 1], S[1, 1]
-    lowest = 0.5 * (a + d) - jnp.sqrt(0.25 * (a - d) ** 2 + b**2)
-    shift = jnp.maximum(0.0, EIGENVALUE_FLOOR - lowest)
-    a, d = a + shift, d + shift
+        return scale[None, :] ** 2 / jnp.maximum(jnp.abs(S), EIGENVALUE_FLOOR)
+    determinant = jnp.abs(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
+    size = jnp.sqrt(jnp.sum(S**2) + 2 * determinant)  # sum of the absolute eigenvalues
+    a, b, d = S[0, 0] ** 2 + S[0, 1] ** 2, S[0, 1] * (S[0, 0] + S[1, 1]), S[1, 1] ** 2 + S[0, 1] ** 2
+    a, b, d = (a + determinant) / size + EIGENVALUE_FLOOR, b / size, (d + determinant) / size + EIGENVALUE_FLOOR
     inverse = jnp.array([[d, -b], [-b, a]]) / (a * d - b**2)
     return inverse * scale[:, None] * scale[None, :]
 
 
-def newton_direction(q: Quadratic) -> tuple[Array, Array, Array]:
-    """Step in states (N+1, nx) and inputs (N, nu), and the costates (N, nx) of x_1..x_N after a full step."""
+class Direction(NamedTuple):
+    """Newton step and the affine policy du = k + K dx behind it."""
+
+    dX: Float[Array, "N+1 nx"]
+    dU: Float[Array, "N nu"]
+    costates: Float[Array, "N nx"]  # of x_1..x_N after the full step
+    K: Float[Array, "N nu nx"]
+    k: Float[Array, "N nu"]
+
+
+def newton_direction(q: Quadratic) -> Direction:
+    """Minimiser of `q`, with input blocks made positive where they are not."""
 
     def backward(carry, stage):
         P, p = carry
         Hxx, Hux, Huu, hx, hu, A, B, c = stage
         PA, PB, g = P @ A, P @ B, P @ c + p
         S, R = Hux + B.T @ PA, Huu + B.T @ PB
-        inverse = inverse_floored(R)
+        inverse = inverse_absolute(R)
         K, k = -inverse @ S, -inverse @ (hu + B.T @ g)
         Pk = Hxx + A.T @ PA + S.T @ K
         return (0.5 * (Pk + Pk.T), hx + A.T @ g + S.T @ k), (K, k, P, p)
@@ -62,4 +76,4 @@ def newton_direction(q: Quadratic) -> tuple[Array, Array, Array]:
 
     dx0 = jnp.zeros_like(q.hN)
     _, (dX, dU, costates) = jax.lax.scan(forward, dx0, (q.A, q.B, q.c, K, k, P, p))
-    return jnp.concatenate([dx0[None], dX]), dU, costates
+    return Direction(jnp.concatenate([dx0[None], dX]), dU, costates, K, k)

@@ -1,0 +1,163 @@
+"""Who drives: pure pursuit on normal segments, a drift controller in the corner, and the switch between them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.control.lqr import LQR
+from driftjax.control.mpc import DriftOCP, predict, shifted, solve_mpc, within_limits
+from driftjax.control.pursuit import PurePursuit
+from driftjax.control.table import ReferenceTable, expected_arc_lengths
+from driftjax.core import Control, State, as_float, require
+from driftjax.sim import Sensed, keep_where
+from driftjax.solve import Options
+from driftjax.track import Track
+
+COLD_BARRIER, WARM_BARRIER = 1.0, 1e-2  # first barrier parameter with and without a plan to start from
+ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
+
+
+@dataclass(frozen=True)
+class SwitchConfig:
+    """When the drift controller takes over and gives back; fixed before methods are compared."""
+
+    lead: float = 6.0
+    """Distance before the drift section at which the drift controller takes over [m]."""
+    trail: float = 4.0
+    """Distance after the drift section over which it keeps driving [m]."""
+    handover_beta: float = 0.15
+    """It also keeps driving, up to three times as far, until the sideslip is below this [rad]."""
+
+    def __post_init__(self) -> None:
+        require(self.lead >= 0, f"key 'lead' is {self.lead}; it must not be negative.")
+        require(self.trail >= 0, f"key 'trail' is {self.trail}; it must not be negative.")
+        require(self.handover_beta > 0, f"key 'handover_beta' is {self.handover_beta}; it must be positive.")
+
+
+class Memory(NamedTuple):
+    """What the driver carries from step to step."""
+
+    command: Float[Array, " 2"]  # last command (delta, Fxr)
+    X: Float[Array, "N+1 5"]  # last plan, already shifted
+    U: Float[Array, "N 2"]
+    drifting: Array  # whether the drift controller drove the last step
+    planned: Array  # whether `X`, `U` come from a solve
+
+
+class Decision(NamedTuple):
+    """Command of one step and how it came about."""
+
+    command: Control
+    drifting: Array  # bool
+    solved: Array  # bool: the plan applied is this step's own; False: the last good one, shifted
+    kkt: Array
+    num_steps: Array
+
+
+class Driver(eqx.Module):
+    """One lane's driver; `kind` is which controller drives the drift section."""
+
+    kind: Literal["mpc", "lqr", "pursuit"] = eqx.field(static=True)
+    path: Track
+    table: ReferenceTable
+    pursuit: PurePursuit
+    lqr: LQR
+    ocp: DriftOCP
+    options: Options
+    lead: Array = eqx.field(converter=as_float)
+    trail: Array = eqx.field(converter=as_float)
+    handover_beta: Array = eqx.field(converter=as_float)
+
+    @property
+    def horizon(self) -> int:
+        """Stages of the MPC."""
+        return self.ocp.horizon
+
+    def start(self, speed: Array) -> Memory:
+        """Memory of a driver that has not driven yet."""
+        X = jnp.zeros((self.horizon + 1, 5)).at[:, 0].set(speed)
+        return Memory(jnp.zeros(2), X, jnp.zeros((self.horizon, 2)), *jnp.zeros((2,), bool))
+
+    def engaged(self, sensed: Sensed, memory: Memory) -> Array:
+        """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
+        if self.kind == "pursuit":
+            return jnp.asarray(False)
+        past = sensed.s - self.table.drift_end
+        sliding = memory.drifting & (jnp.abs(sensed.beta) > self.handover_beta) & (past < 3 * self.trail)
+        return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
+
+    def pursue(self, sensed: Sensed, memory: Memory) -> Array:
+        """Command (2,) of pure pursuit within the limits."""
+        speed = self.table.row(self.table.speed, sensed.s)
+        u = self.pursuit(self.path, sensed.x, sensed.y, sensed.psi, sensed.V, sensed.s, speed)
+        return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
+
+    def stabilise(self, sensed: Sensed, memory: Memory) -> Array:
+        """Command (2,) of the LQR around the tracked state at `s`, within the limits."""
+        x_ref, u_ref = self.table.state(sensed.s)
+        u = self.lqr(State(sensed.V, sensed.beta, sensed.r), x_ref, u_ref)
+        return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
+
+    def first_guess(self, x: Array, memory: Memory, kappa: Array) -> tuple[Array, Array]:
+        """Plan to start the MPC from: the last good one, else the last command held.
+
+        A held command satisfies the dynamics, which matters more to the solver than being near the reference.
+        """
+        held = within_limits(self.ocp, jnp.tile(memory.command, (self.horizon, 1)), memory.command)
+        X = predict(self.ocp, x, held, kappa)
+        return jnp.where(memory.planned, memory.X, X), jnp.where(memory.planned, memory.U, held)
+
+    def plan(self, sensed: Sensed, memory: Memory, needed: Array) -> tuple[Decision, Memory]:
+        """One step of the drift MPC; where the solve fails, the last good plan, one step later.
+
+        Where it is not `needed` no iteration is spent: a lane at rest must not hold up the batch.
+        """
+        x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
+        kappa = self.table.row(self.table.kappa, sensed.s)
+        X, U = self.first_guess(x, memory, kappa)
+        s = expected_arc_lengths(sensed.s, X.at[0].set(x), jnp.full(self.horizon + 1, kappa), self.ocp.dt)
+        reference = self.table.reference(s)
+        barrier = jnp.where(memory.planned, WARM_BARRIER, COLD_BARRIER)
+        options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0))
+        solution = solve_mpc(self.ocp, x, memory.command, reference, X, U, options)
+        plan = solution.plan
+        solved = jnp.maximum(plan.kkt, plan.violation) <= ACCEPTABLE * options.tolerance  # False on NaN
+        fallback = within_limits(self.ocp, U, memory.command, share=0.0)
+        new_X, new_U = jnp.where(solved, solution.X, X), jnp.where(solved, solution.U, fallback)
+        decision = Decision(Control(new_U[0, 0], new_U[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
+        return decision, Memory(new_U[0], *shifted(new_X, new_U), jnp.asarray(True), memory.planned | solved)
+
+
+def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
+    """One step of all lanes (leading axis); the MPC runs only while some lane that is `alive` needs it."""
+    each: Callable = eqx.filter_vmap
+    engaged = each(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
+    pursued = each(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
+    idle = Decision(
+        Control(pursued[:, 0], pursued[:, 1]),
+        jnp.zeros_like(engaged),
+        jnp.ones_like(engaged),
+        jnp.zeros_like(pursued[:, 0]),
+        jnp.zeros(engaged.shape, int),
+    )
+    idle_flag = jnp.zeros_like(engaged)
+    resting = memory._replace(command=pursued, drifting=idle_flag, planned=idle_flag)
+    if drivers.kind == "pursuit":
+        return idle.command, resting, idle
+
+    def drift():
+        if drivers.kind == "mpc":
+            return each(lambda d, x, m, needed: d.plan(x, m, needed))(drivers, sensed, memory, engaged)
+        u = each(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
+        decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
+        return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))
+
+    drifted = jax.lax.cond(jnp.any(engaged), drift, lambda: (idle, resting))
+    decision, memory = keep_where(engaged, drifted, (idle, resting))
+    return decision.command, memory, decision

@@ -1,0 +1,60 @@
+"""Pure pursuit with speed control, for the normal segments of the lap."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, as_float, require
+from driftjax.track import Track
+from driftjax.vehicle import VehicleConfig
+
+
+@dataclass(frozen=True)
+class PursuitConfig:
+    """Pure pursuit (Wang et al. 2017 in the paper): looks ahead along the path, steers along a circle."""
+
+    preview_time: float = 0.35
+    """Look-ahead distance per speed [s]."""
+    preview_min: float = 3.0
+    """Shortest look-ahead distance [m]."""
+    speed_gain: float = 2.0
+    """Acceleration asked for per error of speed [1/s]."""
+
+    def __post_init__(self) -> None:
+        require(self.preview_time >= 0, f"key 'preview_time' is {self.preview_time}; it must not be negative.")
+        require(self.preview_min > 0, f"key 'preview_min' is {self.preview_min}; it must be positive.")
+        require(self.speed_gain > 0, f"key 'speed_gain' is {self.speed_gain}; it must be positive.")
+
+
+class PurePursuit(eqx.Module):
+    """Steering of the circle through the look-ahead point, force from the error of speed."""
+
+    preview_time: Array = eqx.field(converter=as_float)
+    preview_min: Array = eqx.field(converter=as_float)
+    speed_gain: Array = eqx.field(converter=as_float)
+    wheelbase: Array = eqx.field(converter=as_float)
+    b: Array = eqx.field(converter=as_float)
+    m: Array = eqx.field(converter=as_float)
+
+    def __call__(self, path: Track, x: Array, y: Array, psi: Array, V: Array, s: Array, speed: Array) -> Control:
+        """Unlimited command for a car at (x, y, psi), `s` along `path`, that should drive at `speed`.
+
+        delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d.
+        """
+        ahead = jnp.maximum(self.preview_min, self.preview_time * V)
+        target_x, target_y, _, _ = path.pose(s + ahead)
+        dx = target_x - (x - self.b * jnp.cos(psi))
+        dy = target_y - (y - self.b * jnp.sin(psi))
+        sin_eta_d = -dx * jnp.sin(psi) + dy * jnp.cos(psi)
+        distance_squared = jnp.maximum(dx**2 + dy**2, 1e-6)
+        delta = jnp.arctan(2 * self.wheelbase * sin_eta_d / distance_squared)
+        return Control(delta, self.m * self.speed_gain * (speed - V))
+
+
+def pure_pursuit(config: PursuitConfig, vehicle: VehicleConfig) -> PurePursuit:
+    """The controller for one car."""
+    return PurePursuit(
+        config.preview_time, config.preview_min, config.speed_gain, vehicle.a + vehicle.b, vehicle.b, vehicle.m
+    )

@@ -1,0 +1,51 @@
+"""Reference values along the planned path, and the stretch of them that one MPC horizon sees."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.control.mpc import Reference
+from driftjax.core import Control, State, as_float
+
+
+class ReferenceTable(eqx.Module):
+    """What the controllers track, on a uniform grid of arc length along the planned path (all SI)."""
+
+    start: Array = eqx.field(converter=as_float)  # arc length of the first row [m]
+    spacing: Array = eqx.field(converter=as_float)  # [m]
+    speed: Float[Array, " n"]  # planned speed, for the speed control of pure pursuit [m/s]
+    kappa: Float[Array, " n"]  # curvature of the path [1/m]
+    V: Float[Array, " n"]  # state the drift controllers track: speed [m/s]
+    beta: Float[Array, " n"]  # sideslip [rad]
+    r: Float[Array, " n"]  # yaw rate [rad/s]
+    e: Float[Array, " n"]  # offset [m]
+    theta: Float[Array, " n"]  # heading error [rad]
+    delta: Float[Array, " n"]  # steering that goes with it, first guess of the MPC [rad]
+    Fxr: Float[Array, " n"]  # force that goes with it [N]
+    drift_start: Array = eqx.field(converter=as_float)  # the planned drift section, along the path [m]
+    drift_end: Array = eqx.field(converter=as_float)
+
+    def row(self, values: Float[Array, " n"], s: Array) -> Array:
+        """One column at arc length `s`, linear between rows, constant beyond the ends."""
+        q = jnp.clip((s - self.start) / self.spacing, 0.0, values.shape[0] - 1.0)
+        i = jnp.clip(jnp.floor(q).astype(int), 0, values.shape[0] - 2)
+        return values[i] + (q - i) * (values[i + 1] - values[i])
+
+    def reference(self, s: Float[Array, " N+1"]) -> Reference:
+        """Rows where the car is expected to be at each stage of the horizon."""
+        at = lambda values: jax.vmap(lambda one: self.row(values, one))(s)
+        return Reference(at(self.V), at(self.beta), at(self.r), at(self.e), at(self.theta), at(self.kappa))
+
+    def state(self, s: Array) -> tuple[State, Control]:
+        """Tracked state and its input at `s`."""
+        x = State(self.row(self.V, s), self.row(self.beta, s), self.row(self.r, s))
+        return x, Control(self.row(self.delta, s), self.row(self.Fxr, s))
+
+
+def expected_arc_lengths(s: Array, X: Float[Array, "N+1 5"], kappa: Float[Array, " N+1"], dt: Array) -> Array:
+    """Arc length (N+1,) along the horizon if the car moves as in the guess `X` = (V, beta, r, e, theta)."""
+    V, beta, _, e, theta = X.T
+    advance = dt * V * jnp.cos(theta + beta) / jnp.maximum(1 - e * kappa, 0.2)
+    return s + jnp.concatenate([jnp.zeros(1), jnp.cumsum(advance[:-1])])

@@ -1,0 +1,181 @@
+"""Closed-loop laps: many plants and seeds side by side, each with its own driver, under one scan."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, as_float, require
+from driftjax.sim.sensors import SensorConfig, measure
+from driftjax.track import Track
+from driftjax.vehicle import DoubleTrack, PlantState
+
+
+class LapCode(IntEnum):
+    """How a lap ended; anything but `COMPLETED` is a failure and keeps its code."""
+
+    RUNNING = 0
+    COMPLETED = 1
+    SPUN = 2
+    OFF_TRACK = 3
+    STALLED = 4
+    TIMEOUT = 5
+    NON_FINITE = 6
+
+
+@dataclass(frozen=True)
+class LapConfig:
+    """When a lap counts as failed, and the step of the plant."""
+
+    time_limit: float = 14.0
+    """Longest lap [s]."""
+    substeps: int = 50
+    """Plant steps per control step."""
+    spin_beta: float = 1.5
+    """Sideslip beyond which the car has spun [rad]."""
+    stall_speed: float = 1.5
+    """Speed below which the car has stalled [m/s]."""
+    lost_error: float = 8.0
+    """Distance from the planned path at which the lap is lost [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("time_limit", "substeps", "spin_beta", "lost_error"):
+            value = getattr(self, name)
+            require(value > 0, f"key '{name}' is {value}; it must be positive.")
+
+
+class Sensed(NamedTuple):
+    """What a driver knows of the car: measurements, and their projection onto the planned path."""
+
+    V: Array  # [m/s]
+    beta: Array  # [rad]
+    r: Array  # [rad/s]
+    x: Array  # [m]
+    y: Array  # [m]
+    psi: Array  # [rad]
+    s: Array  # arc length along the planned path [m]
+    e: Array  # offset from it, left positive [m]
+    theta: Array  # heading less that of the path, in (-pi, pi] [rad]
+
+
+class Trace(NamedTuple):
+    """One control step of every lane; a lap is a stack of these. Rows after the end of a lap repeat its last."""
+
+    alive: Array  # whether the lap was still being driven
+    sensed: Sensed
+    V: Array  # true values from here on
+    beta: Array
+    r: Array
+    x: Array
+    y: Array
+    psi: Array
+    s: Array
+    e: Array
+    delta: Array  # road-wheel angle reached [rad]
+    Fxr: Array  # axle force reached [N]
+    command: Control
+    decision: Any  # what the policy reports of itself
+
+
+class Laps(eqx.Module):
+    """Laps side by side: traces (lanes, steps), and how each ended."""
+
+    trace: Trace
+    code: Array  # (lanes,) of LapCode
+    dt: Array
+
+
+class _Carry(NamedTuple):
+    plant: PlantState
+    command: Control
+    s: Array
+    true_s: Array
+    code: Array
+    memory: Any
+
+
+Policy = Callable[[Sensed, Any, Array], tuple[Control, Any, Any]]
+
+
+def wrap(angle: Array) -> Array:
+    """The same angle in (-pi, pi]."""
+    return -jnp.mod(jnp.pi - angle, 2 * jnp.pi) + jnp.pi
+
+
+def keep_where(flag: Array, new: Any, old: Any) -> Any:
+    """`new` in the lanes where `flag`, `old` in the others, leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(flag.reshape(flag.shape + (1,) * (a.ndim - 1)), a, b), new, old)
+
+
+def _judge(plant: DoubleTrack, state: PlantState, command: Control, path: Track, s: Array, config: LapConfig):
+    """True arc length, offset, motion and lap code of one lane after a step."""
+    motion = plant.motion(state, command)
+    s, e = path.project(motion.x, motion.y, s)
+    code = jnp.where(s >= path.length - 0.5 * path.spacing, int(LapCode.COMPLETED), int(LapCode.RUNNING))
+    code = jnp.where(motion.V < config.stall_speed, int(LapCode.STALLED), code)
+    code = jnp.where(jnp.abs(e) > config.lost_error, int(LapCode.OFF_TRACK), code)
+    code = jnp.where(jnp.abs(motion.beta) > config.spin_beta, int(LapCode.SPUN), code)
+    finite = jnp.isfinite(motion.V) & jnp.isfinite(s) & jnp.isfinite(motion.r)
+    return s, e, motion, jnp.where(finite, code, int(LapCode.NON_FINITE))
+
+
+def drive(
+    plants: DoubleTrack,
+    paths: Track,
+    speed: Array,
+    policy: Policy,
+    memory: Any,
+    sensors: SensorConfig,
+    config: LapConfig,
+    *,
+    dt: float,
+    keys: Array,
+) -> Laps:
+    """Drive one lap in every lane (leading axis of `plants`, `paths`, `speed` [m/s], `memory`, `keys`).
+
+    `policy` maps what is sensed, its memory and the flags of the lanes still driving to commands, new memory and
+    a record of the decision. A lane that spins, stalls, leaves the path or becomes non-finite is frozen with its
+    code; the others go on. Seed k of a lane's noise depends on its own key only, so batches equal single laps.
+    """
+    step_time = as_float(dt)
+    x0, y0, psi0, _ = jax.vmap(lambda p: p.pose(0.0))(paths)
+    state = jax.vmap(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
+    zero = jnp.zeros_like(speed)
+    carry = _Carry(state, Control(zero, zero), zero, zero, jnp.full(speed.shape, int(LapCode.RUNNING)), memory)
+
+    def sense(plant, state, command, path, s, key):
+        motion = plant.motion(state, command)
+        m = measure(motion, sensors, key=key)
+        s, e = path.project(m.x, m.y, s)
+        return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
+
+    def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
+        alive = carry.code == int(LapCode.RUNNING)
+        key = jax.vmap(lambda one: jax.random.fold_in(one, k))(keys)
+        motion, sensed = jax.vmap(sense)(plants, carry.plant, carry.command, paths, carry.s, key)
+        command, memory, decision = policy(sensed, carry.memory, alive)
+        advance = jax.vmap(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
+        after = advance(plants, carry.plant, command)
+        judged = jax.vmap(_judge, in_axes=(0, 0, 0, 0, 0, None))
+        true_s, _, _, code = judged(plants, after, command, paths, carry.true_s, config)
+        now_s, now_e, _, _ = judged(plants, carry.plant, command, paths, carry.true_s, config)
+        new = keep_where(alive, _Carry(after, command, sensed.s, true_s, code, memory), carry)
+        trace = Trace(alive, sensed, *motion[:6], now_s, now_e, motion.delta, motion.Fxr, command, decision)
+        return new, trace
+
+    steps = jnp.arange(int(config.time_limit / dt))
+    shapes = jax.eval_shape(lambda c: step(c, steps[0])[1], carry)
+    blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+    def step_or_rest(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
+        anyone = jnp.any(carry.code == int(LapCode.RUNNING))
+        return jax.lax.cond(anyone, step, lambda c, _: (c, blank), carry, k)
+
+    last, trace = jax.lax.scan(step_or_rest, carry, steps)
+    code = jnp.where(last.code == int(LapCode.RUNNING), int(LapCode.TIMEOUT), last.code)
+    return Laps(jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), trace), code, step_time)
