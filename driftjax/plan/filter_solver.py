@@ -291,5 +291,5 @@ def solve(ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, o
     done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
     failed = RESULTS.where(end.failures >= GIVE_UP, RESULTS.stalled, RESULTS.not_converged)
     failed = RESULTS.where(jnp.isfinite(end.kkt) & jnp.isfinite(end.violation), failed, RESULTS.non_finite)
-    result = RESULTS.where(done, RESULTS.successful, failed)
+    result = RESULTS.where(done, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
     return Solution(end.w.X, end.w.U, problem.objective(end.w), end.kkt, end.violation, end.num_steps, result)

@@ -1,4 +1,4 @@
-"""The minimum-time plan: solve from several guesses side by side, keep the fastest that converged."""
+"""The minimum-time plan: solve from several guesses, keep the fastest that converged."""
 
 from collections.abc import Callable
 
@@ -9,12 +9,12 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from driftjax.core import RESULTS, Control, State
+from driftjax.core import RESULTS, Control, State, as_float
 from driftjax.plan.config import PlanConfig
+from driftjax.plan.filter_solver import solve
 from driftjax.plan.nodes import nodes
 from driftjax.plan.problem import Limits, MinimumTime, Stage
 from driftjax.plan.stages import guesses, stages
-from driftjax.plan.filter_solver import solve
 from driftjax.solve import Options
 from driftjax.solve import Plan as Solution
 from driftjax.track import Track, check_width, resample
@@ -67,23 +67,23 @@ class Plan(eqx.Module):
 
 def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, model=None) -> MinimumTime:
     """The optimal control problem of `plan`, in its scaled units."""
-    limits = Limits(config.V_min, config.V_max, vehicle.delta_max, vehicle.delta_rate_max,
-                    vehicle.Fxr_min, vehicle.Fxr_max, vehicle.Fxr_rate_max, config.end_slip)  # fmt: skip
+    bounds = (config.V_min, config.V_max, vehicle.delta_max, vehicle.delta_rate_max, vehicle.Fxr_min,
+              vehicle.Fxr_max, vehicle.Fxr_rate_max, config.end_slip)  # fmt: skip
+    limits = Limits(*map(as_float, bounds))
     kappa = np.abs(np.asarray(stage.kappa))
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
     e0 = float(np.mean(np.asarray(stage.e_max - stage.e_min))) / 2
     model = vehicle.build() if model is None else model
-    limits = jax.tree.map(lambda v: jnp.asarray(v, jnp.result_type(float)), limits)
     return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, config.rate_weight)
 
 
 @eqx.filter_jit
 def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
-    """Solutions from guesses `X` (k, n, 7), side by side."""
+    """Solutions from guesses `X` (k, n, 7), one after the other."""
     slowness = jax.vmap(jax.vmap(ocp.slowness), (0, None))(X, stage.kappa[:, 0])[:, :-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
     U = jnp.clip(jnp.diff(X[:, :, 5:] * ocp.scale[5:], axis=1) / (ocp.ds * slowness) / full, -0.8, 0.8)
-    return jax.lax.map(lambda XU: solve(ocp, x0, stage, *XU, options), (X, U))
+    return jax.lax.map(lambda XU: solve(ocp, x0, stage, XU[0], XU[1], options), (X, U))
 
 
 def _fastest(found: Solution) -> Solution:
@@ -123,8 +123,16 @@ def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, found: Solut
     widths = ((w_right + e) / along, (w_left - e) / along)
     path = resample(S, px, py, course, kappa, *widths, count - track.closed, track.closed)
     drift = (beta * r < 0) & (jnp.abs(beta) > label_beta)
-    return Plan(s, t, V, beta, r, e, theta, delta, Fxr, x, y, psi, S, drift, path, t[-1], closing, best.violation, best.kkt,
-                best.num_steps, result)  # fmt: skip
+    return Plan(
+        *(s, t, V, beta, r, e, theta, delta, Fxr, x, y, psi, S, drift),
+        path=path,
+        lap_time=t[-1],
+        closing=closing,
+        violation=best.violation,
+        kkt=best.kkt,
+        num_steps=best.num_steps,
+        result=result,
+    )
 
 
 def _step_times(ocp: MinimumTime, X: Array, U: Array, stage: Stage) -> Array:

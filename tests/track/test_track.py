@@ -140,9 +140,9 @@ def test_curvilinear_rates_against_the_world_frame():
         s, e, theta = w
         return [float(d) for d in curvilinear_rates(V(t), beta(t), r(t), e, theta, kappa(s))]
 
-    options = {"rtol": 1e-8, "atol": 1e-9, "max_step": 0.05}
-    x, y, psi = solve_ivp(world, (0, 3.5), [0.0, 0.5, 0.1], **options).y[:, -1]
-    s, e, theta = solve_ivp(frame, (0, 3.5), [0.0, 0.5, 0.1], **options).y[:, -1]
+    drive = lambda rates: solve_ivp(rates, (0, 3.5), [0.0, 0.5, 0.1], rtol=1e-8, atol=1e-9, max_step=0.05).y[:, -1]
+    x, y, psi = drive(world)
+    s, e, theta = drive(frame)
     np.testing.assert_allclose(track.position(s, e), [x, y], atol=5e-3)
     assert theta + float(track.pose(s)[2]) == pytest.approx(psi, abs=1e-3)
 
@@ -169,7 +169,7 @@ def test_measured_tracks_load_closed_with_their_length(name, length):
     assert track.closed and float(track.length) == pytest.approx(length, rel=3e-3)
     assert abs(float(track.turn)) == pytest.approx(2 * np.pi)
     points = np.loadtxt(path, delimiter=",")[::7, :2]
-    _, (_, e) = projections(track, *jnp.asarray(points.T), jnp.zeros(len(points)))
+    _, (_, e) = projections(track, jnp.asarray(points[:, 0]), jnp.asarray(points[:, 1]), jnp.zeros(len(points)))
     assert np.abs(e).max() < 5e-3  # the spline goes through the measured points
     if not name.startswith("tum"):  # widths measured to a border that comes to a point inside the bend
         with pytest.raises(BadInput, match=r"_center\.csv, row \d+: the inner border folds"):
