@@ -19,7 +19,7 @@ from jax import Array
 from matplotlib.figure import Figure
 
 from driftjax.core import RESULTS, Control, State, require
-from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, solve_at
+from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, preference, solve_at
 from driftjax.vehicle import SingleTrack, load_vehicle
 from driftjax.vehicle.single_track import G
 
@@ -124,8 +124,7 @@ def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
 def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.ndarray, title: str) -> Figure:
     """One row per branch, one column per unknown; where there is no such steady state the map is hatched.
 
-    Beyond the ratio where the countersteer root's front axle passes its peak, both drifts are front saturated by
-    their slip angles: shown is the one with more steering into the turn, which continues that branch.
+    Of two on one branch the one with more sideslip is shown, then the one with more steering into the turn.
     """
     kind = np.asarray(points.kind)
     force = 1e3 if np.nanmax(np.abs(np.asarray(points.u.Fxr)[found]), initial=0.0) > 1e3 else 1.0
@@ -138,9 +137,9 @@ def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.
     for row, branch in zip(axes, SHOWN, strict=True):
         match = found & (kind == branch)
         exists = match.any(axis=1)
-        last = match.shape[1] - 1 - np.argmax(match[:, ::-1], axis=1)  # roots ascend in steering
+        best = np.argmax(np.where(match, preference(points.x, points.u), -np.inf), axis=1)
         for axis, (label, values, colours) in zip(row, columns, strict=True):
-            level = np.where(exists, np.take_along_axis(values, last[:, None], axis=1)[:, 0], np.nan)
+            level = np.where(exists, np.take_along_axis(values, best[:, None], axis=1)[:, 0], np.nan)
             axis.set_facecolor("0.93")
             axis.patch.set(hatch="///", edgecolor="0.75")
             level = np.ma.masked_invalid(level.reshape(len(ratios), len(speeds)))

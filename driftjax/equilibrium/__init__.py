@@ -7,6 +7,7 @@ from driftjax.equilibrium.decoupled import Roots as Roots
 from driftjax.equilibrium.decoupled import decoupled_roots as decoupled_roots
 from driftjax.equilibrium.decoupled import drift_roots as drift_roots
 from driftjax.equilibrium.decoupled import pick as pick
+from driftjax.equilibrium.decoupled import preference as preference
 from driftjax.equilibrium.solve import ANY as ANY
 from driftjax.equilibrium.solve import Equilibrium as Equilibrium
 from driftjax.equilibrium.solve import SlipRadius as SlipRadius

@@ -98,9 +98,17 @@ def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
     return Roots(x, u, jnp.where(found, classify(nominal, x, u), -1), found)
 
 
+def preference(x: State, u: Control) -> Array:
+    """Orders roots of one kind: most sideslip, then most steering into the turn; the same for both turns."""
+    return jnp.abs(x.beta) + 1e-6 * jnp.sign(x.r) * u.delta
+
+
 def pick(roots: Roots, branch: Array | int) -> tuple[State, Control, Array]:
-    """State and control of the first root of kind `branch`, and whether there is one (else any values)."""
+    """The root of kind `branch` with the most sideslip, and whether there is one (else any values).
+
+    Close to V r = mu g a branch may hold two: the other, near the rear axle's peak, is not a drift one can hold.
+    """
     match = roots.kind == branch
-    row = jnp.argmax(match)
+    row = jnp.argmax(jnp.where(match, preference(roots.x, roots.u), -jnp.inf))
     x, u = jax.tree.map(lambda leaf: leaf[row], (roots.x, roots.u))
     return x, u, match[row]

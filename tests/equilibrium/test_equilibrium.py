@@ -105,10 +105,13 @@ def test_tight_rc_corner_below_the_limit_has_no_drift():
 
 def test_right_turn_mirrors_left_turn():
     car = CARS["sedan"]
-    left, right = (nominal(car, jnp.asarray(9.0), jnp.asarray(r), Branch.COUNTERSTEER) for r in (1.1, -1.1))
-    np.testing.assert_allclose(right.x.beta, -left.x.beta, rtol=1e-9)
-    np.testing.assert_allclose(right.u.delta, -left.u.delta, rtol=1e-9)
-    np.testing.assert_allclose(right.u.Fxr, left.u.Fxr, rtol=1e-9)
+    for r in (1.1, 0.98 * 9.81 / 9.0):  # at the second the branch holds two drifts
+        for branch in (Branch.COUNTERSTEER, Branch.FRONT_SATURATED):
+            left, right = (nominal(car, jnp.asarray(9.0), jnp.asarray(yaw), branch) for yaw in (r, -r))
+            assert left.result == RESULTS.successful
+            np.testing.assert_allclose(right.x.beta, -left.x.beta, rtol=1e-9)
+            np.testing.assert_allclose(right.u.delta, -left.u.delta, rtol=1e-9)
+            np.testing.assert_allclose(right.u.Fxr, left.u.Fxr, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", CARS)
