@@ -1,0 +1,132 @@
+"""What a person may choose about `driftjax learn`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from driftjax.control.driver import SwitchConfig
+from driftjax.control.mpc import MPCConfig
+from driftjax.control.pursuit import PursuitConfig
+from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.sim import LapConfig
+
+Controller = Literal["path", "paper"]
+
+
+@dataclass(frozen=True)
+class GPConfig:
+    """Data and fit of the residual model."""
+
+    size: int = 200
+    """Largest number of informative points kept."""
+    num_fit: int = 100
+    """Points on which the marginal likelihood is maximised."""
+    restarts: int = 2
+    """Starts of that maximisation."""
+    max_iterations: int = 25
+    """Iterations of each."""
+    kernel: Literal["se", "matern52"] = "se"
+    """Kernel: squared exponential or Matern-5/2, one length scale per input."""
+
+    def __post_init__(self) -> None:
+        require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
+        require(self.num_fit >= 10, f"key 'num_fit' is {self.num_fit}; give at least 10 points.")
+        require(self.restarts >= 1, f"key 'restarts' is {self.restarts}; give at least 1.")
+        require(self.max_iterations >= 1, f"key 'max_iterations' is {self.max_iterations}; give at least 1.")
+
+
+@dataclass(frozen=True)
+class ExploreConfig:
+    """V-sets (Eq. 9) and Algorithm 1."""
+
+    w1: float = 100.0
+    """Weight on the smoothness of the speed curve."""
+    w2: float = 5.0
+    """Weight on following r_b e."""
+    P: tuple[float, float, float] = (2.0, 1.0, 1.0)
+    """Weights on the variances of dV, dbeta and dr."""
+    lam: float = 0.55
+    """lambda: 1 seeks variance only, 0 nearness only."""
+    num_sets: int = 3
+    """Number of nested bounds on gamma, so of candidate speeds."""
+    gamma_share: float = 0.04
+    """Widest bound on gamma, as a share of the planned cornering speed [-]."""
+
+    def __post_init__(self) -> None:
+        require(self.w1 > 0 and self.w2 > 0, "keys 'w1' and 'w2' must be positive.")
+        require(min(self.P) >= 0, f"key 'P' is {self.P}; no weight may be negative.")
+        require(0 <= self.lam <= 1, f"key 'lam' is {self.lam}; lambda lies in 0..1.")
+        require(self.num_sets >= 0, f"key 'num_sets' is {self.num_sets}; give 0 for no exploration, or more.")
+        require(0 < self.gamma_share < 0.5, f"key 'gamma_share' is {self.gamma_share}; give a share below 0.5.")
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """Weights that differ between the controllers compared."""
+
+    Q: tuple[float, float, float]
+    """Weights on V [m/s], beta [rad] and r [rad/s]."""
+    Q_path: tuple[float, float]
+    """Weights on e [m] and theta [rad]; zeros for the paper's controller."""
+
+    def __post_init__(self) -> None:
+        require(min(self.Q + self.Q_path) >= 0, f"keys 'Q' and 'Q_path' hold {self.Q}, {self.Q_path}; none may be negative.")
+
+
+@dataclass(frozen=True)
+class LearnConfig:
+    """The paper's experiment on one car: nominal laps, GP laps, exploration, over a batch of plants."""
+
+    car: str = "sedan"
+    """Name of the car whose shipped settings are the defaults: sedan or rc."""
+    vehicle: Path = Path("sedan")
+    """Nominal car: a shipped name or a vehicle YAML."""
+    track: Path = Path("sedan_corner")
+    """Track: a shipped name, a track YAML or a CSV of x,y,w_right,w_left."""
+    plan: Path = Path("sedan")
+    """Options of the minimum-time planner: a shipped name or a YAML."""
+    sensors: Path = Path("sedan")
+    """Sensor noise: a shipped name or a YAML."""
+    plants: int = 4
+    """Plants drawn from the car's distribution and driven side by side."""
+    plant: tuple[Path, ...] = ()
+    """Plants by shipped name or YAML instead of drawn ones."""
+    noise_seeds: int = 1
+    """Noise seeds per plant."""
+    seed: int = 0
+    """Seed of plants and noise."""
+    controllers: tuple[Controller, ...] = ("path", "paper")
+    """Controllers driven side by side: `path` also tracks e and theta, `paper` is the paper's."""
+    reference: Literal["entry", "step"] = "entry"
+    """Reference along s: planned with its entry on the corrected car, or the paper's step to the equilibrium."""
+    gpr_laps: int = 3
+    """Most GP laps; fewer where the error has converged."""
+    converged: float = 0.05
+    """Relative change of the mean lateral error below which GP laps have converged."""
+    compare: bool = True
+    """Also drive the other rows of the paper's table: pure pursuit, LQR, single-layer GPR-MPC."""
+    drift_beta: float = 0.436332
+    """Sideslip of the drift equilibrium that is aimed at, magnitude [rad]."""
+    mpc: MPCConfig = field(default_factory=MPCConfig)
+    path: ControllerConfig = ControllerConfig((5.0, 100.0, 50.0), (30.0, 0.0))
+    paper: ControllerConfig = ControllerConfig((1.0, 700.0, 500.0), (0.0, 0.0))
+    switch: SwitchConfig = field(default_factory=SwitchConfig)
+    pursuit: PursuitConfig = field(default_factory=PursuitConfig)
+    lap: LapConfig = field(default_factory=LapConfig)
+    gp: GPConfig = field(default_factory=GPConfig)
+    explore: ExploreConfig = field(default_factory=ExploreConfig)
+
+    def __post_init__(self) -> None:
+        require(self.plants >= 1, f"key 'plants' is {self.plants}; give at least 1.")
+        require(self.noise_seeds >= 1, f"key 'noise_seeds' is {self.noise_seeds}; give at least 1.")
+        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
+        require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")
+        require(self.gpr_laps >= 1, f"key 'gpr_laps' is {self.gpr_laps}; give at least 1.")
+        require(self.converged >= 0, f"key 'converged' is {self.converged}; it must not be negative.")
+        require(0 < self.drift_beta < 1.2, f"key 'drift_beta' is {self.drift_beta}; give radians between 0 and 1.2.")
+
+
+def load_learn_config(name: str | Path) -> LearnConfig:
+    """Read a learn YAML: a path, or the name of a shipped one (`sedan`, `rc`)."""
+    path = find_config("learn", name)
+    return from_dict(LearnConfig, read_yaml(path), str(path))
