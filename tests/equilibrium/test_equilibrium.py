@@ -157,7 +157,8 @@ def test_a_wrong_guess_never_passes_for_the_branch_asked_for():
 
 def test_throw_raises_the_sentence():
     car = CARS["sedan"]
-    x, u, _ = pick(decoupled_roots(car, jnp.asarray(9.0), jnp.asarray(1.1)), Branch.FRONT_SATURATED)
+    other = nominal(car, jnp.asarray(9.0), jnp.asarray(1.1), Branch.FRONT_SATURATED)
+    x, u = other.x, other.u
     with pytest.raises(eqx.EquinoxRuntimeError, match="another branch"):
         solve(car, car, SpeedYaw(9.0, 1.1), (x, u), branch=Branch.COUNTERSTEER, throw=True)
 
