@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracle import balance, nearest, steady_states
+from scipy_steady_states import balance, nearest, steady_states
 
 from driftjax.core import RESULTS, Control, State, rk4_step
 from driftjax.equilibrium import (

@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from oracle import balance
+from scipy_steady_states import balance
 
 from driftjax.core import BadInput
 from driftjax.vehicle import load_vehicle
