@@ -79,26 +79,24 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
 
 @eqx.filter_jit
 def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
-    """Solutions from guesses `X` (k, n, 7), one after the other."""
-    slowness = jax.vmap(jax.vmap(ocp.slowness), (0, None))(X, stage.kappa[:, 0])[:, :-1, None]
+    """Solution from the guess `X` (n, 7); its input rates follow from its inputs and speeds."""
+    slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
-    U = jnp.clip(jnp.diff(X[:, :, 5:] * ocp.scale[5:], axis=1) / (ocp.ds * slowness) / full, -0.8, 0.8)
-    return jax.lax.map(lambda XU: solve(ocp, x0, stage, XU[0], XU[1], options), (X, U))
+    U = jnp.clip(jnp.diff(X[:, 5:] * ocp.scale[5:], axis=0) / (ocp.ds * slowness) / full, -0.8, 0.8)
+    return solve(ocp, x0, stage, X, U, options)
 
 
-def _fastest(found: Solution) -> Solution:
+def _fastest(found: list[Solution]) -> Solution:
     """The cheapest of the converged solutions; where none is, the one that violates least."""
-    good = found.result == RESULTS.successful
-    rank = jnp.where(good, found.cost, jnp.inf)
-    violation = jnp.where(jnp.isfinite(found.violation), found.violation, jnp.inf)
-    best = jnp.where(jnp.any(good), jnp.argmin(rank), jnp.argmin(violation))
-    return jax.tree.map(lambda v: v[best], found)
+    good = [one for one in found if one.result == RESULTS.successful]
+    if good:
+        return min(good, key=lambda one: float(one.cost))
+    return min(found, key=lambda one: float(jnp.where(jnp.isfinite(one.violation), one.violation, jnp.inf)))
 
 
 @eqx.filter_jit
-def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, found: Solution, label_beta: Array, cut) -> Plan:
+def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Solution, label_beta: Array, cut) -> Plan:
     """The plan in SI, in the world, cut to its lap, with the path that it drives."""
-    best = _fastest(found)
     states = best.X * ocp.scale
     time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(_step_times(ocp, best.X, best.U, stage))])
     violated = (best.violation > VIOLATED) & (best.result != RESULTS.non_finite)
@@ -171,8 +169,10 @@ def plan(
     at = nodes(track, vehicle.a + vehicle.b, config)
     stage, corners = stages(track, vehicle, config, at.s)
     ocp = problem(vehicle, config, stage, at.s[1] - at.s[0], model)
-    X = jnp.asarray(guesses(at.s, stage, corners, vehicle, config)) / ocp.scale
     x0 = jnp.zeros(7).at[0].set(config.entry_speed) / ocp.scale
     options = Options(tolerance=config.tolerance, barrier=BARRIER, max_steps=config.max_steps)
-    found = _solve(ocp, x0, stage, X, options)
-    return _finish(ocp, track, stage, jnp.asarray(at.s), found, jnp.asarray(config.label_beta), (at.first, at.last))
+    first = [jnp.asarray(X) / ocp.scale for X in guesses(at.s, stage, corners, vehicle, config)]
+    found = [_solve(ocp, x0, stage, X, options) for X in first]
+    best = _fastest(found)
+    label_beta = jnp.asarray(config.label_beta)
+    return _finish(ocp, track, stage, jnp.asarray(at.s), best, label_beta, (at.first, at.last))
