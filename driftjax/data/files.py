@@ -1,0 +1,97 @@
+"""Files that are either whole or absent."""
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from driftjax.core import BadInput
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, sync it to the disk, then put it in place of `path`."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o666 & ~_umask())
+        _sync(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync(path.parent)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_netcdf(path: Path, data: xr.Dataset) -> None:
+    """Write `data`, compressed, as netCDF-4."""
+    packed = {
+        name: {"zlib": True, "complevel": 4}
+        for name, variable in data.variables.items()
+        if variable.ndim > 0 and variable.dtype.kind in "fib"
+    }
+    write_atomically(path, lambda p: data.to_netcdf(p, engine="h5netcdf", encoding=packed))
+
+
+def read_netcdf(path: Path) -> xr.Dataset:
+    """The whole dataset in memory; raises `BadInput` that names the file."""
+    try:
+        with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
+            return data.load()
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file; the run has not got that far.") from None
+    except OSError as error:
+        raise BadInput(f"{path}: not a readable netCDF file ({error}); delete it and resume the run.") from None
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write strict JSON: numbers that are not finite become null."""
+    text = json.dumps(plain(values), indent=2, allow_nan=False)
+    write_atomically(path, lambda p: p.write_text(text + "\n", encoding="utf-8"))
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds; raises `BadInput` that names the file."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file; the run has not got that far.") from None
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: not readable JSON ({error}); delete it and resume the run.") from None
+
+
+def plain(value: Any) -> Any:
+    """`value` in JSON's own types: arrays as lists, paths as strings, non-finite numbers as None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, str | bool | None):
+        return str(value) if isinstance(value, str) else value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return plain(np.asarray(value).tolist())

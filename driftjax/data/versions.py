@@ -1,0 +1,46 @@
+"""What a run was made with."""
+
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import jax
+
+from driftjax import __version__
+
+PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of the packages and of Python, the machine, the device, the commit and the time."""
+    found: dict[str, str | None] = {"driftjax": __version__} | {name: _version(name) for name in PACKAGES}
+    return found | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
+        "commit": commit(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def commit() -> str | None:
+    """Git commit of the checkout that runs, with `+changes` where files differ; None outside a checkout."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    git = ["git", "-C", str(root)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+        changes = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head.stdout.strip() + ("+changes" if changes.stdout.strip() else "")
