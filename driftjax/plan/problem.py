@@ -88,10 +88,6 @@ class MinimumTime(AbstractOCP):
         k4 = self.slope(x + h * k3, u, p.kappa[2])
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
-    def curvature(self, x: Array, u: Array, p: Stage) -> Array:
-        """Euler's step: its second derivatives are a fair stand-in, at a fraction of the work."""
-        return x + self.ds * self.slope(x, u, p.kappa[1])
-
     def cost(self, x: Array, u: Array, p: Stage) -> Array:
         """Time of the stage and the price of its rates, in units of L0/V0."""
         time = p.share * self.ds * self.slowness(x, p.kappa[0]) * self.V0 / self.L0
