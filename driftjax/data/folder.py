@@ -24,20 +24,26 @@ BLANK = {"f": np.nan, "b": False, "i": -1}  # what stands for a lane or step tha
 class RunFolder:
     """One run on disk; every file is either whole or absent."""
 
-    def __init__(self, path: Path, config: dict[str, Any], made: tuple[Path, ...] = ()) -> None:
+    def __init__(self, path: Path, config: dict[str, Any], made: tuple[Path, ...] | None = None) -> None:
         self.path, self.config, self._made = path, config, made
 
     @classmethod
-    def create(cls, path: str | Path, config: dict[str, Any]) -> "RunFolder":
-        """New folder with `config`; raises `BadInput` where one cannot be written or holds a run already."""
+    def create(cls, path: str | Path, config: dict[str, Any], verb: str = "learn") -> "RunFolder":
+        """New folder for what `driftjax <verb>` does with `config`.
+
+        Raises `BadInput` where it cannot be written or holds a run already.
+        """
         path = Path(path)
-        if (path / CONFIG).exists():
-            raise BadInput(f"{path}: already holds a run; continue it with --resume {path}, or give another --out.")
-        made = tuple(p for p in (path, *path.parents) if not p.exists())
+        try:
+            if (path / CONFIG).exists():
+                raise BadInput(f"{path}: already holds a run; continue it with --resume {path}, or give another --out.")
+            made = tuple(p for p in (path, *path.parents) if not p.exists())
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another --out.") from None
         folder = cls(path, config, made)
         try:
             (path / "stages").mkdir(parents=True, exist_ok=True)
-            files.write_json(path / "versions.json", versions())
+            files.write_json(path / "versions.json", {"verb": verb} | versions())
             text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
             files.write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
         except OSError as error:
@@ -54,8 +60,10 @@ class RunFolder:
         return cls(path, read_yaml(path / CONFIG))
 
     def discard(self) -> None:
-        """Undo `create`: remove the run's files, and every folder that it made."""
-        if not self._made and self.path.is_dir():
+        """Undo `create`: remove the run's files, and every folder that it made. Opened runs stay."""
+        if self._made is None:
+            return
+        if not self._made:
             for name in (CONFIG, "versions.json", "plan.nc"):
                 (self.path / name).unlink(missing_ok=True)
             shutil.rmtree(self.path / "stages", ignore_errors=True)
@@ -67,8 +75,13 @@ class RunFolder:
 
     @property
     def created(self) -> str:
-        """When the run was started, ISO 8601."""
+        """When the run was started, ISO 8601, UTC."""
         return str(self.read_json("versions").get("created", ""))
+
+    @property
+    def verb(self) -> str:
+        """The verb that made the run."""
+        return str(self.read_json("versions").get("verb", "learn"))
 
     def finished(self) -> list[str]:
         """Names of the finished stages, in order."""
