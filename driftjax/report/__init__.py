@@ -1,1 +1,6 @@
 """Figures, tables and the HTML page of a run, from its folder alone."""
+
+from driftjax.report.page import write_report as write_report
+from driftjax.report.plan import write_plan_figures as write_plan_figures
+from driftjax.report.table import run_line as run_line
+from driftjax.report.table import table as table

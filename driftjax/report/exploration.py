@@ -1,0 +1,82 @@
+"""What exploration does: the speed sets it draws up and the data that the GP ends with."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from driftjax.data import RunFolder
+from driftjax.report.laps import key_stages
+from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, new_figure, stage_label
+
+PANELS = 4  # plants shown at most
+
+
+def speed_sets(run: RunFolder, controller: str) -> Figure | None:
+    """V-sets of the first explored stage: origin, trend, bounds and generated speeds, a panel per plant."""
+    name = next((stage for stage in run.finished() if stage.startswith("explore-")), None)
+    data = run.read_stage(name) if name else None
+    if data is None or "vset_V" not in data:
+        return None
+    lanes = np.flatnonzero(data["controller"].values == controller)[:PANELS]
+    if not lanes.size:
+        return None
+    columns = min(2, len(lanes))
+    rows = -(-len(lanes) // columns)
+    figure, axes = new_figure(rows, columns, (4.6 * columns + 0.6, 2.9 * rows + 1.0), sharex=True, sharey=True)
+    for axis, lane in zip(axes.flat, lanes, strict=False):
+        one = data.isel(lane=int(lane))
+        s, origin = one["vset_s"].values, one["vset_origin"].values
+        bounds = one["vset_lower"].values, one["vset_upper"].values
+        axis.fill_between(s, *bounds, color="0.88", lw=0, label="widest bounds")
+        axis.plot(s, origin, color=GPR, lw=2.2, label="initial speed")
+        low, high = bounds[0].min(), bounds[1].max()
+        trend = origin + one["vset_target"].values
+        axis.plot(s, trend, color=EXPLORED, lw=1.8, label="initial speed + trend r_b e")
+        for k, V in enumerate(one["vset_V"].values):
+            axis.plot(s, V, color=GPR, lw=1.2, ls="--", label="generated speeds" if k == 0 else None)
+        reach = 0.35 * max(high - low, 1e-3)  # shown beyond the bounds; thrice this where the trend goes there
+        below = np.clip(trend.min(), low - 3 * reach, low - reach)
+        axis.set_ylim(float(below), float(np.clip(trend.max(), high + reach, high + 3 * reach)))
+        axis.margins(x=0)
+        axis.set_title(f"plant {one['plant'].values}")
+    for axis in list(axes.flat)[len(lanes) :]:
+        axis.set_visible(False)
+    figure.supxlabel("arc length s along the planned path [m]", fontsize=10)
+    figure.supylabel("speed V [m/s]", fontsize=10)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    figure.suptitle(f"{CONTROLLERS.get(controller, controller)}: speed sets of {stage_label(str(name))}", fontsize=10.5)
+    return figure
+
+
+def _points(run: RunFolder, stage: str, controller: str) -> np.ndarray:
+    """GP inputs of all plants pooled (points, 5)."""
+    data = run.read_stage(stage)
+    if "gp_Z" not in data:
+        return np.zeros((0, 5))
+    mine = data["controller"].values == controller
+    return data["gp_Z"].values[mine][data["gp_mask"].values[mine].astype(bool)]
+
+
+def gp_data(run: RunFolder, controller: str) -> Figure | None:
+    """Where the GP's data lie in speed, sideslip and yaw rate, before and after exploration."""
+    keys = key_stages(run)
+    sets = {keys[key]: _points(run, keys[key], controller) for key in ("gpr", "explored") if key in keys}
+    if len(sets) < 2 or not all(len(points) for points in sets.values()):
+        return None
+    figure, axes = new_figure(1, 2, (9.0, 4.3), sharex=True)
+    before, after = sets
+    styles = {after: {"edgecolors": EXPLORED, "s": 26, "facecolors": "none", "linewidths": 0.9, "alpha": 0.7},
+              before: {"color": GPR, "s": 11, "alpha": 0.75, "linewidths": 0}}  # fmt: skip
+    rows = ((1, "sideslip beta [deg]"), (2, "yaw rate r [deg/s]"))
+    for axis, (column, label) in zip(axes[0], rows, strict=True):
+        for name, style in styles.items():
+            words = "before exploration" if name == before else "after exploration"
+            points = sets[name]
+            words += f" ({stage_label(name)}, {len(points)} points)"
+            axis.scatter(points[:, 0], np.rad2deg(points[:, column]), label=words, **style)
+        axis.set(xlabel="speed V [m/s]", ylabel=label)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    label = CONTROLLERS.get(controller, controller)
+    figure.suptitle(f"{label}: data of the Gaussian process, all plants", fontsize=10.5)
+    return figure

@@ -1,0 +1,72 @@
+"""Laps of a stage as curves over arc length."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from driftjax.data import RunFolder, code_names
+
+
+@dataclass(frozen=True)
+class Lap:
+    """One lane of a stage, up to its end."""
+
+    plant: str
+    seed: int
+    code: str  # how it ended
+    completed: bool
+    values: dict[str, np.ndarray]  # (steps driven,), by variable
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.values[name]
+
+    def over(self, s: np.ndarray, name: str) -> np.ndarray:
+        """Variable `name` at arc lengths `s`; NaN where the lap did not get."""
+        along = np.maximum.accumulate(self.values["s"]) if self.values["s"].size else np.array([np.nan])
+        if self.values["s"].size < 2:
+            return np.full(s.shape, np.nan)
+        return np.interp(s, along, self.values[name], left=np.nan, right=np.nan)
+
+
+def laps_of(data: xr.Dataset, controller: str) -> list[Lap]:
+    """Laps of one controller in a stage, in the order of plants and seeds."""
+    names, found = code_names(data), []
+    series = [str(name) for name in data.data_vars if data[name].dims == ("lane", "step")]
+    for lane in np.flatnonzero(data["controller"].values == controller):
+        one = data.isel(lane=int(lane))
+        alive = one["alive"].values.astype(bool)
+        values = {name: one[name].values[alive] for name in series}
+        code = names.get(int(one["code"]), "UNKNOWN")
+        found.append(Lap(str(one["plant"].values), int(one["seed"]), code, bool(one["completed"]), values))
+    return found
+
+
+def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
+    """Mean over the completed laps (over all, where none is) of `curve(lap, s)`; NaN where none got."""
+    chosen = [lap for lap in laps if lap.completed] or laps
+    rows = np.stack([curve(lap, s) for lap in chosen])
+    count = np.isfinite(rows).sum(axis=0)
+    return np.where(count > 0, np.nansum(rows, axis=0) / np.maximum(count, 1), np.nan)
+
+
+def key_stages(run: RunFolder) -> dict[str, str]:
+    """Stages that the paper compares, as far as they finished: nominal, the last GPR lap, the last explored lap."""
+    names = run.finished()
+    found = {"nominal": "nominal"} if "nominal" in names else {}
+    for key, prefix in (("gpr", "gpr-"), ("explored", "explore-")):
+        if matching := [name for name in names if name.startswith(prefix)]:
+            found[key] = matching[-1]
+    return found
+
+
+def controllers_of(run: RunFolder) -> list[str]:
+    """Drift controllers of the learning stages, in order of appearance."""
+    stages = list(key_stages(run).values())
+    return list(dict.fromkeys(name for stage in stages for name in run.read_stage(stage)["controller"].values.tolist()))
+
+
+def controlled_span(laps: list[Lap]) -> tuple[float, float] | None:
+    """Median arc lengths between which the drift controller drove the completed laps [m]."""
+    spans = [(lap["s"][d].min(), lap["s"][d].max()) for lap in laps if (d := lap["drifting"].astype(bool)).any()]
+    return (float(np.median([a for a, _ in spans])), float(np.median([b for _, b in spans]))) if spans else None

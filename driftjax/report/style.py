@@ -1,0 +1,76 @@
+"""Colours, sections and saving: what all figures share."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+NOMINAL, GPR, EXPLORED, OTHER = "#4D4D4D", "#0072B2", "#C8102E", "#A08040"
+NORMAL, DRIFT = "#0072B2", "#C8102E"  # segments of the plan, as in the paper
+PINK, YELLOW, ORANGE = "#F6C6D0", "#FFF3B8", "#FAD7A8"
+ERROR_LABEL = "lateral error against the\nplanned minimum-time path [m]"
+CONTROLLERS = {
+    "path": "path-tracking controller",
+    "paper": "paper's controller",
+}
+STYLE: dict[Any, Any] = {
+    "font.size": 10.0, "axes.titlesize": 10.5, "axes.labelsize": 10.0, "legend.fontsize": 9.0, "axes.grid": True,
+    "grid.alpha": 0.25, "grid.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False,
+    "lines.linewidth": 1.6, "legend.framealpha": 0.9, "pdf.fonttype": 42, "savefig.dpi": 140,
+}  # fmt: skip
+
+
+def stage_colour(name: str) -> str:
+    """Grey nominal, blue GPR, red explored, tan for the controllers compared with."""
+    if name == "nominal":
+        return NOMINAL
+    if name.startswith("gpr"):
+        return GPR
+    return EXPLORED if name.startswith("explore") else OTHER
+
+
+def stage_label(name: str) -> str:
+    """How figures and tables call a stage."""
+    kind, _, number = name.partition("-")
+    if kind == "gpr":
+        return f"GPR lap {number}"
+    if kind == "explore":
+        return f"explored {number}"
+    return {"nominal": "nominal MPC", "pursuit": "pure pursuit", "lqr": "LQR", "single-layer": "single-layer GPR"}[name]
+
+
+def new_figure(rows: int, columns: int, size: tuple[float, float], **more: Any) -> tuple[Figure, Any]:
+    """A figure in the common style; axes as a 2-D array."""
+    with plt.rc_context(STYLE):
+        return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **more)
+
+
+def save(figure: Figure, folder: Path, name: str) -> Path:
+    """Write `name`.png and `name`.pdf into `folder`, close the figure, return the PNG's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.png"
+    with plt.rc_context(STYLE):
+        figure.savefig(path)
+        figure.savefig(path.with_suffix(".pdf"))
+    plt.close(figure)
+    return path
+
+
+def shade(axis: Axes, spans: Sequence[tuple[float, float]], colour: str, label: str | None = None) -> None:
+    """Shade spans of the horizontal axis behind the curves."""
+    for start, end in spans:
+        axis.axvspan(start, end, color=colour, lw=0, zorder=0, label=label)
+        label = None
+
+
+def equal_axes(axis: Axes) -> None:
+    """World coordinates: equal scales, metres."""
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set_xlabel("x [m]")
+    axis.set_ylabel("y [m]")

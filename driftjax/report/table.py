@@ -1,0 +1,92 @@
+"""Results in words: the table at the end of a run, and one line per run."""
+
+import math
+from typing import Any
+
+from driftjax.data import RunFolder
+from driftjax.report.style import stage_label
+
+HEAD = ("stage", "controller", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed", "failures")
+REDUCTIONS = {
+    "reduction_gpr": "lateral error, GPR against nominal",
+    "reduction_exploration": "lateral error, explored against GPR",
+    "reduction_velocity_rmse": "speed RMSE, explored against GPR",
+}
+
+
+def number(value: float | None, form: str = ".2f") -> str:
+    """`value` in digits, a dash where there is none."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
+    """Mean (or value) with its 95 % interval."""
+    cell = cell or {}
+    mean = cell.get("mean", cell.get("value"))
+    low, high = cell.get("ci95") or (None, None)
+    if mean is None or low is None or high is None:
+        return number(mean, form)
+    return f"{number(mean, form)} [{number(low, form)}, {number(high, form)}]"
+
+
+def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
+    done, of = cell.get("completed") or (0, 0)
+    codes = {code: count for code, count in (cell.get("codes") or {}).items() if code != "COMPLETED" and count}
+    failures = ", ".join(f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()) or "none"
+    share = (cell.get("drift_share") or {}).get("mean")
+    return (stage_label(stage), controller, interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse")),
+            number(share), f"{done}/{of}", failures)  # fmt: skip
+
+
+def aligned(rows: list[tuple[str, ...]]) -> list[str]:
+    """Rows as lines with columns of even width; a rule follows the first."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [lines[0], "-" * (sum(widths) + 2 * len(widths) - 2), *lines[1:]]
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results of `driftjax learn` for a person: a row per stage and controller, then the reductions."""
+    rows: list[tuple[str, ...]] = [HEAD]
+    for stage in results.get("stages") or []:
+        rows += [_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
+    lines = aligned(rows)
+    lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section.",
+              "In brackets: 95 % interval over plants."]  # fmt: skip
+    summary = results.get("summary") or {}
+    if summary:
+        lines += ["", *aligned(_reductions(summary))]
+    return "\n".join(lines)
+
+
+def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("reduction [%]", *summary, "Wu et al. 2025")]
+    for key, words in REDUCTIONS.items():
+        cells = [(summary[controller] or {}).get(key) or {} for controller in summary]
+        published = next((cell["paper"] for cell in cells if cell.get("paper") is not None), None)
+        rows.append((words, *(interval(cell, ".1f") for cell in cells), number(published, ".1f")))
+    return rows
+
+
+def best_errors(results: dict[str, Any]) -> dict[str, float]:
+    """Smallest mean lateral error of each controller [m], over the stages."""
+    best: dict[str, float] = {}
+    for stage in results.get("stages") or []:
+        for controller, cell in stage["controllers"].items():
+            mean = (cell.get("lateral_error") or {}).get("mean")
+            if mean is not None:
+                best[controller] = min(mean, best.get(controller, math.inf))
+    return best
+
+
+def run_line(run: RunFolder) -> str:
+    """One line about a run: when, what, how far, how well, where."""
+    stages = run.finished()
+    car = str(run.config.get("car", run.config.get("vehicle", "")))
+    if run.verb != "learn":
+        state = "done" if any(map(run.has, ("plan.nc", "results.json"))) else "unfinished"
+    else:
+        state = f"{len(stages)} stages" if run.has("results.json") else f"stopped after {(stages or ['nothing'])[-1]}"
+    best = best_errors(run.read_json("results")) if run.verb == "learn" and run.has("results.json") else {}
+    words = ", ".join(f"{controller} {error:.2f} m" for controller, error in best.items())
+    return f"{run.created[:16].replace('T', ' ')}  {run.verb:10s}  {car:8s}  {state:21s}  {words or '-'}  {run.path}"

@@ -1,0 +1,105 @@
+"""Lateral error and speed over arc length: nominal, GPR, explored."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from driftjax.data import RunFolder
+from driftjax.report.laps import Lap, controlled_span, key_stages, laps_of, mean_curve
+from driftjax.report.style import (
+    CONTROLLERS,
+    ERROR_LABEL,
+    PINK,
+    YELLOW,
+    new_figure,
+    shade,
+    stage_colour,
+    stage_label,
+)
+
+
+def _error(lap: Lap, s: np.ndarray) -> np.ndarray:
+    return np.abs(lap.over(s, "e"))
+
+
+def _sections(axis: Axes, plan: xr.Dataset, laps: list[Lap], s: np.ndarray) -> None:
+    """Yellow where pure pursuit drives, pink where the drift controller does, dashes around the planned drift."""
+    span = controlled_span(laps)
+    if span:
+        shade(axis, [(s[0], span[0]), (span[1], s[-1])], YELLOW, "pure pursuit drives")
+        shade(axis, [span], PINK, "drift controller drives")
+    for edge in (plan.attrs["drift_start"], plan.attrs["drift_end"]):
+        axis.axvline(edge, color="0.35", lw=0.9, ls="--")
+
+
+def _stop_marks(axis: Axes, laps: list[Lap], value, colour: str) -> int:
+    """A cross with its code where a lap failed; returns how many did."""
+    failed = [lap for lap in laps if not lap.completed and lap["s"].size]
+    for lap in failed:
+        s, y = lap["s"][-1], value(lap)
+        axis.plot(s, y, "x", color=colour, ms=8, mew=2.2, zorder=5, clip_on=False)
+    return len(failed)
+
+
+def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
+    """Magnitude of the lateral error over arc length, thin lines per plant and bold means."""
+    stages = {name: laps_of(run.read_stage(name), controller) for name in key_stages(run).values()}
+    stages = {name: laps for name, laps in stages.items() if laps}
+    if not stages:
+        return None
+    s = np.linspace(0, float(plan["path_s"][-1]), 500)
+    figure, axes = new_figure(1, 1, (8.0, 4.4))
+    axis = axes[0, 0]
+    _sections(axis, plan, [lap for laps in stages.values() for lap in laps], s)
+    inside = (s >= plan.attrs["drift_start"]) & (s <= plan.attrs["drift_end"])
+    for name, laps in stages.items():
+        colour, mean = stage_colour(name), mean_curve(laps, s, _error)
+        for lap in laps:
+            axis.plot(s, _error(lap, s), color=colour, lw=0.7, alpha=0.45, ls="-" if lap.completed else ":")
+        failed = _stop_marks(axis, laps, lambda lap: abs(lap["e"][-1]), colour)
+        level = mean[inside & np.isfinite(mean)]
+        words = f"{stage_label(name)}: {level.mean():.2f} m in the drift" if level.size else stage_label(name)
+        words += f", {failed} of {len(laps)} failed (x)" if failed else ""
+        axis.plot(s, mean, color=colour, lw=2.4, label=words)
+    axis.set(xlabel="arc length s along the planned path [m]", ylabel=ERROR_LABEL, xlim=(0, s[-1]))
+    axis.set_ylim(bottom=0)
+    title = "bold: mean of the completed laps, thin: each plant, dashed: planned drift"
+    axis.set_title(f"{CONTROLLERS.get(controller, controller)} ({title})")
+    axis.legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
+    return figure
+
+
+def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
+    """Speed and its reference in the drift section, GPR against explored, and the deviation below."""
+    keys = key_stages(run)
+    stages = {keys[key]: laps_of(run.read_stage(keys[key]), controller) for key in ("gpr", "explored") if key in keys}
+    stages = {name: laps for name, laps in stages.items() if laps}
+    if not stages:
+        return None
+    start, end = plan.attrs["drift_start"], plan.attrs["drift_end"]
+    s = np.linspace(start, end, 300)
+    figure, axes = new_figure(2, 1, (8.0, 5.8), sharex=True)
+    deviation = lambda lap, s: lap.over(s, "V") - lap.over(s, "V_ref")
+    for name, laps in stages.items():
+        colour = stage_colour(name)
+        for lap in laps:
+            axes[0, 0].plot(s, lap.over(s, "V"), color=colour, lw=0.7, alpha=0.45)
+            axes[1, 0].plot(s, deviation(lap, s), color=colour, lw=0.7, alpha=0.45)
+        V, V_ref = (mean_curve(laps, s, lambda lap, s, k=key: lap.over(s, k)) for key in ("V", "V_ref"))
+        axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V, {stage_label(name)}")
+        axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference, {stage_label(name)}")
+        rmse = [np.sqrt(np.nanmean(deviation(lap, s) ** 2)) for lap in laps if lap.completed]
+        words = f"RMSE {np.mean(rmse):.2f} m/s" if rmse else "no lap completed"
+        mean = mean_curve(laps, s, deviation)
+        axes[1, 0].plot(s, mean, color=colour, lw=2.4, label=f"{stage_label(name)}: {words}")
+    axes[1, 0].axhline(0, color="0.4", lw=0.7)
+    axes[0, 0].set_ylabel("speed V [m/s]")
+    axes[1, 0].set_ylabel("V less its reference [m/s]")
+    axes[1, 0].set_xlabel("arc length s along the planned path, drift section [m]")
+    axes[1, 0].set_xlim(start, end)
+    for axis in axes[:, 0]:
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes[0, 0].set_title(f"{CONTROLLERS.get(controller, controller)}: speed tracking in the drift")
+    figure.align_ylabels()
+    return figure
