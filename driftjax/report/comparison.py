@@ -60,5 +60,7 @@ def comparison(results: dict[str, Any]) -> Figure | None:
         patches = [Patch(fc="0.5", alpha=0.8, ec="0.3", label=CONTROLLERS["path"]),
                    Patch(fc="0.5", alpha=0.45, ec="0.3", hatch="///", label=CONTROLLERS["paper"])]  # fmt: skip
         axis.legend(handles=patches, loc="upper right")
-    axis.set_title(f"{results.get('car', '')}: bars means, lines 95 % intervals, points plants; below: laps completed")
+    axis.set_title(
+        f"{results.get('car', '')}: mean (bar), 95 % interval (line), plants (points), laps completed (below)"
+    )
     return figure

@@ -37,11 +37,15 @@ def speed_sets(run: RunFolder, controller: str) -> Figure | None:
         below = np.clip(trend.min(), low - 3 * reach, low - reach)
         axis.set_ylim(float(below), float(np.clip(trend.max(), high + reach, high + 3 * reach)))
         axis.margins(x=0)
+        axis.label_outer()
         axis.set_title(f"plant {one['plant'].values}")
     for axis in list(axes.flat)[len(lanes) :]:
         axis.set_visible(False)
-    figure.supxlabel("arc length s along the planned path [m]", fontsize=10)
-    figure.supylabel("speed V [m/s]", fontsize=10)
+    for axis in list(axes.flat)[: len(lanes)][-columns:]:
+        axis.tick_params(labelbottom=True)
+        axis.set_xlabel("arc length s along the planned path [m]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("speed V [m/s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     figure.suptitle(f"{CONTROLLERS.get(controller, controller)}: speed sets of {stage_label(str(name))}", fontsize=10.5)

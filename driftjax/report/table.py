@@ -6,6 +6,7 @@ from typing import Any
 from driftjax.data import RunFolder
 from driftjax.report.style import stage_label
 
+CONTROLLERS = {"path": "path-tracking", "paper": "paper's", "pursuit": "pure pursuit", "lqr": "LQR"}
 HEAD = ("stage", "controller", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed", "failures")
 REDUCTIONS = {
     "reduction_gpr": "lateral error, GPR against nominal",
@@ -34,8 +35,9 @@ def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
     codes = {code: count for code, count in (cell.get("codes") or {}).items() if code != "COMPLETED" and count}
     failures = ", ".join(f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()) or "none"
     share = (cell.get("drift_share") or {}).get("mean")
-    return (stage_label(stage), controller, interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse")),
-            number(share), f"{done}/{of}", failures)  # fmt: skip
+    errors = interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse"))
+    name = CONTROLLERS.get(controller, controller)
+    return (stage_label(stage), name, *errors, number(share), f"{done}/{of}", failures)
 
 
 def aligned(rows: list[tuple[str, ...]]) -> list[str]:
@@ -60,7 +62,9 @@ def table(results: dict[str, Any]) -> str:
 
 
 def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [("reduction [%]", *summary, "Wu et al. 2025")]
+    rows: list[tuple[str, ...]] = [
+        ("reduction [%]", *(CONTROLLERS.get(name, name) for name in summary), "Wu et al. 2025")
+    ]
     for key, words in REDUCTIONS.items():
         cells = [(summary[controller] or {}).get(key) or {} for controller in summary]
         published = next((cell["paper"] for cell in cells if cell.get("paper") is not None), None)
@@ -88,5 +92,6 @@ def run_line(run: RunFolder) -> str:
     else:
         state = f"{len(stages)} stages" if run.has("results.json") else f"stopped after {(stages or ['nothing'])[-1]}"
     best = best_errors(run.read_json("results")) if run.verb == "learn" and run.has("results.json") else {}
+    best = {name: error for name, error in best.items() if name in ("path", "paper")} or best
     words = ", ".join(f"{controller} {error:.2f} m" for controller, error in best.items())
     return f"{run.created[:16].replace('T', ' ')}  {run.verb:10s}  {car:8s}  {state:21s}  {words or '-'}  {run.path}"

@@ -42,6 +42,15 @@ def _stop_marks(axis: Axes, laps: list[Lap], value, colour: str) -> int:
     return len(failed)
 
 
+def _level(run: RunFolder, stage: str, controller: str, key: str, form: str) -> str:
+    """The mean that the table gives for this curve, in words; nothing before there is a table."""
+    if not run.has("results.json"):
+        return ""
+    rows = {row["name"]: row["controllers"] for row in run.read_json("results")["stages"]}
+    mean = ((rows.get(stage) or {}).get(controller) or {}).get(key, {}).get("mean")
+    return "" if mean is None else f": {form.format(mean)}"
+
+
 def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
     """Magnitude of the lateral error over arc length, thin lines per plant and bold means."""
     stages = {name: laps_of(run.read_stage(name), controller) for name in key_stages(run).values()}
@@ -49,24 +58,23 @@ def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure |
     if not stages:
         return None
     s = np.linspace(0, float(plan["path_s"][-1]), 500)
-    figure, axes = new_figure(1, 1, (8.0, 4.4))
+    figure, axes = new_figure(1, 1, (8.0, 4.8))
     axis = axes[0, 0]
     _sections(axis, plan, [lap for laps in stages.values() for lap in laps], s)
-    inside = (s >= plan.attrs["drift_start"]) & (s <= plan.attrs["drift_end"])
     for name, laps in stages.items():
         colour, mean = stage_colour(name), mean_curve(laps, s, _error)
         for lap in laps:
             axis.plot(s, _error(lap, s), color=colour, lw=0.7, alpha=0.45, ls="-" if lap.completed else ":")
         failed = _stop_marks(axis, laps, lambda lap: abs(lap["e"][-1]), colour)
-        level = mean[inside & np.isfinite(mean)]
-        words = f"{stage_label(name)}: {level.mean():.2f} m in the drift" if level.size else stage_label(name)
+        words = stage_label(name) + _level(run, name, controller, "lateral_error", "{:.2f} m in the drift")
         words += f", {failed} of {len(laps)} failed (x)" if failed else ""
         axis.plot(s, mean, color=colour, lw=2.4, label=words)
     axis.set(xlabel="arc length s along the planned path [m]", ylabel=ERROR_LABEL, xlim=(0, s[-1]))
     axis.set_ylim(bottom=0)
-    title = "bold: mean of the completed laps, thin: each plant, dashed: planned drift"
-    axis.set_title(f"{CONTROLLERS.get(controller, controller)} ({title})")
-    axis.legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
+    axis.plot([], [], color="0.3", lw=0.7, label="each plant (bold: mean of completed laps)")
+    axis.plot([], [], color="0.35", lw=0.9, ls="--", label="planned drift, averaged over")
+    axis.set_title(CONTROLLERS.get(controller, controller))
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return figure
 
 
@@ -89,10 +97,8 @@ def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None
         V, V_ref = (mean_curve(laps, s, lambda lap, s, k=key: lap.over(s, k)) for key in ("V", "V_ref"))
         axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V, {stage_label(name)}")
         axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference, {stage_label(name)}")
-        rmse = [np.sqrt(np.nanmean(deviation(lap, s) ** 2)) for lap in laps if lap.completed]
-        words = f"RMSE {np.mean(rmse):.2f} m/s" if rmse else "no lap completed"
-        mean = mean_curve(laps, s, deviation)
-        axes[1, 0].plot(s, mean, color=colour, lw=2.4, label=f"{stage_label(name)}: {words}")
+        words = stage_label(name) + _level(run, name, controller, "velocity_rmse", "RMSE {:.2f} m/s")
+        axes[1, 0].plot(s, mean_curve(laps, s, deviation), color=colour, lw=2.4, label=words)
     axes[1, 0].axhline(0, color="0.4", lw=0.7)
     axes[0, 0].set_ylabel("speed V [m/s]")
     axes[1, 0].set_ylabel("V less its reference [m/s]")
