@@ -42,7 +42,7 @@ class RunFolder:
             raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another --out.") from None
         folder = cls(path, config, made)
         try:
-            (path / "stages").mkdir(parents=True, exist_ok=True)
+            path.mkdir(parents=True, exist_ok=True)
             files.write_json(path / "versions.json", {"verb": verb} | versions())
             text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
             files.write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
@@ -95,6 +95,7 @@ class RunFolder:
     def write_stage(self, name: str, data: xr.Dataset, state: bytes) -> None:
         """Finish stage `name`: first its state, last its laps, each whole or absent."""
         stem = self._stage(name)
+        stem.parent.mkdir(exist_ok=True)
         files.write_atomically(stem.with_suffix(".state"), lambda p: p.write_bytes(state))
         files.write_netcdf(stem.with_suffix(".nc"), data.assign_attrs(stage=name))
 

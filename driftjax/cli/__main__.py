@@ -1,0 +1,8 @@
+"""`python -m driftjax.cli` is `driftjax`."""
+
+import sys
+
+from driftjax.cli.front import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""What the verbs share: flags over files, work inside a run folder, progress."""
+
+import argparse
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+
+from driftjax.cli.front import Terminated
+from driftjax.core import BadInput
+from driftjax.data import RunFolder
+
+T = TypeVar("T")
+Report = Callable[[str, int, int], None]
+
+
+def peek(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]]:
+    """Values of flags that set the defaults of all others, and the rest of the command line."""
+    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for flag in flags:
+        early.add_argument(f"--{flag}", nargs="?")
+    known, others = early.parse_known_args(argv)
+    return vars(known), others
+
+
+def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
+    """`cls` from flags over `default`; what its checks find is told as bad input."""
+    try:
+        if default is None:
+            return tyro.cli(cls, args=argv, prog=prog)
+        return tyro.cli(cls, args=argv, prog=prog, default=default)
+    except BadInput as error:
+        raise BadInput(f"flags: {error}") from None
+
+
+def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `over` put in, key by key in nested mappings."""
+    both = {key: merged(base[key], value) for key, value in over.items()
+            if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
+    return base | over | both
+
+
+def default_out(verb: str, name: str) -> Path:
+    """Run folder where no --out is given."""
+    return Path("runs") / f"{verb}-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
+    """`work()`; when it does not end well the person is told what is kept and how to go on."""
+    kept = f"what was computed is in {folder.path}" + (f"; continue with: {resume}" if resume else ".")
+    try:
+        return work()
+    except BadInput:
+        if not folder.finished():
+            folder.discard()
+        raise
+    except (KeyboardInterrupt, Terminated) as stop:
+        raise type(stop)(f"stopped; {kept}") from None
+    except Exception as error:
+        (folder.path / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        words = " ".join(str(error).split())[:300]
+        print(f"driftjax: failed ({type(error).__name__}: {words}); see error.txt; {kept}", file=sys.stderr)
+        return 1
+
+
+@contextmanager
+def progress() -> Iterator[Report]:
+    """`report(text, done, total)`: a bar with the time left on a terminal, plain lines elsewhere."""
+    if not sys.stderr.isatty():
+        start = time.monotonic()
+        yield lambda text, done, total: print(f"[{time.monotonic() - start:6.1f} s] {done}/{total} {text}", flush=True)
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=1, bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}, {remaining} left]") as bar:
+
+        def show(text: str, done: int, total: int) -> None:
+            bar.total, bar.n = total, done
+            bar.set_description(text, refresh=False)
+            bar.refresh()
+
+        yield show

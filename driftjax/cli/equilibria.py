@@ -1,0 +1,41 @@
+"""`driftjax equilibria`: map of a car's steady states."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, typed, within
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from driftjax.vehicle import load_vehicle
+from experiments.equilibria import Config
+from experiments.equilibria import main as draw_map
+
+
+@dataclasses.dataclass(frozen=True)
+class Equilibria:
+    """Map of a car's steady states over speed and yaw rate."""
+
+    options: Annotated[Config, tyro.conf.arg(name="")] = Config()
+    out: Path | None = None
+    """Output folder; runs/equilibria-VEHICLE-TIME where left out."""
+
+
+def run(argv: list[str]) -> int:
+    """Map, figure, table."""
+    typed_in = typed(Equilibria, argv, "driftjax equilibria")
+    vehicle = load_vehicle(typed_in.options.vehicle)
+    out = typed_in.out or default_out("equilibria", vehicle.name)
+    folder = RunFolder.create(out, to_dict(typed_in.options), "equilibria")
+    return within(folder, lambda: work(typed_in.options, folder))
+
+
+def work(options: Config, folder: RunFolder) -> int:
+    """The map into `folder`."""
+    results = draw_map(options, folder.path)
+    folder.write_json("results", results)
+    print("\n".join(f"{name:32s} {value:.6g}" for name, value in results.items()))
+    print(f"map: {folder.path / 'equilibria.png'}")
+    return 0

@@ -1,0 +1,95 @@
+"""Front door: picks the verb, and turns every way to end into an exit code.
+
+0 done; 2 bad input (one sentence, no traceback, nothing left behind); 1 failed run (what was computed is kept);
+130 and 143 stopped by Ctrl-C or SIGTERM (finished stages are kept). A verb is imported when it is asked for, so
+that help comes at once.
+"""
+
+import importlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from driftjax import __version__
+
+VERBS = ("learn", "plan", "equilibria", "runs", "report")
+HELP = """usage: driftjax VERB [options]
+
+A differentiable, jit-compiled car in JAX that learns to drift.
+
+  learn        plan, nominal laps, GP laps and active exploration on a batch of plants: table, figures, run folder
+  plan         minimum-time plan of a car on a track: plan.nc, plan.csv, figures
+  equilibria   map of a car's steady states: grip and drift branches
+  runs         list the run folders below runs/
+  report RUN   rebuild figures, table and report.html of a run
+
+`driftjax VERB --help` lists the options of a verb with their units; `driftjax --version` says the version.
+"""
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb; returns the exit code."""
+    verb, *rest = (sys.argv[1:] if argv is None else list(argv)) or ["--help"]
+    if verb in ("-h", "--help"):
+        print(HELP, end="")
+        return 0
+    if verb == "--version":
+        print(f"driftjax {__version__}")
+        return 0
+    if verb not in VERBS:
+        return _told(f"there is no verb '{verb}'; choose one of {', '.join(VERBS)}.", 2)
+    _set_up_jax()
+    from driftjax.core import BadInput
+
+    try:
+        with _sigterm_raises():
+            return importlib.import_module(f"driftjax.cli.{verb}").run(rest)
+    except BadInput as error:
+        return _told(str(error), 2, verb)
+    except SystemExit as stop:  # tyro's own: 0 after help, 2 after an unknown flag
+        return stop.code if isinstance(stop.code, int) else 2
+    except BrokenPipeError:  # the reader of a pipe, such as head, went away
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt as stop:
+        return _told(str(stop) or "stopped.", 130, verb)
+    except Terminated as stop:
+        return _told(str(stop) or "terminated.", 143, verb)
+
+
+def _told(sentence: str, code: int, verb: str = "") -> int:
+    print(f"driftjax{' ' * bool(verb)}{verb}: {sentence}", file=sys.stderr)
+    return code
+
+
+def _set_up_jax() -> None:
+    """Double precision, and a compilation cache that outlives the process; before anything else is imported."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    if jax.config.values["jax_compilation_cache_dir"] is None:  # JAX itself reads JAX_COMPILATION_CACHE_DIR
+        jax.config.update("jax_compilation_cache_dir", os.path.expanduser("~/.cache/driftjax"))
+
+
+@contextmanager
+def _sigterm_raises() -> Iterator[None]:
+    def stop(*_: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,85 @@
+"""`driftjax learn`: the paper's experiment, or the rest of one that was stopped."""
+
+import dataclasses
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, merged, peek, progress, typed, within
+from driftjax.core import BadInput, from_dict, read_yaml
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from driftjax.learn.config import LearnConfig, load_learn_config
+from driftjax.plan import load_plan_config
+from driftjax.sim.sensors import load_sensors
+from driftjax.track import check_width, load_track
+from driftjax.vehicle import load_plant, load_vehicle
+from driftjax.vehicle.plants import load_distribution
+
+
+@dataclasses.dataclass(frozen=True)
+class Learn:
+    """Plan, nominal laps, GP laps and active exploration, on a batch of plants driven side by side."""
+
+    options: Annotated[LearnConfig, tyro.conf.arg(name="")]
+    config: Path | None = None
+    """YAML file of options, where they differ from the car's defaults; flags go before it."""
+    out: Path | None = None
+    """Run folder; runs/learn-CAR-TIME where left out."""
+    resume: Path | None = None
+    """Run folder to go on with, from its last finished stage and with its own config; no other flags."""
+
+
+def run(argv: list[str]) -> int:
+    """Plan, laps, table, figures."""
+    early, others = peek(argv, "car", "config", "resume")
+    if early["resume"] and not {"-h", "--help"} & set(others):
+        if others or early["car"] or early["config"]:
+            raise BadInput("--resume goes on with the run's own config; leave out every other flag.")
+        folder = RunFolder.open(early["resume"])
+        config = from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml"))
+        check(config)
+    else:
+        options = typed(Learn, argv, "driftjax learn", Learn(defaults(early["car"], early["config"])))
+        config = options.options
+        check(config)
+        folder = RunFolder.create(options.out or default_out("learn", config.car), to_dict(config))
+    resume = f"driftjax learn --resume {shlex.quote(str(folder.path))}"
+    return within(folder, lambda: work(config, folder), resume)
+
+
+def defaults(car: str | None, file: str | None) -> LearnConfig:
+    """The car's shipped options with those of the YAML `file` put in."""
+    written = read_yaml(Path(file)) if file else {}
+    base = to_dict(load_learn_config(car or str(written.get("car", "sedan"))))
+    return from_dict(LearnConfig, merged(base, written), file or "defaults")
+
+
+def check(config: LearnConfig) -> None:
+    """Read every file that `config` names, so that bad ones are told at once and nothing is left behind."""
+    vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
+    check_width(track, vehicle.width, str(config.track))
+    load_plan_config(config.plan)
+    load_sensors(config.sensors)
+    for plant in config.plant:
+        load_plant(plant)
+    if not config.plant:
+        load_distribution(config.car)
+
+
+def work(config: LearnConfig, folder: RunFolder) -> int:
+    """Run, or go on; then write and print what came out."""
+    from driftjax.learn.run import run as learn
+    from driftjax.report import table, write_report
+
+    print(f"run folder: {folder.path}", flush=True)
+    with progress() as report:
+        results = learn(config, folder, report)
+    folder.write_json("results", results)
+    folder.collect()
+    page = write_report(folder)
+    print(table(folder.read_json("results")))
+    print(f"report: {page}")
+    return 0

@@ -1,0 +1,74 @@
+"""`driftjax plan`: minimum-time plan of one car on one track."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, peek, typed, within
+from driftjax.core import RESULTS, from_dict, read_yaml
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder, plan_dataset, write_plan_csv
+from driftjax.plan import PlanConfig, load_plan_config
+from driftjax.plan import plan as solve
+from driftjax.report import write_plan_figures
+from driftjax.track import Track, check_width, load_track
+from driftjax.vehicle import VehicleConfig, load_vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Minimum-time plan of a car along a track: plan.nc, plan.csv and figures."""
+
+    options: Annotated[PlanConfig, tyro.conf.arg(name="")]
+    vehicle: Path
+    """Nominal car: a shipped name or a vehicle YAML."""
+    track: Path
+    """Track: a shipped name, a track YAML or a CSV of x,y,w_right,w_left."""
+    car: str = "sedan"
+    """Name of the car whose shipped vehicle, track and options are the defaults: sedan or rc."""
+    config: Path | None = None
+    """YAML file of options, and vehicle and track, where they differ from the car's defaults."""
+    out: Path | None = None
+    """Output folder; runs/plan-CAR-TIME where left out."""
+
+
+def run(argv: list[str]) -> int:
+    """Plan, write, draw."""
+    early, _ = peek(argv, "car", "config")
+    default = defaults(early["car"], early["config"])
+    typed_in = typed(Plan, argv, "driftjax plan", default)
+    vehicle, track = load_vehicle(typed_in.vehicle), load_track(typed_in.track)
+    check_width(track, vehicle.width, str(typed_in.track))
+    options = {"vehicle": str(typed_in.vehicle), "track": str(typed_in.track)} | to_dict(typed_in.options)
+    folder = RunFolder.create(typed_in.out or default_out("plan", typed_in.car), options, "plan")
+    print(f"planning {vehicle.name} on {typed_in.track}", flush=True)
+    return within(folder, lambda: work(vehicle, track, typed_in.options, folder))
+
+
+def defaults(car: str | None, file: str | None) -> Plan:
+    """The car's shipped options with those of the YAML `file` put in."""
+    written = read_yaml(Path(file)) if file else {}
+    car = car or str(written.pop("car", "sedan"))
+    vehicle, track = (Path(str(written.pop(key, name))) for key, name in (("vehicle", car), ("track", f"{car}_corner")))
+    options = to_dict(load_plan_config(car)) | {key: value for key, value in written.items() if key != "car"}
+    return Plan(from_dict(PlanConfig, options, file or "defaults"), vehicle, track, car)
+
+
+def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunFolder) -> int:
+    """The plan into `folder`; 1 where it cannot be trusted."""
+    plan = solve(track, vehicle, options)
+    data = plan_dataset(plan, track, vehicle.name)
+    folder.write_dataset("plan.nc", data)
+    write_plan_csv(folder.path / "plan.csv", data)
+    write_plan_figures(data, folder.path)
+    print(f"lap time {float(plan.lap_time):.3f} s after {int(plan.num_steps)} iterations", end=", ")
+    print(f"optimality {float(plan.kkt):.1e}, violation {float(plan.violation):.1e}")
+    print("drift: " + (", ".join(f"{a:.4g} to {b:.4g} m" for a, b in plan.drift_intervals()) or "none"))
+    print(f"plan: {folder.path}")
+    if plan.result == RESULTS.successful:
+        return 0
+    print(f"driftjax plan: {RESULTS[plan.result]}", file=sys.stderr)
+    return 1

@@ -1,0 +1,34 @@
+"""`driftjax report RUN`: figures, table and page of a run, rebuilt from its folder."""
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from driftjax.cli.console import typed
+from driftjax.core import BadInput
+from driftjax.data import RunFolder
+from driftjax.report import table, write_plan_figures, write_report
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """Rebuild figures, table and report.html of a run from its folder alone."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+
+
+def run(argv: list[str]) -> int:
+    """Rebuild, and print the table."""
+    folder = RunFolder.open(typed(Report, argv, "driftjax report").run)
+    if folder.verb == "plan":
+        print("\n".join(map(str, write_plan_figures(folder.read_dataset("plan.nc"), folder.path))))
+        return 0
+    if folder.verb != "learn":
+        raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}` has no report; run that verb again.")
+    page = write_report(folder)
+    if folder.has("results.json"):
+        print(table(folder.read_json("results")))
+    print(f"report: {page}")
+    return 0

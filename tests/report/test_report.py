@@ -1,0 +1,135 @@
+"""Figures and tables rebuilt from a run folder; failed laps and missing stages stay visible."""
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from synthetic import synthetic_run
+
+from driftjax.data import RunFolder
+from driftjax.report import table, write_report
+from driftjax.report.laps import key_stages, laps_of, mean_curve
+from driftjax.report.page import figures
+from driftjax.report.plan import spans_of, trajectory
+from driftjax.report.posture import _outline
+from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
+from driftjax.report.table import best_errors, interval
+from driftjax.report.tracking import lateral_error
+from driftjax.vehicle import load_vehicle
+
+PER_CONTROLLER = ("lateral_error", "posture", "velocity", "speed_sets", "gp_data")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> RunFolder:
+    return synthetic_run(tmp_path_factory.mktemp("runs") / "run")
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
+def test_report_holds_every_figure_the_table_and_the_config(run):
+    page = write_report(run).read_text()
+    names = {path.stem for path in (run.path / "figures").glob("*.png")}
+    expected = {f"{name}_{controller}" for name in PER_CONTROLLER for controller in ("path", "paper")}
+    assert names == expected | {"comparison", "plan_trajectory", "plan_states"}
+    assert {path.stem for path in (run.path / "figures").glob("*.pdf")} == names
+    assert page.count("data:image/png;base64,") == len(names)
+    assert not re.search(r"(src|href)=['\"]?(http|/|figures)", page), "the page must stand alone"
+    assert "Wu et al. 2025" in page and "track: sedan_corner" in page
+    assert (run.path / "table.txt").read_text() == table(run.read_json("results")) + "\n"
+
+
+def test_a_run_that_stopped_early_shows_what_it_has(tmp_path):
+    short = synthetic_run(tmp_path / "short", plants=1, stages=("nominal", "gpr-1"))
+    (short.path / "results.json").unlink()
+    names = [name for name, _ in figures(short)]
+    assert "lateral_error_path" in names and "velocity_path" in names
+    assert not any(name.startswith(("gp_data", "speed_sets", "comparison")) for name in names)
+    bare = synthetic_run(tmp_path / "bare", stages=())
+    (bare.path / "plan.nc").unlink()
+    assert write_report(bare).is_file() and list((bare.path / "figures").glob("*.png")) == []
+
+
+def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
+    results = run.read_json("results")
+    lines = table(results).splitlines()
+    rows = [line for line in lines if re.search(r"\d+/\d+", line)]
+    assert len(rows) == sum(len(stage["controllers"]) for stage in results["stages"])
+    nominal = [line for line in rows if line.startswith("nominal")]
+    assert len(nominal) == 2 and all("2/3" in line and "1 spun" in line for line in nominal)
+    cell = results["stages"][2]["controllers"]["path"]["lateral_error"]
+    assert f"{cell['mean']:.2f} [{cell['ci95'][0]:.2f}, {cell['ci95'][1]:.2f}]" in nominal[0]
+    (reduction,) = [line for line in lines if line.startswith("lateral error, GPR")]
+    assert reduction.split()[-1] == "52.8" and "57.1 [51.1, 63.1]" in reduction
+
+
+def test_missing_numbers_are_dashes_not_crashes():
+    assert interval(None) == "-" and interval({"mean": None, "ci95": [None, None]}) == "-"
+    assert interval({"mean": 1.234, "ci95": None}) == "1.23"
+    empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
+             "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
+    text = table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
+    assert "0/2" in text and "1 spun, 1 off track" in text and "nan" not in text.lower().replace("nominal", "")
+
+
+def test_best_error_is_the_smallest_over_the_stages(run):
+    results = run.read_json("results")
+    means = [s["controllers"]["path"]["lateral_error"]["mean"] for s in results["stages"] if "path" in s["controllers"]]
+    assert best_errors(results)["path"] == min(means)
+
+
+def test_key_stages_are_the_last_of_their_kind(run):
+    assert key_stages(run) == {"nominal": "nominal", "gpr": "gpr-2", "explored": "explore-2"}
+
+
+def test_a_failed_lap_ends_where_it_failed_and_leaves_the_mean_alone(run):
+    laps = laps_of(run.read_stage("nominal"), "path")
+    assert [lap.code for lap in laps] == ["COMPLETED", "COMPLETED", "SPUN"]
+    s = np.linspace(0, 130, 50)
+    spun = laps[2].over(s, "e")
+    assert np.isnan(spun[s > laps[2]["s"].max()]).all() and np.isfinite(spun[s < laps[2]["s"].max()]).all()
+    mean = mean_curve(laps, s, lambda lap, s: lap.over(s, "e"))
+    np.testing.assert_allclose(mean, (laps[0].over(s, "e") + laps[1].over(s, "e")) / 2)
+
+
+def test_lateral_error_curves_are_the_logged_errors_in_the_stages_colours(run):
+    plan = run.read_dataset("plan.nc")
+    figure = lateral_error(run, plan, "path")
+    assert figure is not None
+    (axis,) = figure.axes
+    lines = [line for line in axis.lines if len(np.atleast_1d(line.get_xdata())) > 100]
+    colours = [to_hex(line.get_color()).upper() for line in lines]
+    assert {colour: colours.count(colour) for colour in (NOMINAL, GPR, EXPLORED)} == {NOMINAL: 4, GPR: 4, EXPLORED: 4}
+    lap = laps_of(run.read_stage("nominal"), "path")[0]
+    x, y = (np.asarray(v, float) for v in lines[0].get_data())
+    shown = np.isfinite(y)
+    np.testing.assert_allclose(y[shown], np.abs(np.interp(x[shown], lap["s"], lap["e"])))
+    assert "planned minimum-time path [m]" in axis.get_ylabel()
+    assert lateral_error(run, plan, "absent") is None
+
+
+def test_red_segments_of_the_plan_are_its_drifts(run):
+    plan = run.read_dataset("plan.nc")
+    red = [line for line in trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
+    assert len(red) == 1
+    np.testing.assert_array_equal(np.asarray(red[0].get_xdata()), plan["x"].values[plan["drift"].values])
+    flags = np.array([1, 1, 0, 0, 1, 0, 1], bool)
+    assert spans_of(flags, np.arange(7.0)) == [(0, 1), (4, 4), (6, 6)]
+
+
+def test_outline_has_the_cars_size_and_heading():
+    car = load_vehicle("sedan")
+    for psi in (0.0, 0.7, -2.0):
+        shape = _outline(3.0, -2.0, psi, car) - np.array([3.0, -2.0])
+        along = shape @ np.array([np.cos(psi), np.sin(psi)])
+        across = shape @ np.array([-np.sin(psi), np.cos(psi)])
+        assert np.ptp(along) == pytest.approx(car.length) and np.ptp(across) == pytest.approx(car.width)
+        assert (along.max() + along.min()) / 2 == pytest.approx((car.a - car.b) / 2)
+        assert np.ptp(across[along > along.max() - 1e-9]) < car.width, "the nose is the narrow end"
