@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from driftjax.data import RunFolder
-from driftjax.report.laps import key_stages
+from driftjax.report.laps import stages_of
 from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, new_figure, stage_label
 
 PANELS = 4  # plants shown at most
@@ -63,8 +63,8 @@ def _points(run: RunFolder, stage: str, controller: str) -> np.ndarray:
 
 def gp_data(run: RunFolder, controller: str) -> Figure | None:
     """Where the GP's data lie in speed, sideslip and yaw rate, before and after exploration."""
-    keys = key_stages(run)
-    sets = {keys[key]: _points(run, keys[key], controller) for key in ("gpr", "explored") if key in keys}
+    last = [names[-1] for kind, names in stages_of(run).items() if kind != "nominal"]
+    sets = {name: _points(run, name, controller) for name in last}
     if len(sets) < 2 or not all(len(points) for points in sets.values()):
         return None
     figure, axes = new_figure(1, 2, (9.0, 4.3), sharex=True)

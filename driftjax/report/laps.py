@@ -16,6 +16,8 @@ class Lap:
     seed: int
     code: str  # how it ended
     completed: bool
+    lateral_error: float  # mean over the drift section [m]
+    velocity_rmse: float  # over the drift section [m/s]
     values: dict[str, np.ndarray]  # (steps driven,), by variable
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -38,7 +40,8 @@ def laps_of(data: xr.Dataset, controller: str) -> list[Lap]:
         alive = one["alive"].values.astype(bool)
         values = {name: one[name].values[alive] for name in series}
         code = names.get(int(one["code"]), "UNKNOWN")
-        found.append(Lap(str(one["plant"].values), int(one["seed"]), code, bool(one["completed"]), values))
+        numbers = bool(one["completed"]), float(one["lateral_error"]), float(one["velocity_rmse"])
+        found.append(Lap(str(one["plant"].values), int(one["seed"]), code, *numbers, values))
     return found
 
 
@@ -50,19 +53,35 @@ def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
     return np.where(count > 0, np.nansum(rows, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def key_stages(run: RunFolder) -> dict[str, str]:
-    """Stages that the paper compares, as far as they finished: nominal, the last GPR lap, the last explored lap."""
-    names = run.finished()
-    found = {"nominal": "nominal"} if "nominal" in names else {}
-    for key, prefix in (("gpr", "gpr-"), ("explored", "explore-")):
-        if matching := [name for name in names if name.startswith(prefix)]:
-            found[key] = matching[-1]
-    return found
+def stages_of(run: RunFolder) -> dict[str, list[str]]:
+    """Finished stages of each kind that the paper compares: nominal, gpr, explored."""
+    kinds = {"nominal": "nominal", "gpr": "gpr-", "explored": "explore-"}
+    found = {kind: [name for name in run.finished() if name.startswith(prefix)] for kind, prefix in kinds.items()}
+    return {kind: names for kind, names in found.items() if names}
+
+
+def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
+    """Laps of each kind of stage: of every plant and seed the one with the least lateral error."""
+    best: dict[str, list[Lap]] = {}
+    for kind, names in stages_of(run).items():
+        chosen: dict[tuple[str, int], Lap] = {}
+        for lap in (lap for name in names for lap in laps_of(run.read_stage(name), controller) if lap["s"].size):
+            other = chosen.setdefault((lap.plant, lap.seed), lap)
+            if not lap.lateral_error >= other.lateral_error:
+                chosen[lap.plant, lap.seed] = lap
+        if chosen:
+            best[kind] = list(chosen.values())
+    return best
+
+
+def mean_of(laps: list[Lap], name: str) -> float:
+    """Mean of a number of the laps, such as `lateral_error`."""
+    return float(np.mean([getattr(lap, name) for lap in laps]))
 
 
 def controllers_of(run: RunFolder) -> list[str]:
     """Drift controllers of the learning stages, in order of appearance."""
-    stages = list(key_stages(run).values())
+    stages = [name for names in stages_of(run).values() for name in names]
     return list(dict.fromkeys(name for stage in stages for name in run.read_stage(stage)["controller"].values.tolist()))
 
 

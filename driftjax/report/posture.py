@@ -8,9 +8,9 @@ from matplotlib.patches import Polygon
 from numpy.typing import ArrayLike
 
 from driftjax.data import RunFolder
-from driftjax.report.laps import Lap, key_stages, laps_of
+from driftjax.report.laps import Lap, best_laps
 from driftjax.report.plan import draw_track
-from driftjax.report.style import CONTROLLERS, equal_axes, new_figure, stage_colour, stage_label
+from driftjax.report.style import CONTROLLERS, KINDS, equal_axes, new_figure
 from driftjax.vehicle import VehicleConfig
 
 OUTLINES = 12  # about how many cars are drawn through the corner
@@ -42,11 +42,10 @@ def _draw(axis: Axes, lap: Lap, vehicle: VehicleConfig, window: tuple[float, flo
 
 def posture(run: RunFolder, plan: xr.Dataset, controller: str, vehicle: VehicleConfig) -> Figure | None:
     """Outlines of one plant's car through the corner, a panel each for nominal, GPR and explored."""
-    stages = {name: laps_of(run.read_stage(name), controller) for name in key_stages(run).values()}
-    stages = {name: laps for name, laps in stages.items() if laps and laps[0]["s"].size}
-    if not stages:
+    kinds = best_laps(run, controller)
+    if not kinds:
         return None
-    plant = next(iter(stages.values()))[0].plant
+    plant = next(iter(kinds.values()))[0].plant
     start, end = plan.attrs["drift_start"], plan.attrs["drift_end"]
     window = (start - 2 * vehicle.length, end + 2 * vehicle.length)
     near = (plan["path_s"].values >= window[0]) & (plan["path_s"].values <= window[1])
@@ -54,16 +53,16 @@ def posture(run: RunFolder, plan: xr.Dataset, controller: str, vehicle: VehicleC
     pad = 1.5 * vehicle.length
     wide, high = np.ptp(px) + 2 * pad, np.ptp(py) + 2 * pad
     panel = 3.6
-    size = (panel * len(stages) + 0.6, float(np.clip(panel * high / wide, 2.5, 7.0)) + 1.0)
-    figure, axes = new_figure(1, len(stages), size)
-    for axis, (name, laps) in zip(axes[0], stages.items(), strict=True):
-        lap = laps[0]
+    size = (panel * len(kinds) + 0.6, float(np.clip(panel * high / wide, 2.5, 7.0)) + 1.0)
+    figure, axes = new_figure(1, len(kinds), size)
+    for axis, (kind, laps) in zip(axes[0], kinds.items(), strict=True):
+        (colour, name), lap = KINDS[kind], laps[0]
         draw_track(axis, plan)
         axis.plot(plan["path_x"], plan["path_y"], color="0.2", lw=1.0, ls="--", zorder=2)
-        _draw(axis, lap, vehicle, window, stage_colour(name))
+        _draw(axis, lap, vehicle, window, colour)
         equal_axes(axis)
         ended = "" if lap.completed else f", {lap.code.lower().replace('_', ' ')} (x)"
-        axis.set_title(f"{stage_label(name)}{ended}")
+        axis.set_title(name.removesuffix("s") + ended)
         axis.set_aspect("equal", adjustable="box")
         axis.set(xlim=(px.min() - pad, px.max() + pad), ylim=(py.min() - pad, py.max() + pad))
     for axis in axes[0, 1:]:

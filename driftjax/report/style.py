@@ -26,6 +26,13 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
+KINDS = {
+    "nominal": (NOMINAL, "nominal MPC"),
+    "gpr": (GPR, "GPR, best laps"),
+    "explored": (EXPLORED, "explored, best laps"),
+}
+
+
 def stage_colour(name: str) -> str:
     """Grey nominal, blue GPR, red explored, tan for the controllers compared with."""
     if name == "nominal":

@@ -6,16 +6,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from driftjax.data import RunFolder
-from driftjax.report.laps import Lap, controlled_span, key_stages, laps_of, mean_curve
+from driftjax.report.laps import Lap, best_laps, controlled_span, mean_curve, mean_of
 from driftjax.report.style import (
     CONTROLLERS,
     ERROR_LABEL,
+    KINDS,
     PINK,
     YELLOW,
     new_figure,
     shade,
-    stage_colour,
-    stage_label,
 )
 
 
@@ -42,31 +41,21 @@ def _stop_marks(axis: Axes, laps: list[Lap], value, colour: str) -> int:
     return len(failed)
 
 
-def _level(run: RunFolder, stage: str, controller: str, key: str, form: str) -> str:
-    """The mean that the table gives for this curve, in words; nothing before there is a table."""
-    if not run.has("results.json"):
-        return ""
-    rows = {row["name"]: row["controllers"] for row in run.read_json("results")["stages"]}
-    mean = ((rows.get(stage) or {}).get(controller) or {}).get(key, {}).get("mean")
-    return "" if mean is None else f": {form.format(mean)}"
-
-
 def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
     """Magnitude of the lateral error over arc length, thin lines per plant and bold means."""
-    stages = {name: laps_of(run.read_stage(name), controller) for name in key_stages(run).values()}
-    stages = {name: laps for name, laps in stages.items() if laps}
-    if not stages:
+    kinds = best_laps(run, controller)
+    if not kinds:
         return None
     s = np.linspace(0, float(plan["path_s"][-1]), 500)
     figure, axes = new_figure(1, 1, (8.0, 4.8))
     axis = axes[0, 0]
-    _sections(axis, plan, [lap for laps in stages.values() for lap in laps], s)
-    for name, laps in stages.items():
-        colour, mean = stage_colour(name), mean_curve(laps, s, _error)
+    _sections(axis, plan, [lap for laps in kinds.values() for lap in laps], s)
+    for kind, laps in kinds.items():
+        (colour, name), mean = KINDS[kind], mean_curve(laps, s, _error)
         for lap in laps:
             axis.plot(s, _error(lap, s), color=colour, lw=0.7, alpha=0.45, ls="-" if lap.completed else ":")
         failed = _stop_marks(axis, laps, lambda lap: abs(lap["e"][-1]), colour)
-        words = stage_label(name) + _level(run, name, controller, "lateral_error", "{:.2f} m in the drift")
+        words = f"{name}: {mean_of(laps, 'lateral_error'):.2f} m in the drift"
         words += f", {failed} of {len(laps)} failed (x)" if failed else ""
         axis.plot(s, mean, color=colour, lw=2.4, label=words)
     axis.set(xlabel="arc length s along the planned path [m]", ylabel=ERROR_LABEL, xlim=(0, s[-1]))
@@ -80,24 +69,22 @@ def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure |
 
 def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
     """Speed and its reference in the drift section, GPR against explored, and the deviation below."""
-    keys = key_stages(run)
-    stages = {keys[key]: laps_of(run.read_stage(keys[key]), controller) for key in ("gpr", "explored") if key in keys}
-    stages = {name: laps for name, laps in stages.items() if laps}
-    if not stages:
+    kinds = {kind: laps for kind, laps in best_laps(run, controller).items() if kind != "nominal"}
+    if not kinds:
         return None
     start, end = plan.attrs["drift_start"], plan.attrs["drift_end"]
     s = np.linspace(start, end, 300)
     figure, axes = new_figure(2, 1, (8.0, 5.8), sharex=True)
     deviation = lambda lap, s: lap.over(s, "V") - lap.over(s, "V_ref")
-    for name, laps in stages.items():
-        colour = stage_colour(name)
+    for kind, laps in kinds.items():
+        colour, name = KINDS[kind]
         for lap in laps:
             axes[0, 0].plot(s, lap.over(s, "V"), color=colour, lw=0.7, alpha=0.45)
             axes[1, 0].plot(s, deviation(lap, s), color=colour, lw=0.7, alpha=0.45)
         V, V_ref = (mean_curve(laps, s, lambda lap, s, k=key: lap.over(s, k)) for key in ("V", "V_ref"))
-        axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V, {stage_label(name)}")
-        axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference, {stage_label(name)}")
-        words = stage_label(name) + _level(run, name, controller, "velocity_rmse", "RMSE {:.2f} m/s")
+        axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V: {name}")
+        axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference: {name}")
+        words = f"{name}: RMSE {mean_of(laps, 'velocity_rmse'):.2f} m/s"
         axes[1, 0].plot(s, mean_curve(laps, s, deviation), color=colour, lw=2.4, label=words)
     axes[1, 0].axhline(0, color="0.4", lw=0.7)
     axes[0, 0].set_ylabel("speed V [m/s]")

@@ -9,7 +9,7 @@ from synthetic import synthetic_run
 
 from driftjax.data import RunFolder
 from driftjax.report import table, write_report
-from driftjax.report.laps import key_stages, laps_of, mean_curve
+from driftjax.report.laps import best_laps, laps_of, mean_curve
 from driftjax.report.page import figures
 from driftjax.report.plan import spans_of, trajectory
 from driftjax.report.posture import _outline
@@ -85,8 +85,13 @@ def test_best_error_is_the_smallest_over_the_stages(run):
     assert best_errors(results)["path"] == min(means)
 
 
-def test_key_stages_are_the_last_of_their_kind(run):
-    assert key_stages(run) == {"nominal": "nominal", "gpr": "gpr-2", "explored": "explore-2"}
+def test_best_laps_have_the_least_lateral_error_of_their_plant(run):
+    best = best_laps(run, "path")
+    assert {kind: len(laps) for kind, laps in best.items()} == {"nominal": 3, "gpr": 3, "explored": 3}
+    for lane, lap in enumerate(best["gpr"]):
+        both = [laps_of(run.read_stage(f"gpr-{k}"), "path")[lane] for k in (1, 2)]
+        assert {lap.plant} == {one.plant for one in both}
+        assert lap.lateral_error == min(one.lateral_error for one in both)
 
 
 def test_a_failed_lap_ends_where_it_failed_and_leaves_the_mean_alone(run):
