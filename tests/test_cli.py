@@ -208,7 +208,7 @@ def test_a_run_that_stops_keeps_its_stages_and_goes_on(how, code, here, loop, ca
 
 
 def test_plan_writes_plan_table_and_figures_and_says_whether_to_trust_it(here, capsys):
-    assert main(["plan", "--car", "rc", "--out", "p"]) == 0
+    assert main(["plan", "--car", "rc", "--no-drift", "--out", "p"]) == 0
     said = capsys.readouterr().out
     data = RunFolder.open("p").read_dataset("plan.nc")
     assert f"lap time {data.attrs['lap_time']:.3f} s" in said and data.attrs["violation"] < 1e-6
@@ -217,6 +217,6 @@ def test_plan_writes_plan_table_and_figures_and_says_whether_to_trust_it(here, c
     header = Path("p/plan.csv").read_text().splitlines()[0].split(",")
     assert header[:4] == ["s [m]", "t [s]", "V [m/s]", "beta [rad]"] and len(header) == table.shape[1]
     assert all(Path("p", name).stat().st_size > 10_000 for name in ("plan_trajectory.png", "plan_states.png"))
-    assert main(["plan", "--car", "rc", "--max-steps", "2", "--out", "q"]) == 1
+    assert main(["plan", "--car", "rc", "--no-drift", "--max-steps", "2", "--out", "q"]) == 1
     assert len(capsys.readouterr().err.strip().splitlines()) == 1 and Path("q/plan.nc").is_file()
     assert main(["report", "p"]) == 0

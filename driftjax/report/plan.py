@@ -58,7 +58,8 @@ def states(plan: xr.Dataset) -> Figure:
         axis.axhline(0, color="0.4", lw=0.7) if name != "V" else None
         axis.set_ylabel(label)
         axis.margins(x=0)
-    axes[0, 0].legend(loc="best")
+    if plan["drift"].values.any():
+        axes[0, 0].legend(loc="best")
     axes[0, 0].set_title(f"{plan.attrs['car']}: planned states; sideslip and yaw rate of opposite sign are a drift")
     axes[-1, 0].set_xlabel("arc length s along the planned path [m]")
     figure.align_ylabels()

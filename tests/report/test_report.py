@@ -11,7 +11,7 @@ from driftjax.data import RunFolder
 from driftjax.report import table, write_report
 from driftjax.report.laps import best_laps, laps_of, mean_curve
 from driftjax.report.page import figures
-from driftjax.report.plan import spans_of, trajectory
+from driftjax.report.plan import spans_of, states, trajectory
 from driftjax.report.posture import _outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
 from driftjax.report.table import best_errors, interval
@@ -127,6 +127,13 @@ def test_red_segments_of_the_plan_are_its_drifts(run):
     np.testing.assert_array_equal(np.asarray(red[0].get_xdata()), plan["x"].values[plan["drift"].values])
     flags = np.array([1, 1, 0, 0, 1, 0, 1], bool)
     assert spans_of(flags, np.arange(7.0)) == [(0, 1), (4, 4), (6, 6)]
+
+
+def test_a_plan_without_drift_is_drawn_too(run):
+    plan = run.read_dataset("plan.nc")
+    plan["drift"] = plan["drift"] & False
+    assert not [line for line in trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
+    assert len(states(plan).axes) == 3
 
 
 def test_outline_has_the_cars_size_and_heading():
