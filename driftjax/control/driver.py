@@ -47,7 +47,7 @@ class Memory(NamedTuple):
     X: Float[Array, "N+1 5"]  # last plan, already shifted
     U: Float[Array, "N 2"]
     drifting: Array  # whether the drift controller drove the last step
-    planned: Array  # whether `X`, `U` come from a solve
+    planned: Array  # whether `X`, `U` come from the last step's own solve
 
 
 class Decision(NamedTuple):
@@ -131,7 +131,7 @@ class Driver(eqx.Module):
         fallback = within_limits(self.ocp, U, memory.command, share=0.0)
         new_X, new_U = jnp.where(solved, solution.X, X), jnp.where(solved, solution.U, fallback)
         decision = Decision(Control(new_U[0, 0], new_U[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
-        return decision, Memory(new_U[0], *shifted(new_X, new_U), jnp.asarray(True), memory.planned | solved)
+        return decision, Memory(new_U[0], *shifted(new_X, new_U), jnp.asarray(True), solved)
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:

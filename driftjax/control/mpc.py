@@ -1,6 +1,5 @@
 """The drift MPC (Wu et al. 2025, Eq. 10): track a reference with the nominal car plus its learnt residual."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State, as_float, features, require, rk4_step
 from driftjax.solve import AbstractOCP, Options, Plan, shift, solve
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle import Residual, SingleTrack, VehicleConfig
 
 INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is finite there
 
@@ -29,6 +28,9 @@ class MPCConfig:
     """Weights on V [m/s], beta [rad] and r [rad/s]."""
     Q_path: tuple[float, float] = (0.0, 0.0)
     """Weights on the lateral error e [m] and the heading error theta [rad]; zeros give the paper's controller."""
+    front_slip: float = 0.0
+    """Weight on the front slip angle beyond the tyre's peak [rad]: keeps the MPC off the drift with saturated front,
+    from which it cannot steer; 0 gives the paper's controller."""
     R: tuple[float, float] = (10.0, 0.001)
     """Weights on the change per step of delta [rad] and of Fxr [Fxr_unit]."""
     Fxr_unit: float = 1000.0
@@ -45,6 +47,7 @@ class MPCConfig:
             min(self.Q + self.Q_path) >= 0,
             f"keys 'Q' and 'Q_path' hold {self.Q}, {self.Q_path}; none may be negative.",
         )
+        require(self.front_slip >= 0, f"key 'front_slip' is {self.front_slip}; it must not be negative.")
         require(min(self.R) > 0, f"key 'R' is {self.R}; both weights must be positive.")
         require(self.Fxr_unit > 0, f"key 'Fxr_unit' is {self.Fxr_unit}; give newtons per unit, 1000 for kN.")
         require(self.tolerance > 0, f"key 'tolerance' is {self.tolerance}; it must be positive.")
@@ -69,21 +72,22 @@ class DriftOCP(AbstractOCP):
     measured in `learn`; so the GP is evaluated once a step and model and data agree at any step length.
     """
 
-    nominal: Callable[[State, Control], State]
-    residual: Callable[[Array], Array]  # z (5,) -> (dV, dbeta, dr)
+    nominal: SingleTrack
+    residual: Residual
     horizon: int = eqx.field(static=True)
     dt: Array = eqx.field(converter=as_float)
     x_scale: Array  # (7,)
     Q: Array  # (5,) weights in SI
     R: Array  # (2,) weights in SI
+    front_slip: Array = eqx.field(converter=as_float)  # weight in SI
     lower: Array  # (2,) smallest delta, Fxr
     upper: Array  # (2,)
     rate: Array  # (2,) largest change per step
 
-    def _advance(self, x: Array, u: Array, p: Reference, residual: Callable[[Array], Array] | None) -> Array:
+    def _advance(self, x: Array, u: Array, p: Reference, residual: Residual | None) -> Array:
         y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
         first = State(y[0], y[1], y[2])
-        d = jnp.zeros(3) if residual is None else residual(features(first, command))
+        d = jnp.zeros(3) if residual is None else residual.tangent(features(first, command))
 
         def rates(w: Array) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), command)
@@ -105,8 +109,12 @@ class DriftOCP(AbstractOCP):
         return jnp.sum(self.Q * error**2)
 
     def cost(self, x: Array, u: Array, p: Reference) -> Array:
-        """Tracking of this state and change of the input."""
-        return self._tracking(x, p) + jnp.sum(self.R * ((u - x[5:]) * self.x_scale[5:]) ** 2)
+        """Tracking of this state, change of the input, front slip beyond the peak."""
+        change = (u - x[5:]) * self.x_scale[5:]
+        y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
+        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), command)
+        beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
+        return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
     def terminal(self, x: Array, p: Reference) -> Array:
         """Tracking of the last state."""
@@ -129,8 +137,8 @@ class DriftOCP(AbstractOCP):
 def drift_ocp(
     config: MPCConfig,
     vehicle: VehicleConfig,
-    residual: Callable[[Array], Array],
-    nominal: Callable[[State, Control], State] | None = None,
+    residual: Residual,
+    nominal: SingleTrack | None = None,
 ) -> DriftOCP:
     """The problem of one car; `nominal` defaults to the car that `vehicle` describes."""
     weight = vehicle.m * 9.81
@@ -146,6 +154,7 @@ def drift_ocp(
         x_scale=x_scale,
         Q=jnp.array(config.Q + config.Q_path),
         R=jnp.array([config.R[0], config.R[1] / config.Fxr_unit**2]),
+        front_slip=config.front_slip,
         lower=jnp.array([-vehicle.delta_max, vehicle.Fxr_min]),
         upper=jnp.array([vehicle.delta_max, vehicle.Fxr_max]),
         rate=config.dt * jnp.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max]),

@@ -79,6 +79,24 @@ class GP(eqx.Module):
         fade = -jnp.expm1(-FADE_RATE * jnp.sum(correlations, axis=-1))
         return jnp.clip(fade * self._mean(correlations), self.lower, self.upper)
 
+    def bounded_mean_and_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """`bounded_mean` (D,) and its derivative in `z` (D, nf), in closed form: no pass per direction."""
+        inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale  # (D, nf)
+        offset = z - self.Z  # (M, nf)
+        q = jnp.square(inverse) @ jnp.square(offset).T  # (D, M)
+        value, slope = jax.jvp(KERNELS[self.kernel], (q,), (jnp.ones_like(q),))
+        value, slope = jnp.where(self.mask, value, 0.0), jnp.where(self.mask, slope, 0.0)
+        mass = jnp.sum(value, axis=-1)
+        away = jnp.exp(-FADE_RATE * mass)
+        size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
+        mean = size * jnp.sum(value * self.alpha, axis=-1)
+        weight = (1 - away)[:, None] * size[:, None] * slope * self.alpha
+        weight = weight + (FADE_RATE * away * mean)[:, None] * slope
+        jacobian = 2 * jnp.square(inverse) * (weight @ offset)
+        bounded = (1 - away) * mean
+        inside = (bounded >= self.lower) & (bounded <= self.upper)
+        return jnp.clip(bounded, self.lower, self.upper), jnp.where(inside[:, None], jacobian, 0.0)
+
     @property
     def prior_variance(self) -> Array:
         """(D,): latent variance without data."""

@@ -1,9 +1,11 @@
 """What a person may choose about a minimum-time plan."""
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
 from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.vehicle import VehicleConfig
 
 
 @dataclass(frozen=True)
@@ -12,6 +14,8 @@ class PlanConfig:
 
     entry_speed: float = 12.31
     """Speed at the start, where the car rolls straight along the centre line [m/s]."""
+    V_fair: float | None = None
+    """Speed from which going faster earns hardly any time [m/s]; left out: no limit. Smooth, unlike `V_max`."""
     num_nodes: int | None = None
     """Nodes along the track, both ends included; left out: 0.15 wheelbases apart, but at least 301."""
     V_min: float = 3.0
@@ -46,6 +50,15 @@ class PlanConfig:
     """Sideslip, opposite in sign to the yaw rate, from which a node is labelled a drift [rad]."""
     rate_weight: float = 0.002
     """Seconds paid per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
+    course_weight: float = 0.0
+    """Seconds paid per second and squared radian between course and track: keeps straights from being weaved along."""
+    friction_share: float = 1.0
+    """Friction that the plan may use, over the nominal car's [-]: leaves room to drift where grip would do."""
+    combined_slip: float = 0.0
+    """Friction ellipse of the planner's car, as in a vehicle YAML: without one a plan asks for drive force and side
+    force that no tyre gives at once [-]."""
+    brake_share: float = 1.0
+    """Braking force that the plan may use, over the car's [-]."""
     lead: float = 0.15
     """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
     tolerance: float = 1e-6
@@ -62,11 +75,12 @@ class PlanConfig:
             "beta_normal",
             "end_slip",
             "drift_radius",
+            "friction_share",
             "tolerance",
         ):
             value = getattr(self, name)
             require(value > 0, f"key '{name}' is {value}; it must be positive.")
-        for name in ("margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight"):
+        for name in ("margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight", "course_weight", "brake_share"):
             value = getattr(self, name)
             require(value >= 0, f"key '{name}' is {value}; it must not be negative.")
         require(
@@ -74,6 +88,7 @@ class PlanConfig:
         )
         require(0 < self.lead <= 0.9, f"key 'lead' is {self.lead}; give a share of the lap up to 0.9.")
         require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; give at least 1.")
+        require(self.V_fair is None or self.V_fair > 0, f"key 'V_fair' is {self.V_fair}; it must be positive.")
         require(self.V_min < self.V_max, f"key 'V_min' is {self.V_min}; it must be below 'V_max'.")
         require(self.beta_max < 1.4, f"key 'beta_max' is {self.beta_max}; give radians below 1.4.")
         require(self.beta_normal <= self.beta_max, f"key 'beta_normal' is {self.beta_normal}; it exceeds 'beta_max'.")
@@ -81,6 +96,11 @@ class PlanConfig:
         require(self.drift_ramp > 0, f"key 'drift_ramp' is {self.drift_ramp}; it must be positive.")
         ordered = 0 <= self.drift_from < self.drift_to - 2 * self.drift_ramp and self.drift_to <= 1
         require(ordered, "keys 'drift_from' and 'drift_to' must lie in 0..1, with room between them for two ramps.")
+
+    def planned(self, vehicle: VehicleConfig) -> VehicleConfig:
+        """The car as the planner may use it."""
+        brake = self.brake_share * vehicle.Fxr_min
+        return dataclasses.replace(vehicle, mu=self.friction_share * vehicle.mu, Fxr_min=brake, combined_slip=max(self.combined_slip, vehicle.combined_slip))
 
 
 def load_plan_config(name: str | Path) -> PlanConfig:

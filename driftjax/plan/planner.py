@@ -74,7 +74,8 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
     e0 = float(np.mean(np.asarray(stage.e_max - stage.e_min))) / 2
     model = vehicle.build() if model is None else model
-    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, config.rate_weight)
+    fair = jnp.inf if config.V_fair is None else config.V_fair
+    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, config.rate_weight, config.course_weight, fair)
 
 
 @eqx.filter_jit
@@ -106,10 +107,9 @@ def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Soluti
     x, y = jax.vmap(track.position)(s, e)
     psi = jax.vmap(track.pose)(s)[2] + theta
     dx = jax.vmap(ocp.model)(State(V, beta, r), Control(delta, Fxr))
+    kappa, S = (r + dx.beta) / V, _path_length(t, V, dx.V)
     w_right, w_left = jax.vmap(track.widths)(s)
-    kappa = (r + dx.beta) / V
     along = jnp.cos(theta + beta)  # borders are measured square to the course, not to the centre line
-    S = _path_length(t, V, dx.V)
     count = PATH_POINTS * (len(s) - 1) + 1
     course, share = psi + beta, S / S[-1]
     ends = jnp.stack([x[-1] - x[0], y[-1] - y[0], course[-1] - course[0] - track.turn])
@@ -166,6 +166,7 @@ def plan(
     may be trusted; raises `BadInput` where the car does not fit the track.
     """
     check_width(track, vehicle.width, "track")
+    vehicle = config.planned(vehicle)
     at = nodes(track, vehicle.a + vehicle.b, config)
     stage, corners = stages(track, vehicle, config, at.s)
     ocp = problem(vehicle, config, stage, at.s[1] - at.s[0], model)

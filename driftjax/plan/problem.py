@@ -14,6 +14,10 @@ from driftjax.track import curvilinear_rates
 SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
 
 
+ENERGY_PRICE = 0.1  # of kinetic energy, in times at V_fair per energy at V_fair, so that excess speed is not kept
+SHARPNESS = 16.0  # of the maximum that takes the reward from speeds above V_fair
+
+
 class Stage(NamedTuple):
     """What the track and the drift device say at one node; rows for all nodes."""
 
@@ -54,6 +58,8 @@ class MinimumTime(AbstractOCP):
     L0: Array = eqx.field(converter=as_float)  # scale of length: smallest radius [m]
     e0: Array = eqx.field(converter=as_float)  # scale of the lateral offset [m]
     rate_weight: Array = eqx.field(converter=as_float)  # [-]
+    course_weight: Array = eqx.field(converter=as_float, default=0.0)  # [-]
+    V_fair: Array = eqx.field(converter=as_float, default=jnp.inf)  # progress that hardly earns more time [m/s]
 
     @property
     def scale(self) -> Array:
@@ -89,13 +95,16 @@ class MinimumTime(AbstractOCP):
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def cost(self, x: Array, u: Array, p: Stage) -> Array:
-        """Time of the stage and the price of its rates, in units of L0/V0."""
-        time = p.share * self.ds * self.slowness(x, p.kappa[0]) * self.V0 / self.L0
-        return time + self.rate_weight * self.ds / self.L0 * (u[0] ** 2 + u[1] ** 2)
+        """Time of the stage and the prices of its rates and of its course, in units of L0/V0."""
+        return self.terminal(x, p) + self.rate_weight * self.ds / self.L0 * (u[0] ** 2 + u[1] ** 2)
 
     def terminal(self, x: Array, p: Stage) -> Array:
-        """Last half step of the trapezoidal rule."""
-        return p.share * self.ds * self.slowness(x, p.kappa[0]) * self.V0 / self.L0
+        """Time, and price of leaving the track's course, that the trapezoidal rule gives this node."""
+        slowness = self.slowness(x, p.kappa[0]) * self.V0
+        floor = self.V0 / self.V_fair  # a smooth maximum of the two
+        time = (slowness**SHARPNESS + floor**SHARPNESS) ** (1 / SHARPNESS)
+        time = time + ENERGY_PRICE * floor * (x[0] * floor) ** 2
+        return p.share * self.ds / self.L0 * (time + self.course_weight * (x[1] + x[4]) ** 2)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
         """Gaps of a stage, in scaled units."""

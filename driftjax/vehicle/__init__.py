@@ -1,6 +1,8 @@
 """Cars: the paper's nominal single track and the plant that stands in for the real one."""
 
 from driftjax.vehicle.corrected import Corrected as Corrected
+from driftjax.vehicle.corrected import Residual as Residual
+from driftjax.vehicle.corrected import no_residual as no_residual
 from driftjax.vehicle.double_track import DoubleTrack as DoubleTrack
 from driftjax.vehicle.double_track import Motion as Motion
 from driftjax.vehicle.double_track import PlantState as PlantState

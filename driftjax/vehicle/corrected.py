@@ -3,9 +3,33 @@
 from collections.abc import Callable
 
 import equinox as eqx
-from jax import Array
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
 
 from driftjax.core import Control, State, features
+from driftjax.gp import GP
+
+
+class Residual(eqx.Module):
+    """The model error d(z) that a GP has learnt, faded to nothing where it has no data."""
+
+    gp: GP
+    gate: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
+
+    def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
+        """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
+        return self.gate * self.gp.bounded_mean(z)
+
+    def tangent(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
+        """The same value, whose derivative in `z` is the exact one but itself constant.
+
+        Differentiating through this costs one closed-form Jacobian instead of a GP evaluation per direction;
+        second derivatives in `z` are zero.
+        """
+        at = lax.stop_gradient(z)
+        value, jacobian = self.gp.bounded_mean_and_jacobian(at)
+        return self.gate * (value + jacobian @ (z - at))
 
 
 class Corrected(eqx.Module):
@@ -18,3 +42,8 @@ class Corrected(eqx.Module):
         """Time derivative of `x`."""
         dx, d = self.nominal(x, u), self.residual(features(x, u))
         return State(dx.V + d[0], dx.beta + d[1], dx.r + d[2])
+
+
+def no_residual(like: GP) -> Residual:
+    """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles)."""
+    return Residual(like, jnp.zeros(3))

@@ -1,6 +1,5 @@
 """What a vehicle YAML file may hold, checked, and the nominal car built from it."""
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,7 +43,11 @@ class VehicleConfig:
     Fxr_rate_max: float
     """Largest rate of the rear longitudinal force [N/s]."""
 
+    combined_slip: float = 0.0
+    """How much the drive force takes from the rear lateral force: 0 as published, 1 a friction circle [-]."""
+
     def __post_init__(self) -> None:
+        require(0 <= self.combined_slip <= 1.5, f"key 'combined_slip' is {self.combined_slip}; it lies in 0..1.5.")
         for name in ("m", "Iz", "a", "b", "mu", "B", "C", "width", "length", "delta_max", "delta_rate_max",
                      "Fxr_max", "Fxr_rate_max"):  # fmt: skip
             value = getattr(self, name)
@@ -55,7 +58,8 @@ class VehicleConfig:
 
     def build(self) -> SingleTrack:
         """The nominal car."""
-        return SingleTrack(m=self.m, Iz=self.Iz, a=self.a, b=self.b, tyre=SimplifiedPacejka(self.mu, self.B, self.C))
+        tyre = SimplifiedPacejka(self.mu, self.B, self.C)
+        return SingleTrack(self.m, self.Iz, self.a, self.b, tyre, self.combined_slip)
 
 
 def load_vehicle(name: str | Path) -> VehicleConfig:
@@ -63,7 +67,3 @@ def load_vehicle(name: str | Path) -> VehicleConfig:
     path = find_config("vehicle", name)
     return from_dict(VehicleConfig, read_yaml(path), str(path))
 
-
-def replace(config: VehicleConfig, **changes: float) -> VehicleConfig:
-    """A copy of `config` with some parameters changed, checked again."""
-    return dataclasses.replace(config, **changes)

@@ -1,4 +1,4 @@
-"""The paper's nominal car: single track, simplified Pacejka, no friction circle."""
+"""The paper's nominal car: single track, simplified Pacejka; a friction ellipse at the rear as an option."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,17 +8,23 @@ from driftjax.core import Control, State, as_float
 from driftjax.tyre import SimplifiedPacejka
 
 G = 9.81  # gravitational acceleration [m/s^2]
+LATERAL_FLOOR = 0.04  # square of the share of lateral force that no drive force takes away: keeps the slope finite
 V_FLOOR = 1e-3  # speed below which beta_dot is held finite [m/s]
 
 
 class SingleTrack(eqx.Module):
-    """Nominal single-track car (Wu et al. 2025, Eq. 1-3); calling it gives the time derivative."""
+    """Nominal single-track car (Wu et al. 2025, Eq. 1-3); calling it gives the time derivative.
+
+    `combined_slip` is not the paper's: the rear lateral force shrinks with the drive force, by
+    sqrt(1 - (combined_slip Fxr / (mu Fzr))^2) (Hindiyeh and Gerdes 2014). At 0 the car is exactly the published one.
+    """
 
     m: Array = eqx.field(converter=as_float)  # mass [kg]
     Iz: Array = eqx.field(converter=as_float)  # yaw moment of inertia [kg m^2]
     a: Array = eqx.field(converter=as_float)  # centre of mass to front axle [m]
     b: Array = eqx.field(converter=as_float)  # centre of mass to rear axle [m]
     tyre: SimplifiedPacejka
+    combined_slip: Array = eqx.field(converter=as_float, default=0.0)  # 0 none, 1 a friction circle [-]
 
     @property
     def Fzf(self) -> Array:
@@ -41,7 +47,9 @@ class SingleTrack(eqx.Module):
     def lateral_forces(self, x: State, u: Control) -> tuple[Array, Array]:
         """Lateral force of front and rear axle in the wheel frames [N], left positive."""
         alpha_f, alpha_r = self.slip_angles(x, u)
-        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr)
+        used = self.combined_slip * u.Fxr / (self.tyre.mu * self.Fzr)
+        left = jnp.sqrt(jnp.maximum(1 - used**2, LATERAL_FLOOR))
+        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * left
 
     def __call__(self, x: State, u: Control) -> State:
         """Time derivative of `x` (Eq. 1)."""

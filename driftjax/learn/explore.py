@@ -1,0 +1,89 @@
+"""Active exploration of a batch of lanes: candidate speeds from the V-sets, the next one by Algorithm 1."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import RESULTS, Control, State, features
+from driftjax.equilibrium import Branch, SlipSpeed, continuation
+from driftjax.explore import select, v_sets
+from driftjax.learn.config import ExploreConfig
+from driftjax.learn.scenario import Scenario
+from driftjax.sim import Trace
+from driftjax.vehicle import Residual, SingleTrack
+
+POINTS = 40  # of a speed curve over the drift section
+
+
+class Candidates(eqx.Module):
+    """Speeds to explore, per lane (leading axis), and which have been driven."""
+
+    s: Array  # (lanes, POINTS) arc length of the curves [m]
+    origin: Array  # (lanes, POINTS) planned speed, from which they start [m/s]
+    target: Array  # (lanes, POINTS) r_b e, where they tend to [m/s]
+    V: Array  # (lanes, K, POINTS) generated curves [m/s]
+    V_ep: Array  # (lanes, K) their means [m/s]
+    visited: Array  # (lanes, K) driven, or not to be driven: a duplicate, or no equilibrium
+
+
+class Drifts(eqx.Module):
+    """The drift states of a corrected car at the corner's sideslip, over speed.
+
+    At fixed V and yaw rate a car with a friction circle has two drifts or none, a hair apart in speed; at fixed
+    sideslip it has one. So E(V_ep, .) is solved at the sideslip aimed at, from the nominal drift.
+    """
+
+    nominal: SingleTrack
+    beta: Array
+    x_eq: State
+    u_eq: Control
+
+    def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
+        """GP input z (5,) of the drift at speed `V`, and whether it exists."""
+        fixed = SlipSpeed(self.beta, V)
+        found = continuation(self.nominal, residual, fixed, (self.x_eq, self.u_eq), branch=Branch.COUNTERSTEER)
+        return features(found.x, found.u), found.result == RESULTS.successful
+
+
+def drifts(scenario: Scenario) -> Drifts:
+    """The corner's drift states."""
+    return Drifts(scenario.nominal, jnp.asarray(scenario.corner.beta), scenario.x_eq, scenario.u_eq)
+
+
+def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidates:
+    """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`."""
+    table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
+    s = jnp.linspace(table.drift_start, table.drift_end, POINTS)
+    origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
+    widest = config.gamma_share * V_b * jnp.arange(1, config.num_sets + 1) / config.num_sets
+    bounds = jnp.stack([-widest, widest], axis=1)
+    weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
+    return _candidates(drifts(scenario), s, origin, r_b, bounds, weights, trace, residual, jnp.asarray(V_b))
+
+
+@eqx.filter_jit
+def _candidates(states: Drifts, s, origin, r_b, bounds, weights, trace: Trace, residual: Residual, V_b) -> Candidates:
+    def one(trace: Trace, d: Residual):
+        at = jnp.where(trace.alive, trace.s, jnp.inf)
+        order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
+        e = jnp.interp(s, at[order], trace.sensed.e[order])
+        sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
+                      V_max=3 * V_b)  # fmt: skip
+        exists = jax.vmap(lambda V: states(V, d)[1])(sets.V_ep)
+        return Candidates(s, origin, r_b * e, sets.V, sets.V_ep, ~(sets.distinct & exists))
+
+    return jax.vmap(one)(trace, residual)
+
+
+@eqx.filter_jit
+def choose(states: Drifts, V_b: Array, options: ExploreConfig, found: Candidates, residual: Residual):
+    """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
+
+    def one(V_ep: Array, visited: Array, d: Residual):
+        z = jax.vmap(lambda V: states(V, d)[0])(V_ep)
+        z_ref = states(V_b, d)[0]
+        choice = select(z, visited, z_ref, d.gp, jnp.asarray(options.P), options.lam)
+        return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
+
+    return jax.vmap(one)(found.V_ep, found.visited, residual)

@@ -1,0 +1,94 @@
+"""The loop of Section V-A: nominal laps, GP laps until convergence, V-sets, exploration; every lane keeps its best."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.control.mpc import DriftOCP
+from driftjax.control.table import ReferenceTable
+from driftjax.equilibrium import Branch, SlipRadius, continuation
+from driftjax.learn.config import GPConfig
+from driftjax.learn.explore import Candidates
+from driftjax.learn.model import Memory, empty, learn
+from driftjax.learn.reference import entry_table, step_table
+from driftjax.learn.residual import rows
+from driftjax.learn.scenario import Scenario, problems
+from driftjax.learn.stage import Stage
+from driftjax.sim import keep_where
+from driftjax.solve import Options
+from driftjax.vehicle import Residual, SingleTrack
+
+ENTRY_STEPS = 80  # iterations allowed for the entry problem: four times the MPC's horizon from a rough guess
+
+
+class Best(eqx.Module):
+    """What drove each lane's best lap so far (leading axis of lanes)."""
+
+    error: Array  # mean lateral error, infinite before the first completed lap [m]
+    residual: Residual
+    table: ReferenceTable
+
+
+class Progress(eqx.Module):
+    """All that one stage hands to the next: enough to go on after a kill."""
+
+    memory: Memory
+    best: Best
+    last_error: Array  # of the stage before, per lane [m]
+    converged: Array  # bool: GP laps are over
+    found: Candidates
+
+
+def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
+    """Progress before the first lap."""
+    memory = scenario.over_lanes(empty(scenario.config.gp))
+    table = scenario.over_lanes(scenario.table)
+    far = jnp.full(scenario.num_lanes, jnp.inf)
+    return Progress(memory, Best(far, memory.residual, table), far, jnp.asarray(False), empty_candidates)
+
+
+@eqx.filter_jit
+def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig, keys: Array) -> Memory:
+    Z, Y, mask = jax.vmap(lambda trace: rows(nominal, trace, stage.laps.dt))(stage.laps.trace)
+    return eqx.filter_vmap(lambda m, *data: learn(m, *data[:3], config, data[3]))(memory, Z, Y, mask, keys)
+
+
+def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual, number: int) -> Progress:
+    """`progress` after a lap: its rows learnt, and kept as the best where it was."""
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
+    memory = _learn(scenario.nominal, progress.memory, stage, scenario.config.gp, keys)
+    error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
+    best = keep_where(error < progress.best.error, Best(error, residual, stage.table), progress.best)
+    return Progress(memory, best, stage.figures.lateral_error, progress.converged, progress.found)
+
+
+def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> ReferenceTable:
+    """The reference of every lane from its corrected car, with the speed aimed at shifted by `V_shift` (lanes,).
+
+    `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
+    """
+    config = scenario.config
+    if config.reference == "entry":
+        ocp = problems(scenario, residual, scenario.horizon)
+        return _entries(ocp, scenario.table, jnp.asarray(config.switch.lead), V_shift, config.mpc.tolerance)
+    corner = scenario.corner
+    fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
+    guess = (scenario.x_eq, scenario.u_eq)
+    return _steps(scenario.nominal, residual, fixed, guess, scenario.table, V_shift)
+
+
+@eqx.filter_jit
+def _entries(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, tolerance: float) -> ReferenceTable:
+    options = Options(tolerance, 10.0, ENTRY_STEPS)
+    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, lead, shift, options).table)(ocp, V_shift)
+
+
+@eqx.filter_jit
+def _steps(nominal, residual: Residual, fixed: SlipRadius, guess, table: ReferenceTable, V_shift: Array):
+    def one(d: Residual, shift: Array) -> ReferenceTable:
+        found = continuation(nominal, d, fixed, guess, branch=Branch.COUNTERSTEER)
+        # r_b and beta_eq stay where V is explored: the same corner at another speed (Wu et al. 2025, Sec. IV-C)
+        return step_table(table, found.x._replace(V=found.x.V + shift), found.u)
+
+    return eqx.filter_vmap(one)(residual, V_shift)

@@ -1,0 +1,61 @@
+"""The learnt residual of one lane: a dictionary of informative rows, the GP on it, and how far to trust it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.gp import GP, condition, fit, scales, select_dictionary, zero_gp
+from driftjax.learn.config import GPConfig
+from driftjax.vehicle import Residual
+
+BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
+
+
+class Memory(eqx.Module):
+    """Rows kept so far and what was learnt from them, of one lane."""
+
+    Z: Array  # (M, 5)
+    Y: Array  # (M, 3)
+    mask: Array  # (M,)
+    residual: Residual
+    held_out: Array  # (3,) error on held-out rows over that of no model, 1 without data
+
+
+def empty(config: GPConfig) -> Memory:
+    """Memory of a lane that has not driven."""
+    M = config.size
+    gp = zero_gp(M, 5, 3, config.kernel)
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), Residual(gp, jnp.zeros(3)), jnp.ones(3))
+
+
+def learn(memory: Memory, Z: Array, Y: Array, mask: Array, config: GPConfig, key: Array) -> Memory:
+    """`memory` with a lap's rows added: new dictionary, new GP, new gate.
+
+    The gate of an output is the share of its squared error that the GP takes from rows it was not conditioned on;
+    an output that does not gain there is switched off.
+    """
+    Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
+    mask = jnp.concatenate([memory.mask, mask])
+    kept = select_dictionary(Z, Y, mask, config.size, kernel=config.kernel)
+    found = fit(
+        *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
+        kernel=config.kernel, key=key,
+    )  # fmt: skip
+    held_out = held_out_error(found.gp, Z, Y, mask, config)
+    gate = jnp.clip(1 - held_out**2, 0.0, 1.0)
+    enough = jnp.sum(kept[2]) >= 20
+    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0))
+    return Memory(*kept, residual, held_out)
+
+
+def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig) -> Array:
+    """(3,): root mean square error on every second block of rows of a GP conditioned on the other blocks, over the
+    root mean square of the targets."""
+    fold = (jnp.arange(len(mask)) // BLOCK) % 2 == 0
+    train = select_dictionary(Z, Y, mask & fold, config.size, kernel=config.kernel)
+    half = condition(*train, gp.hyper, *scales(*train), config.kernel)
+    test = (mask & ~fold)[:, None]
+    error = jnp.where(test, jax.vmap(half.bounded_mean)(Z) - Y, 0.0)
+    total = jnp.sum(jnp.where(test, Y, 0.0) ** 2, axis=0)
+    return jnp.sqrt(jnp.sum(error**2, axis=0) / jnp.where(total > 0, total, jnp.inf))

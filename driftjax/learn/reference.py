@@ -1,0 +1,123 @@
+"""References along the planned path: the plan itself, the paper's step, and the corner planned on the corrected car."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
+from driftjax.control.table import ReferenceTable
+from driftjax.core import Control, State
+from driftjax.plan import Plan
+from driftjax.solve import Options
+
+POINTS = 400  # rows of a reference table
+CORE = 0.5  # share of the drift section, about its middle, that stands for the steady part of the corner
+
+
+def plan_table(plan: Plan) -> ReferenceTable:
+    """The minimum-time plan as reference: dynamically consistent with the nominal car, entry and exit included.
+
+    The path's tangent is the planned course, so the planned heading error is -beta and the planned offset 0.
+    """
+    start, end = plan.drift_interval()
+    s = np.linspace(0.0, float(plan.path.length), POINTS)
+    at = lambda values: jnp.asarray(np.interp(s, np.asarray(plan.S), np.asarray(values)))
+    beta = at(plan.beta)
+    kappa = jax.vmap(lambda one: plan.path.pose(one)[3])(jnp.asarray(s))
+    return ReferenceTable(
+        0.0, s[1], speed=at(plan.V), kappa=kappa, V=at(plan.V), beta=beta, r=at(plan.r), e=jnp.zeros(POINTS),
+        theta=-beta, delta=at(plan.delta), Fxr=at(plan.Fxr), drift_start=start, drift_end=end,
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Corner:
+    """Baseline of the planned corner's steady part."""
+
+    V_b: float  # planned speed [m/s]
+    r_b: float  # planned yaw rate [rad/s]
+    R: float  # radius of the path, positive to the left [m]
+    beta: float  # sideslip aimed at, opposite in sign to the turn [rad]
+
+
+def corner(table: ReferenceTable, drift_beta: float) -> Corner:
+    """The steady part of the corner in `table`, to be driven at sideslip of magnitude `drift_beta`."""
+    s = np.asarray(table.start + table.spacing * np.arange(POINTS))
+    middle, half = (table.drift_start + table.drift_end) / 2, CORE * (table.drift_end - table.drift_start) / 2
+    inside = np.abs(s - float(middle)) <= float(half)
+    V_b, kappa = float(np.mean(np.asarray(table.V)[inside])), float(np.mean(np.asarray(table.kappa)[inside]))
+    return Corner(V_b, V_b * kappa, 1 / kappa, -math.copysign(drift_beta, kappa))
+
+
+def step_table(table: ReferenceTable, x: State, u: Control) -> ReferenceTable:
+    """The paper's reference: the constant drift state (V_ep, beta_eq, r_b) wherever the drift controller drives."""
+    level = lambda value: jnp.broadcast_to(value, table.V.shape)
+    new = (level(x.V), level(x.beta), level(x.r), jnp.zeros_like(table.e), level(-x.beta), level(u.delta), level(u.Fxr))
+    return eqx.tree_at(lambda t: (t.V, t.beta, t.r, t.e, t.theta, t.delta, t.Fxr), table, new)
+
+
+class Entry(eqx.Module):
+    """An entry reference and how well it was found."""
+
+    table: ReferenceTable
+    kkt: Array
+    violation: Array
+    num_steps: Array
+
+
+def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -> int:
+    """Steps of `dt` [s] that the plan takes from `lead` before the drift section to `trail` after it [m]."""
+    s = np.asarray(table.start + table.spacing * np.arange(POINTS))
+    inside = (s >= float(table.drift_start) - lead) & (s <= float(table.drift_end) + trail)
+    return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
+
+
+def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, options: Options) -> Entry:
+    """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
+
+    Starts `lead` metres before the drift section on the plan in `table` and follows path and sideslip of the plan;
+    speed, yaw rate and inputs come out consistent with the model. `V_shift` [m/s] is added to the speed aimed at.
+    Rows outside the horizon keep the plan, and so does everything where the solve fails (see `kkt`).
+    """
+    s0 = table.drift_start - lead
+    x, u = table.state(s0)
+    x0, previous = jnp.stack([x.V, x.beta, x.r, jnp.zeros_like(s0), -x.beta]), jnp.stack([u.delta, u.Fxr])
+    s = _schedule(table, s0, ocp.horizon, ocp.dt)
+    plan = table.reference(s)
+    target = Reference(plan.V + V_shift, plan.beta, plan.r, plan.e, plan.theta, plan.kappa)
+    X = jnp.stack([plan.V, plan.beta, plan.r, plan.e, plan.theta], axis=1)
+    at = lambda values: jax.vmap(lambda one: table.row(values, one))(s[:-1])
+    found = solve_mpc(ocp, x0, previous, target, X, jnp.stack([at(table.delta), at(table.Fxr)], axis=1), options)
+    good = jnp.maximum(found.plan.kkt, found.plan.violation) < 1e-2
+    new = _onto(table, s, found.X, found.U)
+    new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
+    return Entry(new, found.plan.kkt, found.plan.violation, found.plan.num_steps)
+
+
+def _schedule(table: ReferenceTable, s0: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
+    """Arc lengths of the plan at steps of `dt` from `s0`."""
+
+    def move(s, _):
+        after = s + dt * table.row(table.V, s)
+        return after, after
+
+    return jnp.concatenate([s0[None], jax.lax.scan(move, s0, length=num)[1]])
+
+
+def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
+    """`table` with the rows between the ends of `s` taken from the trajectory."""
+    grid = table.start + table.spacing * jnp.arange(table.V.shape[0])
+    inside = (grid >= s[0]) & (grid <= s[-1])
+    put = lambda old, values, at: jnp.where(inside, jnp.interp(grid, at, values), old)
+    V, beta, r, e, theta = (put(old, X[:, i], s) for i, old in
+                            enumerate((table.V, table.beta, table.r, table.e, table.theta)))  # fmt: skip
+    delta, Fxr = put(table.delta, U[:, 0], s[:-1]), put(table.Fxr, U[:, 1], s[:-1])
+    return eqx.tree_at(
+        lambda t: (t.V, t.beta, t.r, t.e, t.theta, t.delta, t.Fxr), table, (V, beta, r, e, theta, delta, Fxr)
+    )

@@ -1,0 +1,84 @@
+"""What a run found: per stage and controller, and the reductions beside the paper's."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from driftjax.data.variables import code_names
+from driftjax.learn.metrics import interval, reduction
+from driftjax.learn.scenario import Scenario
+
+PAPER = {  # Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+    "sedan": (52.8, 27.1, 10.6),
+    "rc": (36.7, 29.0, 7.2),
+}
+
+
+def results(scenario: Scenario, stages: dict[str, xr.Dataset]) -> dict[str, Any]:
+    """results.json of the run: one entry per stage, and the summary per controller."""
+    config = scenario.config
+    entries = [{"name": name, "controllers": _controllers(data)} for name, data in stages.items()]
+    summary = {who: _summary(stages, who, config.car) for who in config.controllers}
+    return {"car": config.car, "seed": config.seed, "stages": entries, "summary": summary}
+
+
+def _lanes(data: xr.Dataset, controller: str) -> xr.Dataset:
+    return data.isel(lane=np.flatnonzero(np.asarray(data["controller"].values) == controller))
+
+
+def _controllers(data: xr.Dataset) -> dict[str, Any]:
+    names = list(dict.fromkeys(np.asarray(data["controller"].values).tolist()))
+    return {name: _figures(_lanes(data, name)) for name in names}
+
+
+def _per_plant(data: xr.Dataset, name: str) -> dict[str, float]:
+    """Mean over noise seeds, per plant: seeds of one plant are not independent plants."""
+    plants, values = np.asarray(data["plant"].values), np.asarray(data[name].values, float)
+    return {str(plant): float(values[plants == plant].mean()) for plant in dict.fromkeys(plants.tolist())}
+
+
+def _figures(data: xr.Dataset) -> dict[str, Any]:
+    codes = np.asarray(data["code"].values)
+    names = code_names(data)
+    counts = {names[int(code)]: int((codes == code).sum()) for code in np.unique(codes)}
+    figure = lambda name: interval(np.array(list(_per_plant(data, name).values())))
+    return {
+        "lateral_error": figure("lateral_error") | {"per_plant": _per_plant(data, "lateral_error")},
+        "velocity_rmse": figure("velocity_rmse"),
+        "drift_share": figure("drift_share"),
+        "completed": [int(np.asarray(data["completed"].values).sum()), len(codes)],
+        "codes": counts,
+    }
+
+
+def _best(stages: dict[str, xr.Dataset], controller: str, prefixes: tuple[str, ...]) -> dict[str, np.ndarray] | None:
+    """Per plant, lateral error and velocity RMSE of its best lap (lowest measured error) in the stages named."""
+    chosen = [_lanes(data, controller) for name, data in stages.items() if name.split("-")[0] in prefixes]
+    if not chosen:
+        return None
+    error = np.stack([list(_per_plant(data, "lateral_error").values()) for data in chosen])
+    speed = np.stack([list(_per_plant(data, "velocity_rmse").values()) for data in chosen])
+    pick = error.argmin(axis=0)
+    take = lambda values: np.take_along_axis(values, pick[None], axis=0)[0]
+    return {"lateral_error": take(error), "velocity_rmse": take(speed)}
+
+
+def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
+    nominal = _best(stages, controller, ("nominal",))
+    gpr, explored = _best(stages, controller, ("gpr",)), _best(stages, controller, ("gpr", "explore"))
+    laps = [name for name in stages if name.startswith("explore")]
+    paper = PAPER.get(car, (None, None, None))
+    error = lambda found: None if found is None else float(found["lateral_error"].mean())
+    out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored) if laps else None}
+    pairs = {
+        "reduction_gpr": (nominal, gpr, "lateral_error", paper[0]),
+        "reduction_exploration": (gpr, explored if laps else None, "lateral_error", paper[1]),
+        "reduction_velocity_rmse": (gpr, explored if laps else None, "velocity_rmse", paper[2]),
+    }
+    for name, (before, after, figure, published) in pairs.items():
+        if before is None or after is None:
+            out[name] = {"value": None, "ci95": [None, None], "paper": published}
+        else:
+            out[name] = reduction(before[figure], after[figure]) | {"paper": published}
+    return out

@@ -1,0 +1,133 @@
+"""What an experiment drives: plants, path, sensors, seeds and controllers as one batch of lanes."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.control.driver import Driver, SwitchConfig
+from driftjax.control.lqr import lqr
+from driftjax.control.mpc import DriftOCP, drift_ocp
+from driftjax.control.pursuit import pure_pursuit
+from driftjax.control.table import ReferenceTable
+from driftjax.core import RESULTS, BadInput, Control, State
+from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
+from driftjax.learn.config import LearnConfig
+from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
+from driftjax.plan import Plan, load_plan_config, plan
+from driftjax.sim.sensors import SensorConfig, load_sensors
+from driftjax.solve import Options
+from driftjax.track import Track, load_track
+from driftjax.vehicle import (
+    DoubleTrack,
+    Residual,
+    SingleTrack,
+    VehicleConfig,
+    load_plant,
+    load_vehicle,
+    sample_plants,
+    stack_plants,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Lane:
+    """Who is driven by whom with which noise."""
+
+    plant: str
+    controller: str
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """Everything that stays the same over the stages of one run."""
+
+    config: LearnConfig
+    vehicle: VehicleConfig
+    nominal: SingleTrack
+    track: Track
+    plan: Plan
+    table: ReferenceTable  # the plan as reference
+    corner: Corner
+    x_eq: State  # nominal drift equilibrium of the corner
+    u_eq: Control
+    lanes: tuple[Lane, ...]
+    plants: DoubleTrack  # one per lane
+    keys: Array  # noise key of each lane
+    sensors: SensorConfig
+    horizon: int  # stages of the entry problem
+
+    @property
+    def num_lanes(self) -> int:
+        """Number of lanes."""
+        return len(self.lanes)
+
+    def over_lanes(self, tree):
+        """`tree` repeated along a leading axis of lanes."""
+        repeat = lambda a: jnp.broadcast_to(a, (self.num_lanes, *jnp.shape(a))) if eqx.is_array(a) else a
+        return jax.tree.map(repeat, tree)
+
+
+def build(config: LearnConfig) -> Scenario:
+    """Read the files that `config` names, plan the lap and lay out the lanes; raises `BadInput` for what does not fit."""
+    vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
+    lap = plan(track, vehicle, load_plan_config(config.plan))
+    if not bool(lap.result == RESULTS.successful):
+        raise BadInput(
+            f"{config.track}: no minimum-time plan was found with the options {config.plan} "
+            f"(violation {float(lap.violation):.2g}); ease its drift device or its speeds."
+        )
+    if not lap.drift_intervals():
+        raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
+    table = plan_table(lap)
+    nominal, where = vehicle.build(), corner(table, config.drift_beta)
+    steady = solve_nominal(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
+    if not bool(steady.result == RESULTS.successful):
+        raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
+    plants = [load_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
+    each = [
+        (Lane(p.name, controller, seed), p, index)
+        for controller in config.controllers
+        for index, p in enumerate(plants)
+        for seed in range(config.noise_seeds)
+    ]
+    noise = jax.random.key(config.seed)
+    keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, _, index in each]
+    return Scenario(
+        config, vehicle, nominal, track, lap, table, where, steady.x, steady.u, tuple(lane for lane, _, _ in each),
+        stack_plants([p for _, p, _ in each]), jnp.stack(keys), load_sensors(config.sensors),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt),
+    )  # fmt: skip
+
+
+def problems(scenario: Scenario, residual: Residual, horizon: int | None = None) -> DriftOCP:
+    """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
+    config = scenario.config
+    mpc = config.mpc if horizon is None else dataclasses.replace(config.mpc, horizon=horizon)
+
+    def one(controller: str) -> DriftOCP:
+        weights = config.path if controller == "path" or horizon is not None else config.paper
+        settings = dataclasses.replace(mpc, Q=weights.Q, Q_path=weights.Q_path)
+        return drift_ocp(settings, scenario.vehicle, jax.tree.map(lambda a: a[0], residual), scenario.nominal)
+
+    each = [one(lane.controller) for lane in scenario.lanes]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *each)
+    return eqx.tree_at(lambda o: o.residual, stacked, residual)
+
+
+def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
+    """The drivers of all lanes: `kind` drives the drift section along `table` (leading axis of lanes)."""
+    config, vehicle = scenario.config, scenario.vehicle
+    ocp = problems(scenario, residual)
+    first = jax.tree.map(lambda a: a[0], ocp)
+    gain = lqr(scenario.nominal, scenario.x_eq, scenario.u_eq, jnp.asarray(config.paper.Q), first.R, first.dt)
+    options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
+    switch: SwitchConfig = config.switch
+    shared = (pure_pursuit(config.pursuit, vehicle), gain)
+    pursuit, gain = scenario.over_lanes(shared)
+    limits = scenario.over_lanes(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
+    path, options = scenario.over_lanes((scenario.plan.path, options))
+    return Driver(kind, path, table, pursuit, gain, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]

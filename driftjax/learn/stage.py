@@ -1,0 +1,74 @@
+"""One stage of the experiment: every lane drives one lap, and what came of it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from driftjax.control.driver import Driver, decide
+from driftjax.control.table import ReferenceTable
+from driftjax.learn.metrics import LapFigures, lap_figures
+from driftjax.learn.scenario import Scenario
+from driftjax.sim import LapCode, LapConfig, Laps, drive
+from driftjax.sim.sensors import SensorConfig
+from driftjax.vehicle import DoubleTrack
+
+MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
+
+
+class Stage(eqx.Module):
+    """Laps of one stage, the references they tracked and their figures (leading axis of lanes)."""
+
+    laps: Laps
+    table: ReferenceTable
+    V_ref: Array  # reference speed where the car was (lanes, steps)
+    figures: LapFigures
+
+
+@eqx.filter_jit
+def _drive(drivers: Driver, plants: DoubleTrack, speed: Array, sensors: SensorConfig, lap: LapConfig, keys: Array,
+           dt: float) -> Laps:  # fmt: skip
+    memory = eqx.filter_vmap(lambda d, v: d.start(v))(drivers, speed)
+    policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
+    return drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
+
+
+@eqx.filter_jit
+def _figures(laps: Laps, table: ReferenceTable, lost_error: float) -> tuple[Array, LapFigures]:
+    V_ref = jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
+    figures = jax.vmap(lap_figures, in_axes=(0, 0, 0, 0, None))(laps.trace, laps.code, table, V_ref, lost_error)
+    return V_ref, figures
+
+
+def run_stage(scenario: Scenario, drivers: Driver, number: int) -> Stage:
+    """Drive stage `number` in every lane; each stage has noise of its own."""
+    config = scenario.config
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
+    speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
+    laps = _drive(drivers, scenario.plants, speed, scenario.sensors, config.lap, keys, config.mpc.dt)
+    V_ref, figures = _figures(laps, drivers.table, config.lap.lost_error)
+    return Stage(laps, drivers.table, V_ref, figures)
+
+
+def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.ndarray]:
+    """The stage as named arrays, ready for the run folder (see `driftjax.data.variables`)."""
+    trace, table = stage.laps.trace, stage.table
+    row = jax.vmap(lambda t, s: jax.vmap(lambda one: t.state(one)[0])(s))
+    reference = row(table, trace.s)
+    values = {name: getattr(trace, name) for name in ("V", "beta", "r", "x", "y", "psi", "s", "e", "delta", "Fxr")}
+    values |= {f"{name}_measured": getattr(trace.sensed, name) for name in MEASURED}
+    values |= {"alive": trace.alive, "delta_command": trace.command.delta, "Fxr_command": trace.command.Fxr}
+    values |= {name: getattr(trace.decision, name) for name in ("drifting", "solved", "kkt", "num_steps")}
+    values |= {"V_ref": stage.V_ref, "beta_ref": reference.beta, "r_ref": reference.r}
+    values |= {"code": stage.laps.code, **stage.figures._asdict()}
+    values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
+    values |= {
+        "plant": np.array([lane.plant for lane in scenario.lanes], object),
+        "controller": np.array([kind if kind != "mpc" else lane.controller for lane in scenario.lanes], object),
+        "seed": np.array([lane.seed for lane in scenario.lanes]),
+    }
+    return {name: np.asarray(value) for name, value in values.items()}
+
+
+CODES = {code.name: int(code) for code in LapCode}
