@@ -1,10 +1,11 @@
-"""Shared settings of the tests: float64, the persistent compilation cache, two device threads."""
+"""Shared settings of the tests: float64, the persistent compilation cache, one device thread."""
 
 import os
 import tempfile
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("NPROC", "1")  # XLA's CPU client with two or more threads can deadlock on LAPACK calls
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
 
 import jax

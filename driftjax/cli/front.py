@@ -71,6 +71,9 @@ def _told(sentence: str, code: int, verb: str = "") -> int:
 
 def _set_up_jax() -> None:
     """Double precision, and a compilation cache that outlives the process; before anything else is imported."""
+    # XLA's CPU client with two or more threads can deadlock on LAPACK calls in one program (seen with jaxlib 0.10.2);
+    # one thread is as fast for batches of laps. Set NPROC to override.
+    os.environ.setdefault("NPROC", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
     import jax
 

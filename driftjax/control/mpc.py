@@ -143,9 +143,7 @@ def drift_ocp(
     """The problem of one car; `nominal` defaults to the car that `vehicle` describes."""
     weight = vehicle.m * 9.81
     speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
-    x_scale = jnp.array(
-        [speed, 1.0, speed / 5 / (vehicle.a + vehicle.b), vehicle.a + vehicle.b, 1.0, 1.0, weight]
-    )
+    x_scale = jnp.array([speed, 1.0, speed / 5 / (vehicle.a + vehicle.b), vehicle.a + vehicle.b, 1.0, 1.0, weight])
     return DriftOCP(
         nominal=vehicle.build() if nominal is None else nominal,
         residual=residual,
@@ -161,9 +159,7 @@ def drift_ocp(
     )
 
 
-def within_limits(
-    ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, " 2"], share: float = INTERIOR
-):
+def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, " 2"], share: float = INTERIOR):
     """Inputs [rad, N] moved inside rate limits (first) and input limits, by `share` of each limit's range."""
     margin = share * (ocp.upper - ocp.lower)
 

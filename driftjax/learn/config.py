@@ -68,9 +68,12 @@ class ControllerConfig:
     """Weights on V [m/s], beta [rad] and r [rad/s]."""
     Q_path: tuple[float, float]
     """Weights on e [m] and theta [rad]; zeros for the paper's controller."""
+    front_slip: float = 0.0
+    """Weight on front slip beyond the tyre's peak [rad]; zero for the paper's controller."""
 
     def __post_init__(self) -> None:
-        require(min(self.Q + self.Q_path) >= 0, f"keys 'Q' and 'Q_path' hold {self.Q}, {self.Q_path}; none may be negative.")
+        held = (*self.Q, *self.Q_path, self.front_slip)
+        require(min(held) >= 0, f"keys 'Q', 'Q_path' and 'front_slip' hold {held}; none may be negative.")
 
 
 @dataclass(frozen=True)
@@ -105,12 +108,15 @@ class LearnConfig:
     """Relative change of the mean lateral error below which GP laps have converged."""
     compare: bool = True
     """Also drive the other rows of the paper's table: pure pursuit, LQR, single-layer GPR-MPC."""
+    combined_slip: float = 1.0
+    """Friction ellipse of the nominal car in MPC, GP data and references: 0 is the published car, 1 a circle. The
+    published car spins on plants that do not have more friction than it."""
     drift_beta: float = 0.436332
     """Sideslip of the drift equilibrium that is aimed at, magnitude [rad]."""
     mpc: MPCConfig = field(default_factory=MPCConfig)
-    path: ControllerConfig = ControllerConfig((5.0, 100.0, 50.0), (30.0, 0.0))
+    path: ControllerConfig = ControllerConfig((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
     paper: ControllerConfig = ControllerConfig((1.0, 700.0, 500.0), (0.0, 0.0))
-    switch: SwitchConfig = field(default_factory=SwitchConfig)
+    switch: SwitchConfig = SwitchConfig(lead=15.0, trail=6.0)
     pursuit: PursuitConfig = field(default_factory=PursuitConfig)
     lap: LapConfig = field(default_factory=LapConfig)
     gp: GPConfig = field(default_factory=GPConfig)

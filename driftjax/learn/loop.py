@@ -38,6 +38,7 @@ class Progress(eqx.Module):
     last_error: Array  # of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
     found: Candidates
+    explored: Array  # bool: at least one exploration lap was driven
 
 
 def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
@@ -45,22 +46,28 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     memory = scenario.over_lanes(empty(scenario.config.gp))
     table = scenario.over_lanes(scenario.table)
     far = jnp.full(scenario.num_lanes, jnp.inf)
-    return Progress(memory, Best(far, memory.residual, table), far, jnp.asarray(False), empty_candidates)
+    return Progress(
+        memory, Best(far, memory.residual, table), far, jnp.asarray(False), empty_candidates, jnp.asarray(False)
+    )
 
 
 @eqx.filter_jit
 def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig, keys: Array) -> Memory:
     Z, Y, mask = jax.vmap(lambda trace: rows(nominal, trace, stage.laps.dt))(stage.laps.trace)
-    return eqx.filter_vmap(lambda m, *data: learn(m, *data[:3], config, data[3]))(memory, Z, Y, mask, keys)
+    each = eqx.filter_vmap(lambda m, Z, Y, mask, key: learn(m, Z, Y, mask, config, key))
+    return each(memory, Z, Y, mask, keys)
 
 
-def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual, number: int) -> Progress:
-    """`progress` after a lap: its rows learnt, and kept as the best where it was."""
+def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
+    """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
     memory = _learn(scenario.nominal, progress.memory, stage, scenario.config.gp, keys)
-    error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
-    best = keep_where(error < progress.best.error, Best(error, residual, stage.table), progress.best)
-    return Progress(memory, best, stage.figures.lateral_error, progress.converged, progress.found)
+    best = progress.best
+    if residual is not None:
+        error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
+        best = keep_where(error < best.error, Best(error, residual, stage.table), best)
+    last = stage.figures.lateral_error
+    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error), progress, (memory, best, last))
 
 
 def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> ReferenceTable:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from driftjax.control.table import ReferenceTable
 from driftjax.sim import LapCode, Trace
@@ -23,7 +24,7 @@ class LapFigures(NamedTuple):
     completed: Array  # bool
 
 
-def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, lost_error: Array) -> LapFigures:
+def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, lost_error: ArrayLike) -> LapFigures:
     """Figures of one lap (time on the leading axis), from true values.
 
     Means are over distance. What a failed lap did not drive of the section counts with the error `lost_error` [m],
@@ -47,8 +48,10 @@ def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, 
 
 
 def interval(values: np.ndarray, seed: int = 0) -> dict[str, Any]:
-    """Mean over plants with its 95 % bootstrap interval (percentiles over resampled plants)."""
+    """Mean over plants with its 95 % bootstrap interval (percentiles over resampled plants); none of a single plant."""
     values = np.asarray(values, float)
+    if len(values) < 2:
+        return {"mean": float(values.mean()), "ci95": [None, None]}
     draws = np.random.default_rng(seed).integers(0, len(values), (RESAMPLES, len(values)))
     low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5])
     return {"mean": float(values.mean()), "ci95": [float(low), float(high)]}
@@ -58,6 +61,8 @@ def reduction(before: np.ndarray, after: np.ndarray, seed: int = 0) -> dict[str,
     """By how many percent the mean falls from `before` to `after`, with a paired bootstrap interval over plants."""
     before, after = np.asarray(before, float), np.asarray(after, float)
     share = lambda b, a: 100 * (1 - a.mean(axis=-1) / b.mean(axis=-1))
+    if len(before) < 2:
+        return {"value": float(share(before, after)), "ci95": [None, None]}
     draws = np.random.default_rng(seed).integers(0, len(before), (RESAMPLES, len(before)))
     low, high = np.percentile(share(before[draws], after[draws]), [2.5, 97.5])
     return {"value": float(share(before, after)), "ci95": [float(low), float(high)]}

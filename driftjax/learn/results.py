@@ -52,29 +52,23 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _best(stages: dict[str, xr.Dataset], controller: str, prefixes: tuple[str, ...]) -> dict[str, np.ndarray] | None:
-    """Per plant, lateral error and velocity RMSE of its best lap (lowest measured error) in the stages named."""
-    chosen = [_lanes(data, controller) for name, data in stages.items() if name.split("-")[0] in prefixes]
-    if not chosen:
+def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str, np.ndarray] | None:
+    """Lateral error and velocity RMSE per plant of one stage."""
+    if stage not in stages:
         return None
-    error = np.stack([list(_per_plant(data, "lateral_error").values()) for data in chosen])
-    speed = np.stack([list(_per_plant(data, "velocity_rmse").values()) for data in chosen])
-    pick = error.argmin(axis=0)
-    take = lambda values: np.take_along_axis(values, pick[None], axis=0)[0]
-    return {"lateral_error": take(error), "velocity_rmse": take(speed)}
+    data = _lanes(stages[stage], controller)
+    return {name: np.array(list(_per_plant(data, name).values())) for name in ("lateral_error", "velocity_rmse")}
 
 
 def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
-    nominal = _best(stages, controller, ("nominal",))
-    gpr, explored = _best(stages, controller, ("gpr",)), _best(stages, controller, ("gpr", "explore"))
-    laps = [name for name in stages if name.startswith("explore")]
+    nominal, gpr, explored = (_lap(stages, name, controller) for name in ("nominal", "gpr-best", "explore-best"))
     paper = PAPER.get(car, (None, None, None))
     error = lambda found: None if found is None else float(found["lateral_error"].mean())
-    out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored) if laps else None}
+    out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored)}
     pairs = {
         "reduction_gpr": (nominal, gpr, "lateral_error", paper[0]),
-        "reduction_exploration": (gpr, explored if laps else None, "lateral_error", paper[1]),
-        "reduction_velocity_rmse": (gpr, explored if laps else None, "velocity_rmse", paper[2]),
+        "reduction_exploration": (gpr, explored, "lateral_error", paper[1]),
+        "reduction_velocity_rmse": (gpr, explored, "velocity_rmse", paper[2]),
     }
     for name, (before, after, figure, published) in pairs.items():
         if before is None or after is None:

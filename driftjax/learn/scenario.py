@@ -13,7 +13,7 @@ from driftjax.control.mpc import DriftOCP, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Control, State
-from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
+from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_nominal
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
@@ -72,8 +72,9 @@ class Scenario:
 
 
 def build(config: LearnConfig) -> Scenario:
-    """Read the files that `config` names, plan the lap and lay out the lanes; raises `BadInput` for what does not fit."""
-    vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
+    """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit."""
+    vehicle = dataclasses.replace(load_vehicle(config.vehicle), combined_slip=config.combined_slip)
+    track = load_track(config.track)
     lap = plan(track, vehicle, load_plan_config(config.plan))
     if not bool(lap.result == RESULTS.successful):
         raise BadInput(
@@ -84,7 +85,7 @@ def build(config: LearnConfig) -> Scenario:
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = vehicle.build(), corner(table, config.drift_beta)
-    steady = solve_nominal(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
+    steady = _steady(nominal, SlipRadius(where.beta, where.R))
     if not bool(steady.result == RESULTS.successful):
         raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
     plants = [load_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
@@ -103,6 +104,13 @@ def build(config: LearnConfig) -> Scenario:
     )  # fmt: skip
 
 
+def _steady(nominal: SingleTrack, fixed: SlipRadius) -> Equilibrium:
+    """The drift of the nominal car, its friction ellipse included, from the published car's closed form."""
+    published = eqx.tree_at(lambda car: car.combined_slip, nominal, jnp.zeros(()))
+    first = solve_nominal(published, fixed, branch=Branch.COUNTERSTEER)
+    return solve(nominal, nominal, fixed, (first.x, first.u), branch=Branch.COUNTERSTEER)
+
+
 def problems(scenario: Scenario, residual: Residual, horizon: int | None = None) -> DriftOCP:
     """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
     config = scenario.config
@@ -110,7 +118,7 @@ def problems(scenario: Scenario, residual: Residual, horizon: int | None = None)
 
     def one(controller: str) -> DriftOCP:
         weights = config.path if controller == "path" or horizon is not None else config.paper
-        settings = dataclasses.replace(mpc, Q=weights.Q, Q_path=weights.Q_path)
+        settings = dataclasses.replace(mpc, Q=weights.Q, Q_path=weights.Q_path, front_slip=weights.front_slip)
         return drift_ocp(settings, scenario.vehicle, jax.tree.map(lambda a: a[0], residual), scenario.nominal)
 
     each = [one(lane.controller) for lane in scenario.lanes]

@@ -80,7 +80,16 @@ class PlanConfig:
         ):
             value = getattr(self, name)
             require(value > 0, f"key '{name}' is {value}; it must be positive.")
-        for name in ("margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight", "course_weight", "brake_share"):
+        for name in (
+            "margin",
+            "beta_d",
+            "drift_angle",
+            "drift_reach",
+            "label_beta",
+            "rate_weight",
+            "course_weight",
+            "brake_share",
+        ):
             value = getattr(self, name)
             require(value >= 0, f"key '{name}' is {value}; it must not be negative.")
         require(
@@ -100,7 +109,12 @@ class PlanConfig:
     def planned(self, vehicle: VehicleConfig) -> VehicleConfig:
         """The car as the planner may use it."""
         brake = self.brake_share * vehicle.Fxr_min
-        return dataclasses.replace(vehicle, mu=self.friction_share * vehicle.mu, Fxr_min=brake, combined_slip=max(self.combined_slip, vehicle.combined_slip))
+        return dataclasses.replace(
+            vehicle,
+            mu=self.friction_share * vehicle.mu,
+            Fxr_min=brake,
+            combined_slip=max(self.combined_slip, vehicle.combined_slip),
+        )
 
 
 def load_plan_config(name: str | Path) -> PlanConfig:

@@ -149,9 +149,7 @@ def _direction(problem: _Problem, m: Model, it: Iterate, q: Quadratic, barrier: 
 def _to_boundary(values: PyTree, steps: PyTree) -> Array:
     """Longest step in (0, 1] that keeps every value positive by the boundary fraction."""
     rates = jax.tree.map(lambda v, d: jnp.max(-d / v, initial=0.0), values, steps)
-    return jnp.minimum(
-        1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12)
-    )
+    return jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12))
 
 
 def _kkt(problem: _Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
@@ -273,7 +271,8 @@ def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     m = problem.linearise(new.X, new.U)
     kkt, violation = _kkt(problem, m, new)
     count = sum(s.size for s in new.slack)
-    gap = sum(jnp.sum(s * z) for s, z in zip(new.slack, new.dual, strict=True)) / max(count, 1)
+    products = jnp.stack([jnp.sum(s * z) for s, z in zip(new.slack, new.dual, strict=True)])
+    gap = jnp.sum(products) / max(count, 1)
     lower = _next_barrier(barrier, gap, kkt, jnp.minimum(length, dual), options.tolerance)
     easy = length > 0.3 * longest  # at most one halving; a short way to a bound is not the model's fault
     caution = jnp.clip(loop.caution + jnp.where(easy, -1, 1), 0, len(DAMPING) - 1)
@@ -282,9 +281,7 @@ def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     return Loop(new, m, barrier, caution, failures, loop.num_steps + 1, kkt, violation)
 
 
-def solve(
-    ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None
-) -> Plan:
+def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Plan:
     """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
 
     Returns the last iterate with its residuals. `result` is `successful` only where KKT residual and violation are
@@ -314,7 +311,7 @@ def _plan(problem: _Problem, end: Loop, options: Options) -> Plan:
     failed = RESULTS.where(end.failures >= MAX_FAILURES, RESULTS.stalled, RESULTS.not_converged)
     finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
     failed = RESULTS.where(finite, failed, RESULTS.non_finite)
-    result = RESULTS.where(done, RESULTS.successful, failed)
+    result = RESULTS.where(done, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
     cost = problem.objective(end.it.X, end.it.U)
     return Plan(end.it.X, end.it.U, cost, end.kkt, end.violation, end.num_steps, result)
 

@@ -52,9 +52,7 @@ class Options(eqx.Module):
     """How hard the solver tries; all numbers traced, so that a new value never means a new compile."""
 
     tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
-    barrier: Array = eqx.field(
-        converter=as_float, default=1.0
-    )  # first barrier parameter; small for warm starts
+    barrier: Array = eqx.field(converter=as_float, default=1.0)  # first barrier parameter; small for warm starts
     max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # interior-point iterations
 
 

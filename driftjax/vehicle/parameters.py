@@ -66,4 +66,3 @@ def load_vehicle(name: str | Path) -> VehicleConfig:
     """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`)."""
     path = find_config("vehicle", name)
     return from_dict(VehicleConfig, read_yaml(path), str(path))
-

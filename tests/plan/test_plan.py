@@ -1,6 +1,7 @@
 """Minimum-time plans: IPOPT on the same transcription, physics of the drift, mirror, labels, honest failure."""
 
 import dataclasses
+from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
@@ -18,7 +19,6 @@ from driftjax.plan.problem import MinimumTime
 from driftjax.plan.stages import device, guesses, stages, tight_corners
 from driftjax.track import corner, load_track, playground
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.parameters import replace
 
 G = 9.81
 

@@ -1,6 +1,7 @@
 """Vehicle and plant files: bad input is told in one sentence that names the key."""
 
 import dataclasses
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -8,7 +9,6 @@ import yaml
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.vehicle import load_plant, load_vehicle
-from driftjax.vehicle.parameters import replace
 
 
 @pytest.mark.parametrize(
