@@ -48,7 +48,8 @@ def lqr(
 
     def sweep(_, P):
         S = B.T @ P @ A
-        return jnp.diag(Q) + A.T @ P @ A - S.T @ jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, S)
+        P = jnp.diag(Q) + A.T @ P @ A - S.T @ jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, S)
+        return (P + P.T) / 2  # an antisymmetric rounding error would grow with the unstable modes of A
 
     P = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.diag(Q))
     return LQR(jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, B.T @ P @ A) / scale[:, None])

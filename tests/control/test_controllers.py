@@ -1,0 +1,167 @@
+"""Pure pursuit against the circle, LQR against SciPy, limits, reference tables, the residual's tangent."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from driftjax.control.lqr import lqr
+from driftjax.control.mpc import MPCConfig, drift_ocp, predict, within_limits
+from driftjax.control.pursuit import PursuitConfig, pure_pursuit
+from driftjax.control.table import ReferenceTable, expected_arc_lengths
+from driftjax.core import BadInput, Control, State, features, rk4_step
+from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.track import from_curvature
+from driftjax.vehicle import Residual, load_vehicle, no_residual
+
+CAR = load_vehicle("sedan")
+DRIFT = State(*(jnp.asarray(v) for v in (9.0, -0.54507, 1.1))), Control(jnp.asarray(-0.29676), jnp.asarray(6849.25))
+
+
+@pytest.mark.parametrize("kappa", [0.04, -0.04, 0.0])
+def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
+    # rear axle on the path and tangent to it: the circle through the target is the path, so tan(delta) = L kappa
+    path = from_curvature([0.0, 100.0], [kappa, kappa], 3.0, 401)
+    x, y, psi, _ = path.pose(40.0)
+    steer = pure_pursuit(PursuitConfig(), CAR)
+    u = steer(path, x + CAR.b * jnp.cos(psi), y + CAR.b * jnp.sin(psi), psi, jnp.asarray(8.0), jnp.asarray(40.0),
+              jnp.asarray(8.0))  # fmt: skip
+    assert float(u.delta) == pytest.approx(np.arctan((CAR.a + CAR.b) * kappa), abs=1e-6)
+    assert float(u.Fxr) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
+    path = from_curvature([0.0, 100.0], [0.0, 0.0], 3.0, 101)
+    steer = pure_pursuit(PursuitConfig(speed_gain=2.0), CAR)
+    at = lambda y, V: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, 20.0, 10.0)))
+    assert float(at(0.0, 9.0).Fxr) == pytest.approx(CAR.m * 2.0 * 1.0)
+    assert float(at(0.0, 12.0).Fxr) == pytest.approx(-CAR.m * 2.0 * 2.0)
+    assert at(1.0, 10.0).delta < 0 < at(-1.0, 10.0).delta
+    assert abs(at(1.0, 20.0).delta) < abs(at(1.0, 5.0).delta)  # looks further ahead when faster
+
+
+def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
+    (x, u), dt = DRIFT, 0.05
+    nominal = CAR.build()
+    Q, R = np.array([1.0, 700.0, 500.0]), np.array([10.0, 1e-9])
+    found = lqr(nominal, x, u, jnp.asarray(Q), jnp.asarray(R), jnp.asarray(dt))
+
+    def step(x, u):
+        return jnp.stack(rk4_step(lambda w: nominal(w, Control(u[0], u[1])), State(x[0], x[1], x[2]), dt))
+
+    A, B = (np.asarray(J) for J in jax.jacfwd(step, (0, 1))(jnp.stack(x), jnp.stack(u)))
+    scaled = B / np.sqrt(R)  # the same problem in inputs of unit cost, well conditioned
+    P = solve_discrete_are(A, scaled, np.diag(Q), np.eye(2))
+    K = np.linalg.solve(np.eye(2) + scaled.T @ P @ scaled, scaled.T @ P @ A) / np.sqrt(R)[:, None]
+    np.testing.assert_allclose(found.K, K, rtol=1e-6)
+    assert np.max(np.abs(np.linalg.eigvals(A))) > 1  # the drift is unstable without it
+    assert np.max(np.abs(np.linalg.eigvals(A - B @ np.asarray(found.K)))) < 1
+    held = found(x, x, u)
+    assert held.delta == u.delta and held.Fxr == u.Fxr
+    moved = found(State(x.V + 0.1, x.beta, x.r), x, u)
+    np.testing.assert_allclose([moved.delta - u.delta, moved.Fxr - u.Fxr], -0.1 * K[:, 0], rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def ocp():
+    return drift_ocp(MPCConfig(horizon=5), CAR, no_residual(zero_gp(4, 5, 3)))
+
+
+def test_inputs_are_brought_within_both_limits_and_left_alone_inside(ocp):
+    rng = np.random.default_rng(0)
+    wild = rng.normal(size=(40, 2)) * [1.0, 2e4]
+    before = np.array([0.3, 1000.0])
+    U = np.asarray(within_limits(ocp, jnp.asarray(wild), jnp.asarray(before), share=0.0))
+    lower, upper, rate = (np.asarray(a) for a in (ocp.lower, ocp.upper, ocp.rate))
+    change = np.diff(np.concatenate([before[None], U]), axis=0)
+    assert np.all((U >= lower) & (U <= upper)) and np.all(np.abs(change) <= rate * (1 + 1e-12))
+    np.testing.assert_allclose(rate, 0.05 * np.array([CAR.delta_rate_max, CAR.Fxr_rate_max]))
+    # each change goes as far towards what was asked for as the limits let it
+    first = np.clip(np.clip(wild[0], before - rate, before + rate), lower, upper)
+    np.testing.assert_allclose(U[0], first)
+    calm = np.tile(before, (3, 1)) + np.array([[0.01], [0.02], [0.01]]) * [1.0, 1000.0]
+    np.testing.assert_allclose(within_limits(ocp, jnp.asarray(calm), jnp.asarray(before), share=0.0), calm)
+
+
+def test_a_guess_lies_strictly_inside_the_limits(ocp):
+    wild = jnp.asarray([[5.0, 1e5], [-5.0, -1e5]] * 20)
+    before = jnp.asarray([0.0, 0.0])
+    U = np.asarray(within_limits(ocp, wild, before))
+    change = np.diff(np.concatenate([[[0.0, 0.0]], U]), axis=0)
+    assert np.all(U > np.asarray(ocp.lower)) and np.all(U < np.asarray(ocp.upper))
+    assert np.all(np.abs(change) < np.asarray(ocp.rate))
+
+
+def test_the_prediction_holds_a_steady_drift_on_its_circle(ocp):
+    x, u = DRIFT
+    nominal = CAR.build()
+    rates = np.abs(np.asarray(jnp.stack(nominal(x, u))))
+    assert np.all(rates < [0.02, 0.02, 0.02])  # the state given is a drift to its printed digits
+    kappa = x.r / x.V
+    start = jnp.stack([x.V, x.beta, x.r, jnp.asarray(0.0), -x.beta])
+    X = predict(ocp, start, jnp.tile(jnp.stack(u), (5, 1)), kappa)
+    np.testing.assert_allclose(X, np.tile(np.asarray(start), (6, 1)), atol=0.02)
+
+
+def table() -> ReferenceTable:
+    s = 2.0 + 0.5 * np.arange(9)
+    columns = {name: jnp.asarray(i + s**2) for i, name in enumerate(
+        ("speed", "kappa", "V", "beta", "r", "e", "theta", "delta", "Fxr"))}  # fmt: skip
+    return ReferenceTable(2.0, 0.5, **columns, drift_start=3.0, drift_end=5.0)
+
+
+def test_a_reference_table_is_linear_between_rows_and_constant_beyond():
+    t = table()
+    at = np.array([-10.0, 2.0, 2.3, 4.75, 5.999, 6.0, 99.0])
+    expected = np.interp(at, 2.0 + 0.5 * np.arange(9), np.asarray(t.V))
+    np.testing.assert_allclose([float(t.row(t.V, jnp.asarray(s))) for s in at], expected, rtol=1e-12)
+    reference = t.reference(jnp.asarray(at))
+    for i, name in ((1, "kappa"), (2, "V"), (3, "beta"), (4, "r"), (5, "e"), (6, "theta")):
+        np.testing.assert_allclose(getattr(reference, name), expected - 2 + i, rtol=1e-12)
+    x, u = t.state(jnp.asarray(4.75))
+    np.testing.assert_allclose([*x, *u], expected[3] - 2 + np.array([2, 3, 4, 7, 8]), rtol=1e-12)
+
+
+def test_expected_arc_lengths_advance_with_the_speed_along_the_path():
+    X = jnp.tile(jnp.asarray([10.0, -0.3, 0.5, 2.0, 0.3]), (5, 1))  # course along the path, 2 m inside a left turn
+    s = expected_arc_lengths(jnp.asarray(7.0), X, jnp.full(5, 0.05), jnp.asarray(0.1))
+    np.testing.assert_allclose(s, 7.0 + np.arange(5) * 0.1 * 10.0 / (1 - 2.0 * 0.05), rtol=1e-12)
+
+
+def residual() -> Residual:
+    rng = np.random.default_rng(3)
+    Z = jnp.asarray(np.array([9.0, -0.5, 1.1, -0.3, 6800.0]) + rng.normal(size=(12, 5)) * [1, 0.1, 0.2, 0.1, 800.0])
+    Y = jnp.asarray(rng.normal(size=(12, 3)))
+    mask = jnp.ones(12, bool)
+    hyper = Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(0.1)))
+    return Residual(condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se"), jnp.asarray([1.0, 0.4, 0.0]))
+
+
+def test_the_tangent_of_a_residual_has_its_value_and_its_gradient():
+    d = residual()
+    z = features(*DRIFT)
+    np.testing.assert_allclose(d.tangent(z), d(z), rtol=1e-12)
+    exact, tangent = jax.jacfwd(d)(z), jax.jacfwd(d.tangent)(z)
+    np.testing.assert_allclose(tangent, exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(jax.jacrev(d.tangent)(z), exact, rtol=1e-9, atol=1e-15)
+    assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
+    assert float(d(z)[2]) == 0  # gated off
+    assert bool(jnp.all(jax.jacfwd(jax.jacfwd(d.tangent))(z) == 0))
+
+
+def test_no_residual_is_zero_everywhere():
+    d = no_residual(residual().gp)
+    assert bool(jnp.all(d(features(*DRIFT)) == 0)) and bool(jnp.all(d.tangent(features(*DRIFT)) == 0))
+
+
+@pytest.mark.parametrize(
+    "config, change",
+    [(MPCConfig(), {"horizon": 0}), (MPCConfig(), {"dt": -1.0}), (MPCConfig(), {"R": (0.0, 1.0)}),
+     (PursuitConfig(), {"preview_min": 0.0})],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused_by_name(config, change):
+    with pytest.raises(BadInput, match=next(iter(change))):
+        dataclasses.replace(config, **change)
