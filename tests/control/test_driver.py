@@ -20,7 +20,7 @@ CAR = load_vehicle("sedan")
 def driver(kind) -> Driver:
     path = from_curvature([0.0, 100.0], [0.0, 0.0], 4.0, 101)
     columns = [jnp.full(11, value) for value in (10.0, 0.0, 9.0, -0.5, 1.0, 0.0, 0.5, -0.3, 6000.0)]
-    table = ReferenceTable(0.0, 10.0, *columns, 40.0, 60.0)
+    table = ReferenceTable(0.0, 10.0, *columns, drift_start=40.0, drift_end=60.0)
     ocp = drift_ocp(MPCConfig(horizon=3), CAR, no_residual(zero_gp(4, 5, 3)))
     return Driver(kind, path, table, pure_pursuit(PursuitConfig(), CAR), LQR(jnp.zeros((2, 3))), ocp, Options(),
                   lead=6.0, trail=4.0, handover_beta=0.15)  # fmt: skip

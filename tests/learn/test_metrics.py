@@ -14,7 +14,7 @@ START, END, LOST = 10.0, 30.0, 8.0
 
 def table() -> ReferenceTable:
     flat = jnp.full(5, 9.0)
-    return ReferenceTable(0.0, 10.0, *([flat] * 9), START, END)
+    return ReferenceTable(0.0, 10.0, *([flat] * 9), drift_start=START, drift_end=END)
 
 
 def lap(s, e, beta, r, V, alive) -> Trace:

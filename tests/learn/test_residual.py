@@ -31,7 +31,9 @@ def driven() -> tuple[State, Control]:
     return jax.jit(lambda: jax.lax.scan(move, X0, u)[1])(), u
 
 
-SECTION = ReferenceTable(0.0, 20.0, *([jnp.zeros(3)] * 9), 5.0, 24.0)  # one metre of arc length a sample
+SECTION = ReferenceTable(
+    0.0, 20.0, *([jnp.zeros(3)] * 9), drift_start=5.0, drift_end=24.0
+)  # one metre of arc length a sample
 
 
 def lap(x: State, u: Control, alive, drifting) -> Trace:
