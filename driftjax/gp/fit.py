@@ -72,13 +72,16 @@ def fit(
     max_iterations: int = 30,
     num_fit: int = 150,
     kernel: str = "se",
+    shortest: float = LOWER[0],
     previous: GP | None = None,
     key: Array,
 ) -> FitResult:
     """GP of inputs `Z` (M, nf) and targets `Y` (M, D) in rows where `mask`; all M rows are conditioned on.
 
     Hyper-parameters maximise the marginal likelihood of at most `num_fit` random rows; a start at `previous`
-    (fitted earlier, same shapes) saves iterations. `result` is `non_finite` where every start failed.
+    (fitted earlier, same shapes) saves iterations. `shortest` bounds the length scales from below, in standard
+    deviations of the inputs: what varies faster is then left to the noise. `result` is `non_finite` where every
+    start failed.
     """
     key_rows, key_starts = jax.random.split(key)
     mask = mask.astype(bool)
@@ -89,11 +92,13 @@ def fit(
     nf, D = Z.shape[1], Y.shape[1]
     rows = jnp.maximum(jnp.sum(used), 1)
 
+    low = _vector((shortest, *LOWER[1:]), nf)  # minimise starts inside the bounds
+
     def objective(x: Array, y: Array) -> Array:
         return -likelihood(kernel, _hyper(x), pairs, y, used) / rows  # per row, so that one tolerance serves all sizes
 
     def start(x: Array, y: Array):
-        return minimise(objective, x, _vector(LOWER, nf), _vector(UPPER, nf), y, max_iterations=max_iterations)
+        return minimise(objective, x, low, _vector(UPPER, nf), y, max_iterations=max_iterations)
 
     def output(starts: Array, y: Array):
         ends = jax.vmap(start, in_axes=(0, None))(starts, y)

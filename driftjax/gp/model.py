@@ -8,6 +8,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
 
+FADE_LENGTH = 1.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
 JITTER = 100.0  # added to the diagonal, in units of eps times the signal variance
 
@@ -69,15 +70,19 @@ class GP(eqx.Module):
         """(D,): posterior mean at one input `z` (nf,); O(D M nf), no solves."""
         return self._mean(self.correlations(z))
 
+    def _nearness(self, z: Array) -> tuple[Array, Array]:
+        """Nearness (M,) of each data point, 1 at distance zero, and its derivative in `z` (M, nf)."""
+        offset = (z - self.Z) / (FADE_LENGTH * self.scale)
+        near = jnp.where(self.mask, jnp.exp(-0.5 * jnp.sum(offset**2, axis=-1)), 0.0)
+        return near, -near[:, None] * offset / (FADE_LENGTH * self.scale)
+
     def fade(self, z: Array) -> Array:
-        """(D,): 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i k(z, Z_i) / amplitude^2)."""
-        return -jnp.expm1(-FADE_RATE * jnp.sum(self.correlations(z), axis=-1))
+        """Scalar: 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
+        return -jnp.expm1(-FADE_RATE * jnp.sum(self._nearness(z)[0]))
 
     def bounded_mean(self, z: Array) -> Array:
         """(D,): mean times fade, held within the targets seen: what a controller may trust far from data."""
-        correlations = self.correlations(z)
-        fade = -jnp.expm1(-FADE_RATE * jnp.sum(correlations, axis=-1))
-        return jnp.clip(fade * self._mean(correlations), self.lower, self.upper)
+        return jnp.clip(self.fade(z) * self.mean(z), self.lower, self.upper)
 
     def bounded_mean_and_jacobian(self, z: Array) -> tuple[Array, Array]:
         """`bounded_mean` (D,) and its derivative in `z` (D, nf), in closed form: no pass per direction."""
@@ -85,14 +90,13 @@ class GP(eqx.Module):
         offset = z - self.Z  # (M, nf)
         q = jnp.square(inverse) @ jnp.square(offset).T  # (D, M)
         value, slope = jax.jvp(KERNELS[self.kernel], (q,), (jnp.ones_like(q),))
-        value, slope = jnp.where(self.mask, value, 0.0), jnp.where(self.mask, slope, 0.0)
-        mass = jnp.sum(value, axis=-1)
-        away = jnp.exp(-FADE_RATE * mass)
         size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
-        mean = size * jnp.sum(value * self.alpha, axis=-1)
-        weight = (1 - away)[:, None] * size[:, None] * slope * self.alpha
-        weight = weight + (FADE_RATE * away * mean)[:, None] * slope
-        jacobian = 2 * jnp.square(inverse) * (weight @ offset)
+        alpha = jnp.where(self.mask, self.alpha, 0.0)
+        mean = size * jnp.sum(value * alpha, axis=-1)
+        d_mean = size[:, None] * 2 * jnp.square(inverse) * ((slope * alpha) @ offset)
+        near, d_near = self._nearness(z)
+        away = jnp.exp(-FADE_RATE * jnp.sum(near))
+        jacobian = (1 - away) * d_mean + away * FADE_RATE * mean[:, None] * jnp.sum(d_near, axis=0)
         bounded = (1 - away) * mean
         inside = (bounded >= self.lower) & (bounded <= self.upper)
         return jnp.clip(bounded, self.lower, self.upper), jnp.where(inside[:, None], jacobian, 0.0)

@@ -25,12 +25,16 @@ class GPConfig:
     """Starts of that maximisation."""
     max_iterations: int = 25
     """Iterations of each."""
+    shortest: float = 4.0
+    """Shortest length scale, in standard deviations of an input: actuator lags make the residual jump with the command,
+    which a GP without memory must not learn."""
     kernel: Literal["se", "matern52"] = "se"
     """Kernel: squared exponential or Matern-5/2, one length scale per input."""
 
     def __post_init__(self) -> None:
         require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
         require(self.num_fit >= 10, f"key 'num_fit' is {self.num_fit}; give at least 10 points.")
+        require(self.shortest > 0, f"key 'shortest' is {self.shortest}; it must be positive.")
         require(self.restarts >= 1, f"key 'restarts' is {self.restarts}; give at least 1.")
         require(self.max_iterations >= 1, f"key 'max_iterations' is {self.max_iterations}; give at least 1.")
 

@@ -22,6 +22,9 @@ from driftjax.vehicle import Residual, SingleTrack
 ENTRY_STEPS = 80  # iterations allowed for the entry problem: four times the MPC's horizon from a rough guess
 
 
+FIRST_TRUST, MORE_TRUST, LESS_TRUST = 0.3, 1.4, 0.4  # after one lap of data; after a lap that went well; or failed
+
+
 class Best(eqx.Module):
     """What drove each lane's best lap so far (leading axis of lanes)."""
 
@@ -38,6 +41,7 @@ class Progress(eqx.Module):
     last_error: Array  # of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
     found: Candidates
+    trust: Array  # share of the learnt residual that each lane uses: falls where it made a lap fail
     explored: Array  # bool: at least one exploration lap was driven
 
 
@@ -46,14 +50,14 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     memory = scenario.over_lanes(empty(scenario.config.gp))
     table = scenario.over_lanes(scenario.table)
     far = jnp.full(scenario.num_lanes, jnp.inf)
-    return Progress(
-        memory, Best(far, memory.residual, table), far, jnp.asarray(False), empty_candidates, jnp.asarray(False)
-    )
+    trust, no = jnp.full(scenario.num_lanes, FIRST_TRUST), jnp.asarray(False)
+    return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, trust, no)
 
 
 @eqx.filter_jit
 def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig, keys: Array) -> Memory:
-    Z, Y, mask = jax.vmap(lambda trace: rows(nominal, trace, stage.laps.dt))(stage.laps.trace)
+    read = jax.vmap(lambda trace, table: rows(nominal, trace, table, stage.laps.dt))
+    Z, Y, mask = read(stage.laps.trace, stage.table)
     each = eqx.filter_vmap(lambda m, Z, Y, mask, key: learn(m, Z, Y, mask, config, key))
     return each(memory, Z, Y, mask, keys)
 
@@ -62,12 +66,19 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
     memory = _learn(scenario.nominal, progress.memory, stage, scenario.config.gp, keys)
-    best = progress.best
+    best, trust = progress.best, progress.trust
     if residual is not None:
+        trust = jnp.where(stage.figures.completed, jnp.minimum(1.0, MORE_TRUST * trust), LESS_TRUST * trust)
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
         best = keep_where(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error
-    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error), progress, (memory, best, last))
+    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error, p.trust), progress, (memory, best, last, trust))
+
+
+def trusted(progress: Progress) -> Residual:
+    """What every lane has learnt, as far as its laps bear it out."""
+    residual = progress.memory.residual
+    return eqx.tree_at(lambda d: d.gate, residual, residual.gate * progress.trust[:, None])
 
 
 def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> ReferenceTable:

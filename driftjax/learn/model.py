@@ -40,7 +40,7 @@ def learn(memory: Memory, Z: Array, Y: Array, mask: Array, config: GPConfig, key
     kept = select_dictionary(Z, Y, mask, config.size, kernel=config.kernel)
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
-        kernel=config.kernel, key=key,
+        kernel=config.kernel, shortest=config.shortest, key=key,
     )  # fmt: skip
     held_out = held_out_error(found.gp, Z, Y, mask, config)
     gate = jnp.clip(1 - held_out**2, 0.0, 1.0)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
+from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, features, rk4_step
 from driftjax.sim import Trace
 from driftjax.vehicle import SingleTrack
@@ -37,11 +38,13 @@ def residual_rate(nominal: SingleTrack, x: State, u: Control, after: State, dt: 
     return d
 
 
-def rows(nominal: SingleTrack, trace: Trace, dt: Array) -> tuple[Array, Array, Bool[Array, " T-1"]]:
+def rows(
+    nominal: SingleTrack, trace: Trace, table: ReferenceTable, dt: Array
+) -> tuple[Array, Array, Bool[Array, " T-1"]]:
     """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data, of one lap (time on the leading axis).
 
-    Only measurements and commands are used. A row counts where the drift controller drove and all samples behind
-    its smoothing belong to the lap.
+    Only measurements and commands are used. A row counts where the drift controller drove in the drift section of
+    `table` and all samples behind its smoothing belong to the lap; before it, actuator lags are most of the residual.
     """
     x = State(smooth(trace.sensed.V), smooth(trace.sensed.beta), smooth(trace.sensed.r))
     before, after = jax.tree.map(lambda a: a[:-1], x), jax.tree.map(lambda a: a[1:], x)
@@ -49,6 +52,7 @@ def rows(nominal: SingleTrack, trace: Trace, dt: Array) -> tuple[Array, Array, B
     d = jax.vmap(lambda x, u, after: residual_rate(nominal, x, u, after, dt))(before, u, after)
     alive = trace.alive.astype(float)
     whole = jnp.convolve(alive, jnp.ones(WINDOW), mode="same") > WINDOW - 0.5
-    mask = whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & jnp.all(jnp.isfinite(d), axis=1)
+    inside = (trace.sensed.s >= table.drift_start) & (trace.sensed.s <= table.drift_end)
+    mask = inside[:-1] & whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & jnp.all(jnp.isfinite(d), axis=1)
     z = features(before, u)
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask

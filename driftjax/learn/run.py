@@ -16,7 +16,7 @@ from driftjax.data.plan import plan_dataset
 from driftjax.data.variables import FEATURES, dataset
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.explore import POINTS, Candidates, candidates, choose, drifts
-from driftjax.learn.loop import Progress, plan_reference, remember, start
+from driftjax.learn.loop import Progress, plan_reference, remember, start, trusted
 from driftjax.learn.model import empty
 from driftjax.learn.results import results
 from driftjax.learn.scenario import Scenario, build, drivers
@@ -107,7 +107,7 @@ def _stage(scenario: Scenario, progress: Progress, name: str, number: int):
         stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)
         return progress, _data(scenario, stage, kind)
     if kind == "single":  # the GP in the MPC, the reference from the nominal car
-        residual = progress.memory.residual
+        residual = trusted(progress)
         stage = run_stage(scenario, drivers(scenario, "mpc", _nominal_table(scenario, untaught), residual), number)
         return progress, _data(scenario, stage, "mpc", residual)
     stage = run_stage(scenario, drivers(scenario, "mpc", _nominal_table(scenario, untaught), untaught), number)
@@ -123,7 +123,7 @@ def _nominal_table(scenario: Scenario, untaught: Residual) -> ReferenceTable:
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
     """One GP lap: reference and MPC from what was learnt, then learn from it."""
-    residual = progress.memory.residual
+    residual = trusted(progress)
     table = plan_reference(scenario, residual, jnp.zeros(scenario.num_lanes))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, residual), number)
     before = progress.last_error
@@ -141,14 +141,14 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     stage = run_stage(scenario, drivers(scenario, "mpc", best.table, best.residual), number)
     found = progress.found
     if name == "gpr-best" and scenario.config.explore.num_sets:
-        found = candidates(scenario, stage.laps.trace, progress.memory.residual)
+        found = candidates(scenario, stage.laps.trace, trusted(progress))
         progress = eqx.tree_at(lambda p: p.found, progress, found)
     return progress, _data(scenario, stage, "mpc", best.residual, found if scenario.config.explore.num_sets else None)
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
     """One lap of Algorithm 1: choose, plan, drive, learn; None where every lane has driven all its sets."""
-    found, residual = progress.found, progress.memory.residual
+    found, residual = progress.found, trusted(progress)
     V_b = jnp.asarray(scenario.corner.V_b)
     chosen, V_ep, left = choose(drifts(scenario), V_b, scenario.config.explore, found, residual)
     if not bool(jnp.any(left)):

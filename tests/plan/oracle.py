@@ -14,6 +14,7 @@ def single_track(v, V, beta, r, delta, Fxr):
     alpha_f, alpha_r = ca.atan2(vy + v.a * r, vx) - delta, ca.atan2(vy - v.b * r, vx)
     shape = lambda alpha: ca.sin(v.C * ca.atan(v.B * alpha))
     Fyf, Fyr = -v.mu * Fzf * shape(alpha_f), -v.mu * Fzr * shape(alpha_r)
+    Fyr *= ca.sqrt(ca.fmax(1 - (v.combined_slip * Fxr / (v.mu * Fzr)) ** 2, 0.04))
     return (
         (-Fyf * ca.sin(delta - beta) + Fyr * ca.sin(beta) + Fxr * ca.cos(beta)) / v.m,
         (Fyf * ca.cos(delta - beta) + Fyr * ca.cos(beta) - Fxr * ca.sin(beta)) / (v.m * V) - r,

@@ -27,7 +27,7 @@ def random_problem(seed: int) -> Quadratic:
 
 def dense(q: Quadratic):
     """Step and multipliers from the whole KKT matrix; variables dx_0..dx_N, du_0..du_{N-1}."""
-    q = Quadratic(*(np.asarray(a) for a in q))
+    q = jax.tree.map(np.asarray, q)
     n = NX * (N + 1) + NU * N
     H, h = np.zeros((n, n)), np.zeros(n)
     C, d = np.zeros((NX * (N + 1), n)), np.zeros(NX * (N + 1))
