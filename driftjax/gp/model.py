@@ -8,7 +8,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
 
-FADE_LENGTH = 1.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
+FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
 JITTER = 100.0  # added to the diagonal, in units of eps times the signal variance
 

@@ -102,7 +102,7 @@ class LearnConfig:
     """Noise seeds per plant."""
     seed: int = 0
     """Seed of plants and noise."""
-    controllers: tuple[Controller, ...] = ("path", "paper")
+    controllers: tuple[Controller, ...] = ("path",)
     """Controllers driven side by side: `path` also tracks e and theta, `paper` is the paper's."""
     reference: Literal["entry", "step"] = "entry"
     """Reference along s: planned with its entry on the corrected car, or the paper's step to the equilibrium."""

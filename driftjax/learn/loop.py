@@ -22,7 +22,9 @@ from driftjax.vehicle import Residual, SingleTrack
 ENTRY_STEPS = 80  # iterations allowed for the entry problem: four times the MPC's horizon from a rough guess
 
 
-FIRST_TRUST, MORE_TRUST, LESS_TRUST = 0.3, 1.4, 0.4  # after one lap of data; after a lap that went well; or failed
+# Share of the residual used after one lap of data, its growth after a lap that went well and its fall after one that
+# did not. The solver leaves the GP out of its second derivatives, so a strong residual makes its steps fail.
+FIRST_TRUST, MORE_TRUST, LESS_TRUST = 0.1, 1.5, 0.4
 
 
 class Best(eqx.Module):
