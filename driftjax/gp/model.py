@@ -13,6 +13,11 @@ FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0
 JITTER = 100.0  # added to the diagonal, in units of eps times the signal variance
 
 
+def saturate(x: Array) -> Array:
+    """x / (1 + x^4)^(1/4): x to 1.5 % up to 1/2, and never beyond 1."""
+    return x * (1 + x**4) ** -0.25
+
+
 class Hyper(eqx.Module):
     """Hyper-parameters of the D outputs, for inputs and outputs divided by their scales."""
 
@@ -81,8 +86,16 @@ class GP(eqx.Module):
         return -jnp.expm1(-FADE_RATE * jnp.sum(self._nearness(z)[0]))
 
     def bounded_mean(self, z: Array) -> Array:
-        """(D,): mean times fade, held within the targets seen: what a controller may trust far from data."""
-        return jnp.clip(self.fade(z) * self.mean(z), self.lower, self.upper)
+        """(D,): mean times fade, within twice the largest target seen: what a controller may trust far from data.
+
+        Smooth: a hard limit has a kink at which a solver of optimality conditions cannot converge.
+        """
+        return self._limit * saturate(self.fade(z) * self.mean(z) / self._limit)
+
+    @property
+    def _limit(self) -> Array:
+        largest = jnp.maximum(-self.lower, self.upper)
+        return jnp.where(largest > 0, 2 * largest, 1.0)
 
     def bounded_mean_and_jacobian(self, z: Array) -> tuple[Array, Array]:
         """`bounded_mean` (D,) and its derivative in `z` (D, nf), in closed form: no pass per direction."""
@@ -97,9 +110,8 @@ class GP(eqx.Module):
         near, d_near = self._nearness(z)
         away = jnp.exp(-FADE_RATE * jnp.sum(near))
         jacobian = (1 - away) * d_mean + away * FADE_RATE * mean[:, None] * jnp.sum(d_near, axis=0)
-        bounded = (1 - away) * mean
-        inside = (bounded >= self.lower) & (bounded <= self.upper)
-        return jnp.clip(bounded, self.lower, self.upper), jnp.where(inside[:, None], jacobian, 0.0)
+        share = (1 - away) * mean / self._limit
+        return self._limit * saturate(share), (1 + share**4)[:, None] ** -1.25 * jacobian
 
     @property
     def prior_variance(self) -> Array:
