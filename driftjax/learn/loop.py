@@ -23,7 +23,7 @@ ENTRY_STEPS = 80  # iterations allowed for the entry problem: four times the MPC
 
 
 # Share of the residual used after one lap of data, its growth after a lap that went well and its fall after one that
-# did not. The solver leaves the GP out of its second derivatives, so a strong residual makes its steps fail.
+# did not: with the whole residual most solves of the MPC do not converge.
 FIRST_TRUST, MORE_TRUST, LESS_TRUST = 0.1, 1.5, 0.4
 
 
