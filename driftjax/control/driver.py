@@ -16,10 +16,12 @@ from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import Control, State, as_float, require
 from driftjax.sim import Sensed, keep_where
-from driftjax.solve import Options
+from driftjax.solve import Options, shift
 from driftjax.track import Track
 
-COLD_BARRIER, WARM_BARRIER = 1.0, 1e-2  # first barrier parameter with and without a plan to start from
+# First barrier parameter without and with a plan to start from. Objectives far from the reference are of order
+# 1e4: a smaller first barrier lets the iterates run into their bounds and jam there.
+COLD_BARRIER, WARM_BARRIER = 30.0, 0.3
 ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
 
@@ -44,10 +46,11 @@ class Memory(NamedTuple):
     """What the driver carries from step to step."""
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
-    X: Float[Array, "N+1 5"]  # last plan, already shifted
+    X: Float[Array, "N+1 5"]  # where the last solve ended, one step later: guess of the next one
     U: Float[Array, "N 2"]
+    good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: what is driven where a solve fails
     drifting: Array  # whether the drift controller drove the last step
-    planned: Array  # whether `X`, `U` come from the last step's own solve
+    planned: Array  # whether `X`, `U` hold a finite guess
 
 
 class Decision(NamedTuple):
@@ -82,7 +85,8 @@ class Driver(eqx.Module):
     def start(self, speed: Array) -> Memory:
         """Memory of a driver that has not driven yet."""
         X = jnp.zeros((self.horizon + 1, 5)).at[:, 0].set(speed)
-        return Memory(jnp.zeros(2), X, jnp.zeros((self.horizon, 2)), *jnp.zeros((2,), bool))
+        U = jnp.zeros((self.horizon, 2))
+        return Memory(jnp.zeros(2), X, U, U, *jnp.zeros((2,), bool))
 
     def engaged(self, sensed: Sensed, memory: Memory) -> Array:
         """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
@@ -105,7 +109,7 @@ class Driver(eqx.Module):
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
     def first_guess(self, x: Array, memory: Memory, kappa: Array) -> tuple[Array, Array]:
-        """Plan to start the MPC from: the last good one, else the last command held.
+        """Plan to start the MPC from: where the last solve ended, else the last command held.
 
         A held command satisfies the dynamics, which matters more to the solver than being near the reference.
         """
@@ -128,10 +132,13 @@ class Driver(eqx.Module):
         solution = solve_mpc(self.ocp, x, memory.command, reference, X, U, options)
         plan = solution.plan
         solved = jnp.maximum(plan.kkt, plan.violation) <= ACCEPTABLE * options.tolerance  # False on NaN
-        fallback = within_limits(self.ocp, U, memory.command, share=0.0)
-        new_X, new_U = jnp.where(solved, solution.X, X), jnp.where(solved, solution.U, fallback)
-        decision = Decision(Control(new_U[0, 0], new_U[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
-        return decision, Memory(new_U[0], *shifted(new_X, new_U), jnp.asarray(True), solved)
+        good = jnp.where(memory.planned, memory.good, U)  # before the first solve: the command held
+        good = jnp.where(solved, solution.U, within_limits(self.ocp, good, memory.command, share=0.0))
+        # an unfinished solve is still the better guess: the next one goes on from it
+        usable = jnp.all(jnp.isfinite(solution.X)) & jnp.all(jnp.isfinite(solution.U))
+        decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
+        guess = shifted(jnp.where(usable, solution.X, X), jnp.where(usable, solution.U, U))
+        return decision, Memory(good[0], *guess, shift(good), jnp.asarray(True), usable)
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:

@@ -84,10 +84,10 @@ class DriftOCP(AbstractOCP):
     upper: Array  # (2,)
     rate: Array  # (2,) largest change per step
 
-    def _advance(self, x: Array, u: Array, p: Reference, residual: Residual | None) -> Array:
+    def _advance(self, x: Array, u: Array, p: Reference, order: int) -> Array:
         y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
         first = State(y[0], y[1], y[2])
-        d = jnp.zeros(3) if residual is None else residual.tangent(features(first, command))
+        d = self.residual.local(features(first, command), order)
 
         def rates(w: Array) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), command)
@@ -98,11 +98,11 @@ class DriftOCP(AbstractOCP):
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
-        return self._advance(x, u, p, self.residual)
+        return self._advance(x, u, p, order=1)
 
     def curvature(self, x: Array, u: Array, p: Reference) -> Array:
-        """The nominal car: second derivatives of the GP are costly and change only the rate of convergence."""
-        return self._advance(x, u, p, None)
+        """The same step with the residual's second derivatives: without them solves with a GP do not converge."""
+        return self._advance(x, u, p, order=2)
 
     def _tracking(self, x: Array, p: Reference) -> Array:
         error = x[:5] * self.x_scale[:5] - jnp.stack([p.V, p.beta, p.r, p.e, p.theta])

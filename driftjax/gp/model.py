@@ -18,6 +18,12 @@ def saturate(x: Array) -> Array:
     return x * (1 + x**4) ** -0.25
 
 
+def taylor(dz: Array, value: Array, gradient: Array, hessian: Array | None = None) -> Array:
+    """Polynomial of first or second degree at the offset `dz` (nf,)."""
+    first = value + gradient @ dz
+    return first if hessian is None else first + 0.5 * (hessian @ dz) @ dz
+
+
 class Hyper(eqx.Module):
     """Hyper-parameters of the D outputs, for inputs and outputs divided by their scales."""
 
@@ -75,43 +81,62 @@ class GP(eqx.Module):
         """(D,): posterior mean at one input `z` (nf,); O(D M nf), no solves."""
         return self._mean(self.correlations(z))
 
-    def _nearness(self, z: Array) -> tuple[Array, Array]:
-        """Nearness (M,) of each data point, 1 at distance zero, and its derivative in `z` (M, nf)."""
+    def _nearness(self, z: Array) -> Array:
+        """(M,): nearness of each data point, 1 at distance zero."""
         offset = (z - self.Z) / (FADE_LENGTH * self.scale)
-        near = jnp.where(self.mask, jnp.exp(-0.5 * jnp.sum(offset**2, axis=-1)), 0.0)
-        return near, -near[:, None] * offset / (FADE_LENGTH * self.scale)
+        return jnp.where(self.mask, jnp.exp(-0.5 * jnp.sum(offset**2, axis=-1)), 0.0)
 
     def fade(self, z: Array) -> Array:
         """Scalar: 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
-        return -jnp.expm1(-FADE_RATE * jnp.sum(self._nearness(z)[0]))
+        return -jnp.expm1(-FADE_RATE * jnp.sum(self._nearness(z)))
 
     def bounded_mean(self, z: Array) -> Array:
         """(D,): mean times fade, within twice the largest target seen: what a controller may trust far from data.
 
         Smooth: a hard limit has a kink at which a solver of optimality conditions cannot converge.
         """
-        return self._limit * saturate(self.fade(z) * self.mean(z) / self._limit)
+        return self._bounded(self.mean(z), jnp.sum(self._nearness(z)))
 
-    @property
-    def _limit(self) -> Array:
+    def local_bounded_mean(self, z: Array, order: int) -> Array:
+        """`bounded_mean` for differentiation: derivatives in `z` up to `order` (1 or 2) exact, those beyond not.
+
+        Mean and nearness become their Taylor polynomials in closed form, with constant coefficients: differentiating
+        through this costs no GP evaluation per direction, so that a controller can afford the curvature as well.
+        """
+        at = jax.lax.stop_gradient(z)
+        mean, near = self._mean_derivatives(at), self._nearness_derivatives(at)
+        if order == 1:
+            mean, near = mean[:2], near[:2]
+        return self._bounded(taylor(z - at, *mean), taylor(z - at, *near))
+
+    def _bounded(self, mean: Array, near: Array) -> Array:
         largest = jnp.maximum(-self.lower, self.upper)
-        return jnp.where(largest > 0, 2 * largest, 1.0)
+        limit = jnp.where(largest > 0, 2 * largest, 1.0)
+        return limit * saturate(-jnp.expm1(-FADE_RATE * near) * mean / limit)
 
-    def bounded_mean_and_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """`bounded_mean` (D,) and its derivative in `z` (D, nf), in closed form: no pass per direction."""
-        inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale  # (D, nf)
+    def _mean_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
+        """Mean (D,), its gradient (D, nf) and Hessian (D, nf, nf) at `z`."""
+        weight = jnp.exp(-2 * self.hyper.log_lengthscale) / jnp.square(self.scale)  # (D, nf)
         offset = z - self.Z  # (M, nf)
-        q = jnp.square(inverse) @ jnp.square(offset).T  # (D, M)
-        value, slope = jax.jvp(KERNELS[self.kernel], (q,), (jnp.ones_like(q),))
+        kernel = lambda q: KERNELS[self.kernel](q)
+        slope = lambda q: jax.jvp(kernel, (q,), (jnp.ones_like(q),))[1]
+        q = weight @ jnp.square(offset).T  # (D, M)
+        bend = jax.jvp(slope, (q,), (jnp.ones_like(q),))[1]
         size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
-        alpha = jnp.where(self.mask, self.alpha, 0.0)
-        mean = size * jnp.sum(value * alpha, axis=-1)
-        d_mean = size[:, None] * 2 * jnp.square(inverse) * ((slope * alpha) @ offset)
-        near, d_near = self._nearness(z)
-        away = jnp.exp(-FADE_RATE * jnp.sum(near))
-        jacobian = (1 - away) * d_mean + away * FADE_RATE * mean[:, None] * jnp.sum(d_near, axis=0)
-        share = (1 - away) * mean / self._limit
-        return self._limit * saturate(share), (1 + share**4)[:, None] ** -1.25 * jacobian
+        alpha = size[:, None] * jnp.where(self.mask, self.alpha, 0.0)
+        first = 2 * (slope(q) * alpha)
+        outer = jnp.einsum("dm,mi,mj->dij", 4 * bend * alpha, offset, offset)
+        hessian = weight[:, :, None] * outer * weight[:, None, :]
+        hessian = hessian + jnp.sum(first, axis=1)[:, None, None] * jax.vmap(jnp.diag)(weight)
+        return jnp.sum(kernel(q) * alpha, axis=-1), weight * (first @ offset), hessian
+
+    def _nearness_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
+        """Sum of the nearness of all data, its gradient (nf,) and Hessian (nf, nf) at `z`."""
+        near, width = self._nearness(z), FADE_LENGTH * self.scale
+        offset = (z - self.Z) / width
+        outer = jnp.einsum("m,mi,mj->ij", near, offset, offset) / (width[:, None] * width)
+        total = jnp.sum(near)
+        return total, -(near @ offset) / width, outer - jnp.diag(total / width**2)
 
     @property
     def prior_variance(self) -> Array:
