@@ -14,7 +14,7 @@ from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, predict, shifted, solve_mpc, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
-from driftjax.core import Control, State, as_float, require
+from driftjax.core import Control, State, as_float, lag_step, require
 from driftjax.sim import Sensed, keep_where
 from driftjax.solve import Options, shift
 from driftjax.track import Track
@@ -46,6 +46,7 @@ class Memory(NamedTuple):
     """What the driver carries from step to step."""
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
+    reached: Float[Array, " 2"]  # what steering and drive have made of the commands so far, by the learnt lags
     X: Float[Array, "N+1 5"]  # where the last solve ended, one step later: guess of the next one
     U: Float[Array, "N 2"]
     good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: what is driven where a solve fails
@@ -86,7 +87,7 @@ class Driver(eqx.Module):
         """Memory of a driver that has not driven yet."""
         X = jnp.zeros((self.horizon + 1, 5)).at[:, 0].set(speed)
         U = jnp.zeros((self.horizon, 2))
-        return Memory(jnp.zeros(2), X, U, U, *jnp.zeros((2,), bool))
+        return Memory(jnp.zeros(2), jnp.zeros(2), X, U, U, *jnp.zeros((2,), bool))
 
     def engaged(self, sensed: Sensed, memory: Memory) -> Array:
         """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
@@ -95,6 +96,11 @@ class Driver(eqx.Module):
         past = sensed.s - self.table.drift_end
         sliding = memory.drifting & (jnp.abs(sensed.beta) > self.handover_beta) & (past < 3 * self.trail)
         return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
+
+    def after(self, memory: Memory) -> Memory:
+        """Memory one step later: what the actuators will have reached of the command."""
+        reached = lag_step(memory.reached, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
+        return memory._replace(reached=reached)
 
     def pursue(self, sensed: Sensed, memory: Memory) -> Array:
         """Command (2,) of pure pursuit within the limits."""
@@ -114,7 +120,7 @@ class Driver(eqx.Module):
         A held command satisfies the dynamics, which matters more to the solver than being near the reference.
         """
         held = within_limits(self.ocp, jnp.tile(memory.command, (self.horizon, 1)), memory.command)
-        X = predict(self.ocp, x, held, kappa)
+        X = predict(self.ocp, x, held, memory.reached, kappa)
         return jnp.where(memory.planned, memory.X, X), jnp.where(memory.planned, memory.U, held)
 
     def plan(self, sensed: Sensed, memory: Memory, needed: Array) -> tuple[Decision, Memory]:
@@ -129,7 +135,7 @@ class Driver(eqx.Module):
         reference = self.table.reference(s)
         barrier = jnp.where(memory.planned, WARM_BARRIER, COLD_BARRIER)
         options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0))
-        solution = solve_mpc(self.ocp, x, memory.command, reference, X, U, options)
+        solution = solve_mpc(self.ocp, x, memory.command, memory.reached, reference, X, U, options)
         plan = solution.plan
         solved = jnp.maximum(plan.kkt, plan.violation) <= ACCEPTABLE * options.tolerance  # False on NaN
         good = jnp.where(memory.planned, memory.good, U)  # before the first solve: the command held
@@ -138,7 +144,7 @@ class Driver(eqx.Module):
         usable = jnp.all(jnp.isfinite(solution.X)) & jnp.all(jnp.isfinite(solution.U))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
         guess = shifted(jnp.where(usable, solution.X, X), jnp.where(usable, solution.U, U))
-        return decision, Memory(good[0], *guess, shift(good), jnp.asarray(True), usable)
+        return decision, Memory(good[0], memory.reached, *guess, shift(good), jnp.asarray(True), usable)
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
@@ -156,7 +162,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
     idle_flag = jnp.zeros_like(engaged)
     resting = memory._replace(command=pursued, drifting=idle_flag, planned=idle_flag)
     if drivers.kind == "pursuit":
-        return idle.command, resting, idle
+        return idle.command, resting, idle  # nothing here looks at what is reached
 
     def drift():
         if drivers.kind == "mpc":
@@ -167,4 +173,4 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
 
     drifted = jax.lax.cond(jnp.any(engaged), drift, lambda: (idle, resting))
     decision, memory = keep_where(engaged, drifted, (idle, resting))
-    return decision.command, memory, decision
+    return decision.command, each(lambda d, m: d.after(m))(drivers, memory), decision

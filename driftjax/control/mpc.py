@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, State, as_float, features, require, rk4_step
+from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_step
 from driftjax.solve import AbstractOCP, Options, Plan, shift, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import Residual, SingleTrack, VehicleConfig
@@ -66,17 +66,18 @@ class Reference(eqx.Module):
 
 
 class DriftOCP(AbstractOCP):
-    """Eq. 10 with the state (V, beta, r, e, theta, previous delta, previous Fxr), each over its scale.
+    """Eq. 10 with the state (V, beta, r, e, theta, last command (2), command reached (2)), each over its scale.
 
     The residual rate is taken at the start of a step and held over its Runge-Kutta stages, exactly as it is
-    measured in `learn`; so the GP is evaluated once a step and model and data agree at any step length.
+    measured in `learn`; so the GP is evaluated once a step and model and data agree at any step length. Commands
+    act through the learnt lags; with lags of 0, as in the paper, they act at once.
     """
 
     nominal: SingleTrack
     residual: Residual
     horizon: int = eqx.field(static=True)
     dt: Array = eqx.field(converter=as_float)
-    x_scale: Array  # (7,)
+    x_scale: Array  # (9,)
     Q: Array  # (5,) weights in SI
     R: Array  # (2,) weights in SI
     front_slip: Array = eqx.field(converter=as_float)  # weight in SI
@@ -84,17 +85,28 @@ class DriftOCP(AbstractOCP):
     upper: Array  # (2,)
     rate: Array  # (2,) largest change per step
 
+    @property
+    def u_scale(self) -> Array:
+        """Scales (2,) of delta [rad] and Fxr [N]."""
+        return self.x_scale[5:7]
+
+    def _input(self, x: Array, u: Array) -> tuple[Control, Array]:
+        """What acts over the step [SI], and what is reached at its end (2,), scaled."""
+        mean, end = lag_step(x[7:], u, self.residual.lags, self.dt)
+        return Control(*(mean * self.u_scale)), end
+
     def _advance(self, x: Array, u: Array, p: Reference, order: int) -> Array:
-        y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
+        y = x[:5] * self.x_scale[:5]
+        acting, end = self._input(x, u)
         first = State(y[0], y[1], y[2])
-        d = self.residual.local(features(first, command), order)
+        d = self.residual.local(features(first, acting), order)
 
         def rates(w: Array) -> Array:
-            dx = self.nominal(State(w[0], w[1], w[2]), command)
+            dx = self.nominal(State(w[0], w[1], w[2]), acting)
             _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
             return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
 
-        return jnp.concatenate([rk4_step(rates, y[:5], self.dt) / self.x_scale[:5], u])
+        return jnp.concatenate([rk4_step(rates, y, self.dt) / self.x_scale[:5], u, end])
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
@@ -110,9 +122,9 @@ class DriftOCP(AbstractOCP):
 
     def cost(self, x: Array, u: Array, p: Reference) -> Array:
         """Tracking of this state, change of the input, front slip beyond the peak."""
-        change = (u - x[5:]) * self.x_scale[5:]
-        y, command = x * self.x_scale, Control(*(u * self.x_scale[5:]))
-        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), command)
+        change = (u - x[5:7]) * self.u_scale
+        y = x[:3] * self.x_scale[:3]
+        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), self._input(x, u)[0])
         beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
         return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
@@ -122,8 +134,8 @@ class DriftOCP(AbstractOCP):
 
     def constraints(self, x: Array, u: Array, p: Reference) -> Array:
         """Input and rate limits, over their scales."""
-        scale = self.x_scale[5:]
-        change = u - x[5:]
+        scale = self.u_scale
+        change = u - x[5:7]
         return jnp.concatenate(
             [
                 u - self.lower / scale,
@@ -143,7 +155,8 @@ def drift_ocp(
     """The problem of one car; `nominal` defaults to the car that `vehicle` describes."""
     weight = vehicle.m * 9.81
     speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
-    x_scale = jnp.array([speed, 1.0, speed / 5 / (vehicle.a + vehicle.b), vehicle.a + vehicle.b, 1.0, 1.0, weight])
+    length = vehicle.a + vehicle.b
+    x_scale = jnp.array([speed, 1.0, speed / 5 / length, length, 1.0, 1.0, weight, 1.0, weight])
     return DriftOCP(
         nominal=vehicle.build() if nominal is None else nominal,
         residual=residual,
@@ -171,17 +184,26 @@ def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, 
     return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
 
 
-def predict(ocp: DriftOCP, x: Float[Array, " 5"], U: Float[Array, "N 2"], kappa: Array) -> Float[Array, "N+1 5"]:
-    """States from `x` under inputs `U` [rad, N] on a path of constant curvature `kappa` [1/m], all SI."""
+def _along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
+    """What steering and drive have reached at each stage [rad, N]."""
+    move = lambda y, u: (lag_step(y, u, ocp.residual.lags, ocp.dt)[1],) * 2
+    return jnp.concatenate([reached[None], jax.lax.scan(move, reached, U)[1]])
+
+
+def predict(
+    ocp: DriftOCP, x: Float[Array, " 5"], U: Float[Array, "N 2"], reached: Float[Array, " 2"], kappa: Array
+) -> Float[Array, "N+1 5"]:
+    """States from `x` under commands `U` [rad, N] on a path of constant curvature `kappa` [1/m], all SI."""
     zero = jnp.zeros_like(kappa)
     constant = Reference(zero, zero, zero, zero, zero, kappa)
 
-    def move(y, u):
-        scaled = jnp.concatenate([y / ocp.x_scale[:5], u / ocp.x_scale[5:]])
-        after = ocp.step(scaled, u / ocp.x_scale[5:], constant)[:5] * ocp.x_scale[:5]
+    def move(y, stage):
+        u, actuators = stage
+        scaled = jnp.concatenate([y, u, actuators]) / ocp.x_scale
+        after = ocp.step(scaled, u / ocp.u_scale, constant)[:5] * ocp.x_scale[:5]
         return after, after
 
-    return jnp.concatenate([x[None], jax.lax.scan(move, x, U)[1]])
+    return jnp.concatenate([x[None], jax.lax.scan(move, x, (U, _along(ocp, reached, U)[:-1]))[1]])
 
 
 class MPCSolution(eqx.Module):
@@ -197,21 +219,22 @@ def solve_mpc(
     ocp: DriftOCP,
     x: Float[Array, " 5"],
     previous: Float[Array, " 2"],
+    reached: Float[Array, " 2"],
     reference: Reference,
     X: Float[Array, "N+1 5"],
     U: Float[Array, "N 2"],
     options: Options,
 ) -> MPCSolution:
-    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous` and the guess `X`, `U`, all SI."""
+    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous`, of which steering and drive have
+    `reached` so much, and the guess `X`, `U`, all SI."""
     U = within_limits(ocp, U, previous)
-    scale_x, scale_u = ocp.x_scale[:5], ocp.x_scale[5:]
-    before = jnp.concatenate([previous[None], U]) / scale_u
-    guess = jnp.concatenate([X / scale_x, before], axis=1)
-    start = jnp.concatenate([x / scale_x, previous / scale_u])
-    plan = solve(ocp, start, reference, guess, U / scale_u, options)
+    before = jnp.concatenate([previous[None], U])
+    guess = jnp.concatenate([X, before, _along(ocp, reached, U)], axis=1) / ocp.x_scale
+    start = jnp.concatenate([x, previous, reached]) / ocp.x_scale
+    plan = solve(ocp, start, reference, guess, U / ocp.u_scale, options)
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
-    inputs = within_limits(ocp, plan.U * scale_u, previous, share=0.0)
-    return MPCSolution(Control(inputs[0, 0], inputs[0, 1]), plan.X[:, :5] * scale_x, inputs, plan)
+    inputs = within_limits(ocp, plan.U * ocp.u_scale, previous, share=0.0)
+    return MPCSolution(Control(inputs[0, 0], inputs[0, 1]), plan.X[:, :5] * ocp.x_scale[:5], inputs, plan)
 
 
 def shifted(X: Array, U: Array) -> tuple[Array, Array]:

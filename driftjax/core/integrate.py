@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -22,3 +23,15 @@ def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     k3 = f(axpy(dt / 2, k2, x))
     k4 = f(axpy(dt, k3, x))
     return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4)
+
+
+def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array, Array]:
+    """Mean over a step `dt` [s] and end of it of a first-order lag of time constant `lag` [s] towards `target`.
+
+    Exact for a target held over the step; a lag of 0 gives the target itself.
+    """
+    slow = lag > 1e-6 * dt
+    lag = jnp.where(slow, lag, dt)
+    left = jnp.where(slow, jnp.exp(-dt / lag), 0.0)
+    mean = jnp.where(slow, (1 - left) * lag / dt, 0.0)
+    return target + (value - target) * mean, target + (value - target) * left

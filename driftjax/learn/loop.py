@@ -12,10 +12,10 @@ from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
 from driftjax.learn.reference import entry_table, step_table
-from driftjax.learn.residual import rows
+from driftjax.learn.residual import estimate_lags, rows
 from driftjax.learn.scenario import Scenario, problems
 from driftjax.learn.stage import Stage
-from driftjax.sim import keep_where
+from driftjax.sim import Trace, keep_where
 from driftjax.solve import Options
 from driftjax.vehicle import Residual, SingleTrack
 
@@ -58,10 +58,13 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
 
 @eqx.filter_jit
 def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig, keys: Array) -> Memory:
-    read = jax.vmap(lambda trace, table: rows(nominal, trace, table, stage.laps.dt))
-    Z, Y, mask = read(stage.laps.trace, stage.table)
-    each = eqx.filter_vmap(lambda m, Z, Y, mask, key: learn(m, Z, Y, mask, config, key))
-    return each(memory, Z, Y, mask, keys)
+    dt = stage.laps.dt
+
+    def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
+        lags = estimate_lags(nominal, trace, table, dt)
+        return learn(memory, *rows(nominal, trace, table, dt, lags), lags, config, key)
+
+    return eqx.filter_vmap(one)(memory, stage.laps.trace, stage.table, keys)
 
 
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:

@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.gp import GP, condition, fit, scales, select_dictionary, zero_gp
 from driftjax.learn.config import GPConfig
-from driftjax.vehicle import Residual
+from driftjax.vehicle import Residual, no_residual
 
 BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
 
@@ -26,11 +26,11 @@ def empty(config: GPConfig) -> Memory:
     """Memory of a lane that has not driven."""
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), Residual(gp, jnp.zeros(3)), jnp.ones(3))
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), no_residual(gp), jnp.ones(3))
 
 
-def learn(memory: Memory, Z: Array, Y: Array, mask: Array, config: GPConfig, key: Array) -> Memory:
-    """`memory` with a lap's rows added: new dictionary, new GP, new gate.
+def learn(memory: Memory, Z: Array, Y: Array, mask: Array, lags: Array, config: GPConfig, key: Array) -> Memory:
+    """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
 
     The gate of an output is the share of its squared error that the GP takes from rows it was not conditioned on;
     an output that does not gain there is switched off.
@@ -45,7 +45,8 @@ def learn(memory: Memory, Z: Array, Y: Array, mask: Array, config: GPConfig, key
     held_out = held_out_error(found.gp, Z, Y, mask, config)
     gate = jnp.clip(1 - held_out**2, 0.0, 1.0)
     enough = jnp.sum(kept[2]) >= 20
-    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0))
+    lags = jnp.where(enough, lags, memory.residual.lags)
+    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags)
     return Memory(*kept, residual, held_out)
 
 

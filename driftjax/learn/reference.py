@@ -93,7 +93,8 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
     target = Reference(plan.V + V_shift, plan.beta, plan.r, plan.e, plan.theta, plan.kappa)
     X = jnp.stack([plan.V, plan.beta, plan.r, plan.e, plan.theta], axis=1)
     at = lambda values: jax.vmap(lambda one: table.row(values, one))(s[:-1])
-    found = solve_mpc(ocp, x0, previous, target, X, jnp.stack([at(table.delta), at(table.Fxr)], axis=1), options)
+    U = jnp.stack([at(table.delta), at(table.Fxr)], axis=1)
+    found = solve_mpc(ocp, x0, previous, previous, target, X, U, options)
     good = jnp.maximum(found.plan.kkt, found.plan.violation) < 1e-2
     new = _onto(table, s, found.X, found.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)

@@ -12,10 +12,14 @@ from driftjax.gp import GP
 
 
 class Residual(eqx.Module):
-    """The model error d(z) that a GP has learnt, faded to nothing where it has no data."""
+    """What was learnt of a car: the lags of its actuators, and the model error d(z) left at what these reached.
+
+    The model error is a GP faded to nothing where it has no data.
+    """
 
     gp: GP
     gate: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
+    lags: Float[Array, "2"]  # time constants of steering and drive [s]; they only matter while commands change
 
     def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
         """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
@@ -40,4 +44,4 @@ class Corrected(eqx.Module):
 
 def no_residual(like: GP) -> Residual:
     """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles)."""
-    return Residual(like, jnp.zeros(3))
+    return Residual(like, jnp.zeros(3), jnp.zeros(2))
