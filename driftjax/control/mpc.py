@@ -18,19 +18,12 @@ INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is
 
 @dataclass(frozen=True)
 class MPCConfig:
-    """Horizon and weights of the drift MPC; the paper leaves horizon and step open."""
+    """Horizon, price of control effort and accuracy of the drift MPC; the paper leaves horizon and step open."""
 
     horizon: int = 30
     """Number of steps N looked ahead."""
     dt: float = 0.05
     """Step of prediction and control [s]."""
-    Q: tuple[float, float, float] = (1.0, 700.0, 500.0)
-    """Weights on V [m/s], beta [rad] and r [rad/s]."""
-    Q_path: tuple[float, float] = (0.0, 0.0)
-    """Weights on the lateral error e [m] and the heading error theta [rad]; zeros give the paper's controller."""
-    front_slip: float = 0.0
-    """Weight on the front slip angle beyond the tyre's peak [rad]: keeps the MPC off the drift with saturated front,
-    from which it cannot steer; 0 gives the paper's controller."""
     R: tuple[float, float] = (10.0, 0.001)
     """Weights on the change per step of delta [rad] and of Fxr [Fxr_unit]."""
     Fxr_unit: float = 1000.0
@@ -43,15 +36,27 @@ class MPCConfig:
     def __post_init__(self) -> None:
         require(self.horizon >= 1, f"key 'horizon' is {self.horizon}; it must be at least 1.")
         require(self.dt > 0, f"key 'dt' is {self.dt}; it must be a positive time in seconds.")
-        require(
-            min(self.Q + self.Q_path) >= 0,
-            f"keys 'Q' and 'Q_path' hold {self.Q}, {self.Q_path}; none may be negative.",
-        )
-        require(self.front_slip >= 0, f"key 'front_slip' is {self.front_slip}; it must not be negative.")
         require(min(self.R) > 0, f"key 'R' is {self.R}; both weights must be positive.")
         require(self.Fxr_unit > 0, f"key 'Fxr_unit' is {self.Fxr_unit}; give newtons per unit, 1000 for kN.")
         require(self.tolerance > 0, f"key 'tolerance' is {self.tolerance}; it must be positive.")
         require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; it must be at least 1.")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What tells controllers apart: weights on the errors tracked. The defaults are the paper's for the sedan."""
+
+    Q: tuple[float, float, float] = (1.0, 700.0, 500.0)
+    """Weights on V [m/s], beta [rad] and r [rad/s]."""
+    Q_path: tuple[float, float] = (0.0, 0.0)
+    """Weights on the lateral error e [m] and the heading error theta [rad]; zeros for the paper's controller."""
+    front_slip: float = 0.0
+    """Weight on the front slip angle beyond the tyre's peak [rad]: keeps the MPC off the drift with saturated front,
+    from which it cannot steer; 0 for the paper's controller."""
+
+    def __post_init__(self) -> None:
+        held = (*self.Q, *self.Q_path, self.front_slip)
+        require(min(held) >= 0, f"keys 'Q', 'Q_path' and 'front_slip' hold {held}; none may be negative.")
 
 
 class Reference(eqx.Module):
@@ -148,6 +153,7 @@ class DriftOCP(AbstractOCP):
 
 def drift_ocp(
     config: MPCConfig,
+    weights: Weights,
     vehicle: VehicleConfig,
     residual: Residual,
     nominal: SingleTrack | None = None,
@@ -163,9 +169,9 @@ def drift_ocp(
         horizon=config.horizon,
         dt=config.dt,
         x_scale=x_scale,
-        Q=jnp.array(config.Q + config.Q_path),
+        Q=jnp.array(weights.Q + weights.Q_path),
         R=jnp.array([config.R[0], config.R[1] / config.Fxr_unit**2]),
-        front_slip=config.front_slip,
+        front_slip=weights.front_slip,
         lower=jnp.array([-vehicle.delta_max, vehicle.Fxr_min]),
         upper=jnp.array([vehicle.delta_max, vehicle.Fxr_max]),
         rate=config.dt * jnp.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max]),

@@ -17,8 +17,10 @@ class Variable(NamedTuple):
 
 
 FEATURES = ("V", "beta", "r", "delta", "Fxr")
-COORDINATES = ("t", "feature", "plant", "controller", "seed")
-SHARED = ("t", "feature")  # coordinates that do not differ between stages
+OUTPUTS = ("dV", "dbeta", "dr")
+INPUTS = ("delta", "Fxr")
+COORDINATES = ("t", "feature", "output", "input", "plant", "controller", "seed")
+SHARED = ("t", "feature", "output", "input")  # coordinates that do not differ between stages
 
 _STEP = ("lane", "step")
 _MEASURED = {
@@ -67,6 +69,16 @@ STAGE: dict[str, Variable] = {
     "feature": Variable(("feature",), "1", "input of the Gaussian process"),
     "gp_Z": Variable(("lane", "row", "feature"), "SI", "inputs of the Gaussian process: V, beta, r, delta, Fxr"),
     "gp_mask": Variable(("lane", "row"), "1", "whether the row of gp_Z is data, not padding"),
+    "output": Variable(("output",), "1", "output of the Gaussian process, a rate error"),
+    "input": Variable(("input",), "1", "command of the driver"),
+    "gate": Variable(
+        ("lane", "output"), "1", "share of each learnt rate error that held-out rows support and that is used"
+    ),
+    "lags": Variable(("lane", "input"), "s", "learnt time constants of steering and drive"),
+    "reference_found": Variable(
+        ("lane",), "1", "whether the reference was found on the lane's car; else the plan stood in"
+    ),
+    "reference_error": Variable(("lane",), "1", "scaled optimality error of the reference"),
     "vset_s": Variable(("lane", "point"), "m", "arc length of the points of the speed sets"),
     "vset_origin": Variable(("lane", "point"), "m/s", "speed that the sets start from"),
     "vset_target": Variable(("lane", "point"), "m/s", "trend r_b e of the change of speed"),

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from driftjax.control.driver import SwitchConfig
-from driftjax.control.mpc import MPCConfig
+from driftjax.control.mpc import MPCConfig, Weights
 from driftjax.control.pursuit import PursuitConfig
 from driftjax.core import find_config, from_dict, read_yaml, require
 from driftjax.sim import LapConfig
@@ -25,9 +25,8 @@ class GPConfig:
     """Starts of that maximisation."""
     max_iterations: int = 25
     """Iterations of each."""
-    shortest: float = 4.0
-    """Shortest length scale, in standard deviations of an input: actuator lags make the residual jump with the command,
-    which a GP without memory must not learn."""
+    shortest: float = 2.0
+    """Shortest length scale, in standard deviations of an input: what varies faster over a lap is taken for noise."""
     kernel: Literal["se", "matern52"] = "se"
     """Kernel: squared exponential or Matern-5/2, one length scale per input."""
 
@@ -62,22 +61,6 @@ class ExploreConfig:
         require(0 <= self.lam <= 1, f"key 'lam' is {self.lam}; lambda lies in 0..1.")
         require(self.num_sets >= 0, f"key 'num_sets' is {self.num_sets}; give 0 for no exploration, or more.")
         require(0 < self.gamma_share < 0.5, f"key 'gamma_share' is {self.gamma_share}; give a share below 0.5.")
-
-
-@dataclass(frozen=True)
-class ControllerConfig:
-    """Weights that differ between the controllers compared."""
-
-    Q: tuple[float, float, float]
-    """Weights on V [m/s], beta [rad] and r [rad/s]."""
-    Q_path: tuple[float, float]
-    """Weights on e [m] and theta [rad]; zeros for the paper's controller."""
-    front_slip: float = 0.0
-    """Weight on front slip beyond the tyre's peak [rad]; zero for the paper's controller."""
-
-    def __post_init__(self) -> None:
-        held = (*self.Q, *self.Q_path, self.front_slip)
-        require(min(held) >= 0, f"keys 'Q', 'Q_path' and 'front_slip' hold {held}; none may be negative.")
 
 
 @dataclass(frozen=True)
@@ -118,8 +101,11 @@ class LearnConfig:
     drift_beta: float = 0.436332
     """Sideslip of the drift equilibrium that is aimed at, magnitude [rad]."""
     mpc: MPCConfig = field(default_factory=MPCConfig)
-    path: ControllerConfig = ControllerConfig((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
-    paper: ControllerConfig = ControllerConfig((1.0, 700.0, 500.0), (0.0, 0.0))
+    path: Weights = Weights((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
+    paper: Weights = Weights()
+    entry_error: float = 10.0
+    """How many times more than in the MPC the lateral error weighs where the corner is planned on the corrected car:
+    what cannot be had at once then gives way in speed, not in path."""
     switch: SwitchConfig = SwitchConfig(lead=15.0, trail=6.0)
     pursuit: PursuitConfig = field(default_factory=PursuitConfig)
     lap: LapConfig = field(default_factory=LapConfig)
@@ -133,6 +119,7 @@ class LearnConfig:
         require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")
         require(self.gpr_laps >= 1, f"key 'gpr_laps' is {self.gpr_laps}; give at least 1.")
         require(self.converged >= 0, f"key 'converged' is {self.converged}; it must not be negative.")
+        require(self.entry_error > 0, f"key 'entry_error' is {self.entry_error}; it must be positive.")
         require(0 < self.drift_beta < 1.2, f"key 'drift_beta' is {self.drift_beta}; give radians between 0 and 1.2.")
 
 

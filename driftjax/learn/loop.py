@@ -7,24 +7,21 @@ from jax import Array
 
 from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
+from driftjax.core import RESULTS
 from driftjax.equilibrium import Branch, SlipRadius, continuation
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
-from driftjax.learn.reference import entry_table, step_table
+from driftjax.learn.reference import Planned, entry_table, step_table
 from driftjax.learn.residual import estimate_lags, rows
-from driftjax.learn.scenario import Scenario, problems
+from driftjax.learn.scenario import Scenario, entry_problems
 from driftjax.learn.stage import Stage
 from driftjax.sim import Trace, keep_where
 from driftjax.solve import Options
 from driftjax.vehicle import Residual, SingleTrack
 
-ENTRY_STEPS = 80  # iterations allowed for the entry problem: four times the MPC's horizon from a rough guess
-
-
-# Share of the residual used after one lap of data, its growth after a lap that went well and its fall after one that
-# did not: with the whole residual most solves of the MPC do not converge.
-FIRST_TRUST, MORE_TRUST, LESS_TRUST = 0.1, 1.5, 0.4
+# The entry problem has four times the MPC's horizon and starts from the plan, which its car cannot drive.
+ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
 
 
 class Best(eqx.Module):
@@ -43,7 +40,6 @@ class Progress(eqx.Module):
     last_error: Array  # of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
     found: Candidates
-    trust: Array  # share of the learnt residual that each lane uses: falls where it made a lap fail
     explored: Array  # bool: at least one exploration lap was driven
 
 
@@ -52,8 +48,8 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     memory = scenario.over_lanes(empty(scenario.config.gp))
     table = scenario.over_lanes(scenario.table)
     far = jnp.full(scenario.num_lanes, jnp.inf)
-    trust, no = jnp.full(scenario.num_lanes, FIRST_TRUST), jnp.asarray(False)
-    return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, trust, no)
+    no = jnp.asarray(False)
+    return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, no)
 
 
 @eqx.filter_jit
@@ -71,29 +67,22 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
     memory = _learn(scenario.nominal, progress.memory, stage, scenario.config.gp, keys)
-    best, trust = progress.best, progress.trust
+    best = progress.best
     if residual is not None:
-        trust = jnp.where(stage.figures.completed, jnp.minimum(1.0, MORE_TRUST * trust), LESS_TRUST * trust)
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
         best = keep_where(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error
-    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error, p.trust), progress, (memory, best, last, trust))
+    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error), progress, (memory, best, last))
 
 
-def trusted(progress: Progress) -> Residual:
-    """What every lane has learnt, as far as its laps bear it out."""
-    residual = progress.memory.residual
-    return eqx.tree_at(lambda d: d.gate, residual, residual.gate * progress.trust[:, None])
-
-
-def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> ReferenceTable:
+def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Planned:
     """The reference of every lane from its corrected car, with the speed aimed at shifted by `V_shift` (lanes,).
 
     `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """
     config = scenario.config
     if config.reference == "entry":
-        ocp = problems(scenario, residual, scenario.horizon)
+        ocp = entry_problems(scenario, residual)
         return _entries(ocp, scenario.table, jnp.asarray(config.switch.lead), V_shift, config.mpc.tolerance)
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
@@ -102,16 +91,17 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Re
 
 
 @eqx.filter_jit
-def _entries(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, tolerance: float) -> ReferenceTable:
-    options = Options(tolerance, 10.0, ENTRY_STEPS)
-    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, lead, shift, options).table)(ocp, V_shift)
+def _entries(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, tolerance: float) -> Planned:
+    options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
+    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, lead, shift, options))(ocp, V_shift)
 
 
 @eqx.filter_jit
 def _steps(nominal, residual: Residual, fixed: SlipRadius, guess, table: ReferenceTable, V_shift: Array):
-    def one(d: Residual, shift: Array) -> ReferenceTable:
+    def one(d: Residual, shift: Array) -> Planned:
         found = continuation(nominal, d, fixed, guess, branch=Branch.COUNTERSTEER)
         # r_b and beta_eq stay where V is explored: the same corner at another speed (Wu et al. 2025, Sec. IV-C)
-        return step_table(table, found.x._replace(V=found.x.V + shift), found.u)
+        step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
+        return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)
 
     return eqx.filter_vmap(one)(residual, V_shift)

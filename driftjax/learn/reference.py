@@ -17,6 +17,7 @@ from driftjax.plan import Plan
 from driftjax.solve import Options
 
 POINTS = 400  # rows of a reference table
+ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
 CORE = 0.5  # share of the drift section, about its middle, that stands for the steady part of the corner
 
 
@@ -55,20 +56,20 @@ def corner(table: ReferenceTable, drift_beta: float) -> Corner:
     return Corner(V_b, V_b * kappa, 1 / kappa, -math.copysign(drift_beta, kappa))
 
 
+class Planned(eqx.Module):
+    """A reference from a corrected car and how well it was found; where it was not, `table` is what stands in."""
+
+    table: ReferenceTable
+    found: Array  # bool
+    error: Array  # scaled optimality error and violation, or the residual of the equilibrium [-]
+    num_steps: Array
+
+
 def step_table(table: ReferenceTable, x: State, u: Control) -> ReferenceTable:
     """The paper's reference: the constant drift state (V_ep, beta_eq, r_b) wherever the drift controller drives."""
     level = lambda value: jnp.broadcast_to(value, table.V.shape)
     new = (level(x.V), level(x.beta), level(x.r), jnp.zeros_like(table.e), level(-x.beta), level(u.delta), level(u.Fxr))
     return eqx.tree_at(lambda t: (t.V, t.beta, t.r, t.e, t.theta, t.delta, t.Fxr), table, new)
-
-
-class Entry(eqx.Module):
-    """An entry reference and how well it was found."""
-
-    table: ReferenceTable
-    kkt: Array
-    violation: Array
-    num_steps: Array
 
 
 def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -> int:
@@ -78,12 +79,12 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
     return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
 
 
-def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, options: Options) -> Entry:
+def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, options: Options) -> Planned:
     """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
 
     Starts `lead` metres before the drift section on the plan in `table` and follows path and sideslip of the plan;
     speed, yaw rate and inputs come out consistent with the model. `V_shift` [m/s] is added to the speed aimed at.
-    Rows outside the horizon keep the plan, and so does everything where the solve fails (see `kkt`).
+    Rows outside the horizon keep the plan, and so does everything where the solve fails.
     """
     s0 = table.drift_start - lead
     x, u = table.state(s0)
@@ -95,10 +96,11 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
     at = lambda values: jax.vmap(lambda one: table.row(values, one))(s[:-1])
     U = jnp.stack([at(table.delta), at(table.Fxr)], axis=1)
     found = solve_mpc(ocp, x0, previous, previous, target, X, U, options)
-    good = jnp.maximum(found.plan.kkt, found.plan.violation) < 1e-2
+    error = jnp.maximum(found.plan.kkt, found.plan.violation)
+    good = error < ENTRY_ERROR
     new = _onto(table, s, found.X, found.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
-    return Entry(new, found.plan.kkt, found.plan.violation, found.plan.num_steps)
+    return Planned(new, good, error, found.plan.num_steps)
 
 
 def _schedule(table: ReferenceTable, s0: Array, num: int, dt: Array) -> Float[Array, " N+1"]:

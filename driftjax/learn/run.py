@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput
 from driftjax.data.folder import RunFolder
 from driftjax.data.plan import plan_dataset
-from driftjax.data.variables import FEATURES, dataset
+from driftjax.data.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.explore import POINTS, Candidates, candidates, choose, drifts
-from driftjax.learn.loop import Progress, plan_reference, remember, start, trusted
+from driftjax.learn.loop import Progress, plan_reference, remember, start
 from driftjax.learn.model import empty
+from driftjax.learn.reference import Planned
 from driftjax.learn.results import results
 from driftjax.learn.scenario import Scenario, build, drivers
 from driftjax.learn.stage import CODES, Stage, run_stage, stage_values
@@ -107,30 +107,33 @@ def _stage(scenario: Scenario, progress: Progress, name: str, number: int):
         stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)
         return progress, _data(scenario, stage, kind)
     if kind == "single":  # the GP in the MPC, the reference from the nominal car
-        residual = trusted(progress)
-        stage = run_stage(scenario, drivers(scenario, "mpc", _nominal_table(scenario, untaught), residual), number)
-        return progress, _data(scenario, stage, "mpc", residual)
-    stage = run_stage(scenario, drivers(scenario, "mpc", _nominal_table(scenario, untaught), untaught), number)
-    return remember(scenario, progress, stage, None, number), _data(scenario, stage, "mpc", untaught)
+        residual = progress.memory.residual
+        planned = _nominal_reference(scenario, untaught)
+        stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
+        return progress, _data(scenario, stage, "mpc", residual, planned=planned)
+    planned = _nominal_reference(scenario, untaught)
+    stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, untaught), number)
+    return remember(scenario, progress, stage, None, number), _data(scenario, stage, "mpc", untaught, planned=planned)
 
 
-def _nominal_table(scenario: Scenario, untaught: Residual) -> ReferenceTable:
+def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
     """Reference of the nominal car: the plan is its own entry; else the paper's step."""
     if scenario.config.reference == "entry":
-        return scenario.over_lanes(scenario.table)
+        plan = scenario.plan
+        return scenario.over_lanes(Planned(scenario.table, jnp.asarray(True), plan.violation, plan.num_steps))
     return plan_reference(scenario, untaught, jnp.zeros(scenario.num_lanes))
 
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
     """One GP lap: reference and MPC from what was learnt, then learn from it."""
-    residual = trusted(progress)
-    table = plan_reference(scenario, residual, jnp.zeros(scenario.num_lanes))
-    stage = run_stage(scenario, drivers(scenario, "mpc", table, residual), number)
+    residual = progress.memory.residual
+    planned = plan_reference(scenario, residual, jnp.zeros(scenario.num_lanes))
+    stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
     progress = remember(scenario, progress, stage, residual, number)
     change = jnp.abs(before - progress.last_error) / progress.last_error
     progress = eqx.tree_at(lambda p: p.converged, progress, jnp.all(change < scenario.config.converged))
-    return progress, _data(scenario, stage, "mpc", residual)
+    return progress, _data(scenario, stage, "mpc", residual, planned=planned)
 
 
 def _best(scenario: Scenario, progress: Progress, name: str, number: int):
@@ -141,35 +144,43 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     stage = run_stage(scenario, drivers(scenario, "mpc", best.table, best.residual), number)
     found = progress.found
     if name == "gpr-best" and scenario.config.explore.num_sets:
-        found = candidates(scenario, stage.laps.trace, trusted(progress))
+        found = candidates(scenario, stage.laps.trace, progress.memory.residual)
         progress = eqx.tree_at(lambda p: p.found, progress, found)
     return progress, _data(scenario, stage, "mpc", best.residual, found if scenario.config.explore.num_sets else None)
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
     """One lap of Algorithm 1: choose, plan, drive, learn; None where every lane has driven all its sets."""
-    found, residual = progress.found, trusted(progress)
+    found, residual = progress.found, progress.memory.residual
     V_b = jnp.asarray(scenario.corner.V_b)
     chosen, V_ep, left = choose(drifts(scenario), V_b, scenario.config.explore, found, residual)
     if not bool(jnp.any(left)):
         return None
-    table = plan_reference(scenario, residual, jnp.where(left, V_ep - V_b, 0.0))
+    planned = plan_reference(scenario, residual, jnp.where(left, V_ep - V_b, 0.0))
     # a lane that has driven all its sets repeats its best
-    table, used = keep_where(left, (table, residual), (progress.best.table, progress.best.residual))
+    table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
     progress = remember(scenario, progress, stage, used, number)
     visited = found.visited | (jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool) & left[:, None])
     progress = eqx.tree_at(lambda p: (p.found.visited, p.explored), progress, (visited, jnp.asarray(True)))
-    return progress, _data(scenario, stage, "mpc", used, found)
+    return progress, _data(scenario, stage, "mpc", used, found, planned)
 
 
 def _data(
-    scenario: Scenario, stage: Stage, kind: str, residual: Residual | None = None, found: Candidates | None = None
+    scenario: Scenario,
+    stage: Stage,
+    kind: str,
+    residual: Residual | None = None,
+    found: Candidates | None = None,
+    planned: Planned | None = None,
 ):
     values = stage_values(scenario, stage, kind)
+    if planned is not None:
+        values |= {"reference_found": planned.found, "reference_error": planned.error}
     if residual is not None:
-        values |= {"gp_Z": np.asarray(residual.gp.Z), "gp_mask": np.asarray(residual.gp.mask)}
-        values["feature"] = np.array(FEATURES, object)
+        values |= {"gp_Z": residual.gp.Z, "gp_mask": residual.gp.mask, "gate": residual.gate, "lags": residual.lags}
+        values |= {"feature": np.array(FEATURES, object), "output": np.array(OUTPUTS, object)}
+        values["input"] = np.array(INPUTS, object)
     if found is not None:
         share = scenario.config.explore.gamma_share * scenario.corner.V_b
         values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}

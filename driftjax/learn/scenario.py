@@ -9,7 +9,7 @@ from jax import Array
 
 from driftjax.control.driver import Driver, SwitchConfig
 from driftjax.control.lqr import lqr
-from driftjax.control.mpc import DriftOCP, drift_ocp
+from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Control, State
@@ -111,17 +111,25 @@ def _steady(nominal: SingleTrack, fixed: SlipRadius) -> Equilibrium:
     return solve(nominal, nominal, fixed, (first.x, first.u), branch=Branch.COUNTERSTEER)
 
 
-def problems(scenario: Scenario, residual: Residual, horizon: int | None = None) -> DriftOCP:
+def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
     """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
     config = scenario.config
-    mpc = config.mpc if horizon is None else dataclasses.replace(config.mpc, horizon=horizon)
+    weights = [config.path if lane.controller == "path" else config.paper for lane in scenario.lanes]
+    return _problems(scenario, config.mpc, weights, residual)
 
-    def one(controller: str) -> DriftOCP:
-        weights = config.path if controller == "path" or horizon is not None else config.paper
-        settings = dataclasses.replace(mpc, Q=weights.Q, Q_path=weights.Q_path, front_slip=weights.front_slip)
-        return drift_ocp(settings, scenario.vehicle, jax.tree.map(lambda a: a[0], residual), scenario.nominal)
 
-    each = [one(lane.controller) for lane in scenario.lanes]
+def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
+    """Every lane's problem of planning the corner anew: the path controller's, with a dearer lateral error."""
+    config = scenario.config
+    path = config.path
+    weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
+    mpc = dataclasses.replace(config.mpc, horizon=scenario.horizon)
+    return _problems(scenario, mpc, [weights] * scenario.num_lanes, residual)
+
+
+def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residual: Residual) -> DriftOCP:
+    like = jax.tree.map(lambda a: a[0], residual)
+    each = [drift_ocp(mpc, one, scenario.vehicle, like, scenario.nominal) for one in weights]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *each)
     return eqx.tree_at(lambda o: o.residual, stacked, residual)
 

@@ -22,7 +22,7 @@ def _rates(v, x, u):
     )
 
 
-def solver(v, config, x_ref):
+def solver(v, config, weights, x_ref):
     """Function of (x0 (3,), previous (2,) in rad and kN) that gives the optimal cost and IPOPT's success."""
     N, dt = config.horizon, config.dt
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
@@ -36,7 +36,7 @@ def solver(v, config, x_ref):
     states = ca.horzcat(x0, X)
     change = U - ca.horzcat(previous, U[:, :-1])
     error = states - ca.repmat(ca.DM(x_ref), 1, N + 1)
-    cost = ca.sum1(ca.DM(config.Q).T @ error**2 @ ca.DM.ones(N + 1, 1))
+    cost = ca.sum1(ca.DM(weights.Q).T @ error**2 @ ca.DM.ones(N + 1, 1))
     cost = cost + ca.sum1(ca.DM(config.R).T @ change**2 @ ca.DM.ones(N, 1))
     g = ca.vertcat(ca.vec(step.map(N)(states[:, :-1], U) - X), ca.vec(change))
     nlp = {"x": ca.vertcat(ca.vec(X), ca.vec(U)), "p": ca.vertcat(x0, previous), "f": cost, "g": g}

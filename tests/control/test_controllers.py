@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from driftjax.control.lqr import lqr
-from driftjax.control.mpc import MPCConfig, drift_ocp, predict, within_limits
+from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, predict, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import BadInput, Control, State, features, rk4_step
@@ -67,7 +67,7 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
 
 @pytest.fixture(scope="module")
 def ocp():
-    return drift_ocp(MPCConfig(horizon=5), CAR, no_residual(zero_gp(4, 5, 3)))
+    return drift_ocp(MPCConfig(horizon=5), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
 
 
 def test_inputs_are_brought_within_both_limits_and_left_alone_inside(ocp):
@@ -102,7 +102,7 @@ def test_the_prediction_holds_a_steady_drift_on_its_circle(ocp):
     assert np.all(rates < [0.02, 0.02, 0.02])  # the state given is a drift to its printed digits
     kappa = x.r / x.V
     start = jnp.stack([x.V, x.beta, x.r, jnp.asarray(0.0), -x.beta])
-    X = predict(ocp, start, jnp.tile(jnp.stack(u), (5, 1)), kappa)
+    X = predict(ocp, start, jnp.tile(jnp.stack(u), (5, 1)), jnp.stack(u), kappa)
     np.testing.assert_allclose(X, np.tile(np.asarray(start), (6, 1)), atol=0.02)
 
 
@@ -137,24 +137,28 @@ def residual() -> Residual:
     Y = jnp.asarray(rng.normal(size=(12, 3)))
     mask = jnp.ones(12, bool)
     hyper = Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(0.1)))
-    return Residual(condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se"), jnp.asarray([1.0, 0.4, 0.0]))
+    return Residual(
+        condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se"), jnp.asarray([1.0, 0.4, 0.0]), jnp.asarray([0.05, 0.1])
+    )
 
 
-def test_the_tangent_of_a_residual_has_its_value_and_its_gradient():
+def test_the_local_form_of_a_residual_has_its_value_and_its_derivatives():
     d = residual()
-    z = features(*DRIFT)
-    np.testing.assert_allclose(d.tangent(z), d(z), rtol=1e-12)
-    exact, tangent = jax.jacfwd(d)(z), jax.jacfwd(d.tangent)(z)
-    np.testing.assert_allclose(tangent, exact, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(jax.jacrev(d.tangent)(z), exact, rtol=1e-9, atol=1e-15)
+    z = features(*DRIFT) + jnp.asarray([0.3, 0.05, -0.1, 0.02, 300.0])
+    exact, bend = jax.jacfwd(d)(z), jax.jacfwd(jax.jacrev(d))(z)
+    for order in (1, 2):
+        local = lambda q, order=order: d.local(q, order)
+        np.testing.assert_allclose(local(z), d(z), rtol=1e-12)
+        np.testing.assert_allclose(jax.jacfwd(local)(z), exact, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(jax.jacrev(local)(z), exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(jax.jacfwd(jax.jacrev(lambda q: d.local(q, 2)))(z), bend, rtol=1e-8, atol=1e-14)
     assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
     assert float(d(z)[2]) == 0  # gated off
-    assert bool(jnp.all(jax.jacfwd(jax.jacfwd(d.tangent))(z) == 0))
 
 
 def test_no_residual_is_zero_everywhere():
     d = no_residual(residual().gp)
-    assert bool(jnp.all(d(features(*DRIFT)) == 0)) and bool(jnp.all(d.tangent(features(*DRIFT)) == 0))
+    assert bool(jnp.all(d(features(*DRIFT)) == 0)) and bool(jnp.all(d.local(features(*DRIFT), 2) == 0))
 
 
 @pytest.mark.parametrize(

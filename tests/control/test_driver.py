@@ -5,7 +5,7 @@ import pytest
 
 from driftjax.control.driver import Driver, Memory
 from driftjax.control.lqr import LQR
-from driftjax.control.mpc import MPCConfig, drift_ocp
+from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
@@ -21,7 +21,7 @@ def driver(kind) -> Driver:
     path = from_curvature([0.0, 100.0], [0.0, 0.0], 4.0, 101)
     columns = [jnp.full(11, value) for value in (10.0, 0.0, 9.0, -0.5, 1.0, 0.0, 0.5, -0.3, 6000.0)]
     table = ReferenceTable(0.0, 10.0, *columns, drift_start=40.0, drift_end=60.0)
-    ocp = drift_ocp(MPCConfig(horizon=3), CAR, no_residual(zero_gp(4, 5, 3)))
+    ocp = drift_ocp(MPCConfig(horizon=3), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
     return Driver(kind, path, table, pure_pursuit(PursuitConfig(), CAR), LQR(jnp.zeros((2, 3))), ocp, Options(),
                   lead=6.0, trail=4.0, handover_beta=0.15)  # fmt: skip
 

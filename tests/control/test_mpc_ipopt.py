@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.control.mpc import MPCConfig, MPCSolution, Reference, drift_ocp, solve_mpc
+from driftjax.control.mpc import MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
@@ -25,7 +25,7 @@ CONFIG = MPCConfig(horizon=N)
 
 @cache
 def ocp():
-    return drift_ocp(CONFIG, CAR, no_residual(zero_gp(4, 5, 3)))
+    return drift_ocp(CONFIG, Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
 
 
 def starts() -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +43,7 @@ def solved() -> MPCSolution:
 
     def one(x, before):
         options = Options(1e-6, 1.0, 60)
-        return solve_mpc(ocp(), x, before, reference, X, jnp.tile(before, (N, 1)), options)
+        return solve_mpc(ocp(), x, before, before, reference, X, jnp.tile(before, (N, 1)), options)
 
     return eqx.filter_jit(jax.vmap(one))(x, jnp.asarray(before))
 
@@ -68,7 +68,7 @@ def test_input_and_rate_limits_hold_to_rounding():
 
 
 def test_ipopt_finds_the_same_cost():
-    run = drift_mpc_ipopt.solver(CAR, CONFIG, X_REF)
+    run = drift_mpc_ipopt.solver(CAR, CONFIG, Weights(), X_REF)
     found = [run(x, before) for x, before in zip(starts()[0], starts()[1] / [1.0, 1000.0], strict=True)]
     assert all(success for _, success in found)
     ours, theirs = np.asarray(solved().plan.cost), np.array([cost for cost, _ in found])

@@ -9,10 +9,11 @@ import pytest
 from driftjax.learn.config import GPConfig
 from driftjax.learn.model import empty, learn
 
+LAGS = jnp.asarray([0.05, 0.1])
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 800.0])
 SIZE = np.array([0.5, 0.2, 0.4])
-fitted = eqx.filter_jit(lambda memory, Z, Y, mask, key: learn(memory, Z, Y, mask, CONFIG, key))
+fitted = eqx.filter_jit(lambda memory, Z, Y, mask, key: learn(memory, Z, Y, mask, LAGS, CONFIG, key))
 
 
 def planted(W):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.mpc import MPCConfig, drift_ocp, within_limits
+from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.core import Control
 from driftjax.gp import zero_gp
@@ -23,7 +23,7 @@ PATH = from_curvature([0.0, 20.0], [0.0, 0.0], 4.0, 81)
 SENSORS = SensorConfig(0.05, 0.005, 0.01, 0.02, 0.02, 0.002)
 CONFIG = LapConfig(time_limit=4.0, substeps=25)
 STEER = pure_pursuit(PursuitConfig(), CAR)
-OCP = drift_ocp(MPCConfig(horizon=1, dt=DT), CAR, no_residual(zero_gp(4, 5, 3)))
+OCP = drift_ocp(MPCConfig(horizon=1, dt=DT), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
 
 
 def policy(sensed, memory, alive):
