@@ -95,31 +95,54 @@ class DriftOCP(AbstractOCP):
         """Scales (2,) of delta [rad] and Fxr [N]."""
         return self.x_scale[5:7]
 
-    def _input(self, x: Array, u: Array) -> tuple[Control, Array]:
-        """What acts over the step [SI], and what is reached at its end (2,), scaled."""
-        mean, end = lag_step(x[7:], u, self.residual.lags, self.dt)
-        return Control(*(mean * self.u_scale)), end
+    def _acting(self, x: Array, u: Array) -> Array:
+        """What acts over the step (2,), scaled: the mean of the lagging response to the command."""
+        return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
-    def _advance(self, x: Array, u: Array, p: Reference, order: int) -> Array:
-        y = x[:5] * self.x_scale[:5]
-        acting, end = self._input(x, u)
-        first = State(y[0], y[1], y[2])
-        d = self.residual.local(features(first, acting), order)
+    def _motion(self, v: Array, p: Reference, order: int) -> Array:
+        """(V, beta, r, e, theta) one step later from these and what acts, `v` (7,); all scaled.
+
+        Derivatives are exact up to `order`.
+        """
+        y, acting = v[:5] * self.x_scale[:5], Control(*(v[5:] * self.u_scale))
+        d = self.residual.local(features(State(y[0], y[1], y[2]), acting), order)
 
         def rates(w: Array) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), acting)
             _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
             return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
 
-        return jnp.concatenate([rk4_step(rates, y, self.dt) / self.x_scale[:5], u, end])
+        return rk4_step(rates, y, self.dt) / self.x_scale[:5]
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
-        return self._advance(x, u, p, order=1)
+        acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
+        return jnp.concatenate([self._motion(jnp.concatenate([x[:5], acting]), p, 1), u, end])
 
-    def curvature(self, x: Array, u: Array, p: Reference) -> Array:
-        """The same step with the residual's second derivatives: without them solves with a GP do not converge."""
-        return self._advance(x, u, p, order=2)
+    def _selection(self) -> tuple[Array, Array]:
+        """Constant derivatives in (x, u): of what `_motion` takes (7, 11), of last and reached command (4, 11)."""
+        mean, left = (jnp.diag(share) for share in lag_step(jnp.ones(2), jnp.zeros(2), self.residual.lags, self.dt))
+        one, none = jnp.eye(2), jnp.zeros((2, 2))
+        path = jnp.concatenate([jnp.eye(5), jnp.zeros((5, 6))], axis=1)
+        wide = jnp.zeros((2, 5))
+        acting, last, reached = (
+            jnp.concatenate([wide, none, *blocks], axis=1)
+            for blocks in ((mean, one - mean), (none, one), (left, one - left))
+        )
+        return jnp.concatenate([path, acting]), jnp.concatenate([last, reached])
+
+    def jacobian(self, x: Array, u: Array, p: Reference) -> tuple[Array, Array]:
+        """Derivatives (9, 9), (9, 2) of `step`; only seven of its eleven columns need the car."""
+        v = jnp.concatenate([x[:5], self._acting(x, u)])
+        taken, linear = self._selection()
+        both = jnp.concatenate([jax.jacfwd(self._motion)(v, p, 1) @ taken, linear])
+        return both[:, :9], both[:, 9:]
+
+    def curvature(self, x: Array, u: Array, costate: Array, p: Reference) -> Array:
+        """Second derivative (11, 11) of `costate @ step`; without the residual's share solves do not converge."""
+        v = jnp.concatenate([x[:5], self._acting(x, u)])
+        taken, _ = self._selection()
+        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, 2))(v) @ taken
 
     def _tracking(self, x: Array, p: Reference) -> Array:
         error = x[:5] * self.x_scale[:5] - jnp.stack([p.V, p.beta, p.r, p.e, p.theta])
@@ -129,7 +152,7 @@ class DriftOCP(AbstractOCP):
         """Tracking of this state, change of the input, front slip beyond the peak."""
         change = (u - x[5:7]) * self.u_scale
         y = x[:3] * self.x_scale[:3]
-        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), self._input(x, u)[0])
+        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), Control(*(self._acting(x, u) * self.u_scale)))
         beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
         return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
@@ -192,7 +215,11 @@ def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, 
 
 def _along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
     """What steering and drive have reached at each stage [rad, N]."""
-    move = lambda y, u: (lag_step(y, u, ocp.residual.lags, ocp.dt)[1],) * 2
+
+    def move(y, u):
+        end = lag_step(y, u, ocp.residual.lags, ocp.dt)[1]
+        return end, end
+
     return jnp.concatenate([reached[None], jax.lax.scan(move, reached, U)[1]])
 
 

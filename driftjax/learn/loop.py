@@ -13,7 +13,7 @@ from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
 from driftjax.learn.reference import Planned, entry_table, step_table
-from driftjax.learn.residual import estimate_lags, rows
+from driftjax.learn.residual import estimate_lags, rows, samples
 from driftjax.learn.scenario import Scenario, entry_problems
 from driftjax.learn.stage import Stage
 from driftjax.sim import Trace, keep_where
@@ -57,8 +57,9 @@ def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig,
     dt = stage.laps.dt
 
     def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
-        lags = estimate_lags(nominal, trace, table, dt)
-        return learn(memory, *rows(nominal, trace, table, dt, lags), lags, config, key)
+        lap = samples(trace, table)
+        lags = estimate_lags(nominal, lap, dt)
+        return learn(memory, *rows(nominal, lap, dt, lags), lags, config, key)
 
     return eqx.filter_vmap(one)(memory, stage.laps.trace, stage.table, keys)
 

@@ -1,5 +1,7 @@
 """From a driven lap to what the model got wrong: rows (z, d) for the GP."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +23,8 @@ SWEEPS = 2  # fixed-point corrections of the residual; each gains a factor dt ti
 
 def smooth(values: Float[Array, " T"]) -> Float[Array, " T"]:
     """Centred parabola through five samples; the two samples at either end stay as they are."""
-    middle = jnp.convolve(values, jnp.asarray(SMOOTH), mode="valid")
+    num = values.shape[0] - WINDOW + 1
+    middle = sum(weight * values[i : i + num] for i, weight in enumerate(SMOOTH))
     return jnp.concatenate([values[:2], middle, values[-2:]])
 
 
@@ -31,45 +34,67 @@ def residual_rate(nominal: SingleTrack, x: State, u: Control, after: State, dt: 
     It is the definition of d inside the MPC too, so data and prediction agree at any step length.
     """
 
-    def step(d):
-        rates = lambda w: jax.tree.map(jnp.add, nominal(w, u), State(d[0], d[1], d[2]))
-        return jnp.stack(rk4_step(rates, x, dt))
+    def correct(_, d: State) -> State:
+        reached = rk4_step(lambda w: jax.tree.map(jnp.add, nominal(w, u), d), x, dt)
+        return jax.tree.map(lambda d, a, b: d + (a - b) / dt, d, after, reached)
 
-    d = jnp.zeros(3)
-    for _ in range(1 + SWEEPS):
-        d = d + (jnp.stack(after) - step(d)) / dt
-    return d
+    # a loop, because XLA would merge the sweeps into one expression and evaluate its parts again and again
+    return jnp.stack(jax.lax.fori_loop(0, 1 + SWEEPS, correct, jax.tree.map(jnp.zeros_like, x)))
 
 
 def reached(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
     """Mean over each step of what a first-order lag [s] makes of the command held during it; at rest before."""
-    step = lambda value, target: lag_step(value, target, lag, dt)[::-1]
+
+    def step(value, target):
+        mean, end = lag_step(value, target, lag, dt)
+        return end, mean
+
     return jax.lax.scan(step, command[0], command)[1]
 
 
-def rows(
-    nominal: SingleTrack, trace: Trace, table: ReferenceTable, dt: Array, lags: Float[Array, "2"]
-) -> tuple[Array, Array, Bool[Array, " T-1"]]:
-    """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data, of one lap (time on the leading axis).
+class Samples(NamedTuple):
+    """Consecutive smoothed states of a lap, the commands between them, and which pairs count as data (T-1,)."""
 
-    Only measurements and commands are used. The inputs hold the commands as `reached` through the `lags` of steering
-    and drive [s]: with the bare commands most of the residual would be the lag, which no function of the present
-    state and command can say. A row counts where the drift controller drove in the drift section of `table` and all
-    samples behind its smoothing belong to the lap.
+    before: State
+    after: State
+    command: Control
+    mask: Bool[Array, " T-1"]
+
+
+def samples(trace: Trace, table: ReferenceTable) -> Samples:
+    """Pairs of measured states from one lap (time on the leading axis).
+
+    A pair counts where the drift controller drove in the drift section of `table` and all samples behind its
+    smoothing belong to the lap.
     """
     x = State(smooth(trace.sensed.V), smooth(trace.sensed.beta), smooth(trace.sensed.r))
     before, after = jax.tree.map(lambda a: a[:-1], x), jax.tree.map(lambda a: a[1:], x)
-    u = Control(reached(trace.command.delta, lags[0], dt)[:-1], reached(trace.command.Fxr, lags[1], dt)[:-1])
-    d = jax.vmap(lambda x, u, after: residual_rate(nominal, x, u, after, dt))(before, u, after)
-    alive = trace.alive.astype(float)
-    whole = jnp.convolve(alive, jnp.ones(WINDOW), mode="same") > WINDOW - 0.5
+    # a sample is whole where its window lies within the lap, which never goes on after it has ended
+    half = WINDOW // 2
+    outside = jnp.zeros(half, bool)
+    alive = jnp.concatenate([outside, trace.alive, outside])
+    whole = alive[: trace.alive.shape[0]] & alive[2 * half :]
     inside = (trace.sensed.s >= table.drift_start) & (trace.sensed.s <= table.drift_end)
-    mask = inside[:-1] & whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & jnp.all(jnp.isfinite(d), axis=1)
-    z = features(before, u)
+    finite = jnp.all(jnp.isfinite(jnp.stack([*before, *after])), axis=0)
+    mask = inside[:-1] & whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & finite
+    return Samples(before, after, jax.tree.map(lambda a: a[:-1], trace.command), mask)
+
+
+def rows(nominal: SingleTrack, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+    """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data.
+
+    Only measurements and commands are used. The inputs hold the commands as `reached` through the `lags` of steering
+    and drive [s]: with the bare commands most of the residual would be the lag, which no function of the present
+    state and command can say.
+    """
+    u = Control(*(reached(command, lag, dt) for command, lag in zip(lap.command, lags, strict=True)))
+    d = jax.vmap(lambda x, u, after: residual_rate(nominal, x, u, after, dt))(lap.before, u, lap.after)
+    mask = lap.mask & jnp.all(jnp.isfinite(d), axis=1)
+    z = features(lap.before, u)
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask
 
 
-def estimate_lags(nominal: SingleTrack, trace: Trace, table: ReferenceTable, dt: Array) -> Float[Array, "2"]:
+def estimate_lags(nominal: SingleTrack, lap: Samples, dt: Array) -> Float[Array, "2"]:
     """Time constants [s] of steering and drive that leave the least of the residual unexplained in one lap.
 
     Every pair on a grid is tried: least sum of log variances left by a linear function of the inputs, which is the
@@ -78,7 +103,7 @@ def estimate_lags(nominal: SingleTrack, trace: Trace, table: ReferenceTable, dt:
     pairs = dt * jnp.stack(jnp.meshgrid(LAG_STEPS, LAG_STEPS, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def unexplained(lags: Array) -> Array:
-        Z, Y, mask = rows(nominal, trace, table, dt, lags)
+        Z, Y, mask = rows(nominal, lap, dt, lags)
         weight = mask[:, None] / jnp.maximum(jnp.sum(mask), 1)
         centre = jnp.sum(weight * Z, axis=0)
         spread = jnp.sqrt(jnp.sum(weight * (Z - centre) ** 2, axis=0))

@@ -154,6 +154,7 @@ def drive(
         s, e = path.project(m.x, m.y, s)
         return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
 
+    @jax.jit  # traced once for its shapes and for the scan
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
         key = jax.vmap(lambda one: jax.random.fold_in(one, k))(keys)

@@ -87,20 +87,20 @@ class _Problem(eqx.Module):
 
     def linearise(self, X: Array, U: Array) -> Model:
         cost_x, cost_u = jax.vmap(jax.grad(self.ocp.cost, (0, 1)))(X[:-1], U, self.stages)
-        A, B = jax.vmap(jax.jacfwd(self.ocp.step, (0, 1)))(X[:-1], U, self.stages)
+        A, B = jax.vmap(self.ocp.jacobian)(X[:-1], U, self.stages)
         grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
         return Model(cost_x, cost_u, A, B, self.defects(X, U), self.gaps(X, U), grad_N)
 
     def hessian(self, it: Iterate, curvature: Array) -> tuple[Array, Array, Array, Array]:
         """Blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
-        def lagrangian(w, x, costate, p):
-            x, u = w[: x.shape[0]], w[x.shape[0] :]
-            return self.ocp.cost(x, u, p) + curvature * costate @ self.ocp.curvature(x, u, p)
-
-        W = jnp.concatenate([it.X[:-1], it.U], axis=1)
-        H = jax.vmap(jax.hessian(lagrangian))(W, it.X[:-1], it.costates, self.stages)
         nx = it.X.shape[1]
+
+        def stage(x, u, costate, p):
+            H = jax.hessian(lambda w: self.ocp.cost(w[:nx], w[nx:], p))(jnp.concatenate([x, u]))
+            return H + curvature * self.ocp.curvature(x, u, costate, p)
+
+        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages)
         return (
             H[:, :nx, :nx],
             H[:, nx:, :nx],
@@ -254,6 +254,7 @@ def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, toleran
     return jnp.maximum(jnp.where(length > 0.8, jnp.minimum(follow, barrier), stay), 0.1 * tolerance)
 
 
+@eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
 def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     it, m, barrier = loop.it, loop.model, loop.barrier
     step, newton = _direction(problem, m, it, _quadratic(problem, m, it, barrier, loop.caution), barrier)

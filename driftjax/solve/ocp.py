@@ -3,6 +3,7 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PyTree
@@ -40,12 +41,17 @@ class AbstractOCP(eqx.Module):
         """Gaps of the last state; none unless overridden by the problem."""
         return jnp.zeros((0,), x.dtype)
 
-    def curvature(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " nx"]:
-        """Model whose second derivatives stand in for those of `step`.
+    def jacobian(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> tuple[Array, Array]:
+        """Derivatives (nx, nx), (nx, nu) of `step`; worth overriding where many of its columns are known."""
+        return jax.jacfwd(self.step, (0, 1))(x, u, p)
 
-        A cheaper model changes the speed of convergence, never the solution.
+    def curvature(self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree) -> Array:
+        """Second derivative of `costate @ step` in (x, u), square of size nx + nu.
+
+        A cheaper model of it changes the speed of convergence, never the solution.
         """
-        return self.step(x, u, p)
+        bent = lambda w: costate @ self.step(w[: x.shape[0]], w[x.shape[0] :], p)
+        return jax.hessian(bent)(jnp.concatenate([x, u]))
 
 
 class Options(eqx.Module):

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from driftjax.control.lqr import lqr
-from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, predict, within_limits
+from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, predict, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import BadInput, Control, State, features, rk4_step
@@ -169,3 +169,19 @@ def test_no_residual_is_zero_everywhere():
 def test_settings_that_make_no_sense_are_refused_by_name(config, change):
     with pytest.raises(BadInput, match=next(iter(change))):
         dataclasses.replace(config, **change)
+
+
+def test_the_derivatives_of_the_problem_are_those_of_its_step():
+    ocp = drift_ocp(MPCConfig(horizon=1), Weights(), CAR, residual())
+    rng = np.random.default_rng(5)
+    x = jnp.asarray([0.75, -0.5, 1.6, 0.1, 0.4, -0.3, 0.35, -0.28, 0.4]) + jnp.asarray(0.02 * rng.normal(size=9))
+    u, costate = jnp.asarray([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
+    p = Reference(*jnp.asarray([9.0, -0.5, 1.1, 0.0, 0.5, 0.06]))
+    h = 1e-6
+    A, B = ocp.jacobian(x, u, p)
+    slopes = lambda f, w: np.stack([(f(w + h * one) - f(w - h * one)) / (2 * h) for one in np.eye(len(w))], axis=1)
+    np.testing.assert_allclose(A, slopes(lambda w: ocp.step(w, u, p), x), atol=1e-7)
+    np.testing.assert_allclose(B, slopes(lambda w: ocp.step(x, w, p), u), atol=1e-7)
+    gradient = lambda w: costate @ jnp.concatenate(ocp.jacobian(w[:9], w[9:], p), axis=1)
+    bend = slopes(gradient, jnp.concatenate([x, u]))
+    np.testing.assert_allclose(ocp.curvature(x, u, costate, p), bend, rtol=1e-5, atol=1e-6)

@@ -10,7 +10,7 @@ import pytest
 from driftjax.control.driver import Decision
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, rk4_step
-from driftjax.learn.residual import estimate_lags, reached, residual_rate, rows, smooth
+from driftjax.learn.residual import estimate_lags, reached, residual_rate, rows, samples, smooth
 from driftjax.sim import Sensed, Trace
 from driftjax.vehicle import Corrected, load_vehicle
 
@@ -79,7 +79,9 @@ def test_rows_hold_the_planted_rate_where_the_car_drifted_and_zeros_elsewhere():
     x, u = driven()
     alive = np.arange(T) < 22
     drifting = (np.arange(T) >= 8) & (np.arange(T) != 15)
-    Z, Y, mask = (np.asarray(a) for a in rows(NOMINAL, lap(x, u, alive, drifting), SECTION, jnp.asarray(DT), NONE))
+    Z, Y, mask = (
+        np.asarray(a) for a in rows(NOMINAL, samples(lap(x, u, alive, drifting), SECTION), jnp.asarray(DT), NONE)
+    )
     assert Z.shape == (T - 1, 5) and Y.shape == (T - 1, 3)
     k = np.arange(T - 1)
     # both ends of a row need two living neighbours either side
@@ -96,7 +98,7 @@ def test_rows_outside_the_drift_section_or_too_near_the_start_are_no_data():
     x, u = driven()
     everywhere = np.ones(T, bool)
     k = np.arange(T - 1)
-    _, _, mask = rows(NOMINAL, lap(x, u, everywhere, everywhere), SECTION, jnp.asarray(DT), NONE)
+    _, _, mask = rows(NOMINAL, samples(lap(x, u, everywhere, everywhere), SECTION), jnp.asarray(DT), NONE)
     np.testing.assert_array_equal(mask, (k >= 5) & (k <= 24))
 
 
@@ -104,7 +106,7 @@ def test_a_sample_that_is_not_a_number_is_no_data():
     x, u = driven()
     broken = x._replace(r=x.r.at[20].set(jnp.nan))
     everywhere = np.ones(T, bool)
-    Z, Y, mask = rows(NOMINAL, lap(broken, u, everywhere, everywhere), SECTION, jnp.asarray(DT), NONE)
+    Z, Y, mask = rows(NOMINAL, samples(lap(broken, u, everywhere, everywhere), SECTION), jnp.asarray(DT), NONE)
     assert bool(jnp.all(jnp.isfinite(Z))) and bool(jnp.all(jnp.isfinite(Y)))
     assert not bool(mask[20]) and bool(mask[10])
 
@@ -132,5 +134,5 @@ def test_hidden_lags_are_found(lags):
     noisy = State(*(a + s * rng.normal(size=num) for a, s in zip(x, (0.02, 0.002, 0.002), strict=True)))
     everywhere = np.ones(num, bool)
     wide = dataclasses.replace(SECTION, drift_start=0.0, drift_end=float(num))
-    found = estimate_lags(NOMINAL, lap(noisy, command, everywhere, everywhere), wide, jnp.asarray(DT))
+    found = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere), wide), jnp.asarray(DT))
     np.testing.assert_allclose(found, lags, atol=0.026)  # one step of the grid

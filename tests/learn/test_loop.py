@@ -1,0 +1,97 @@
+"""The whole loop: it learns, repeats itself bit by bit, goes on after a kill, and a batch equals its single laps."""
+
+import dataclasses
+import shutil
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from driftjax.learn.config import load_learn_config
+from driftjax.learn.model import empty
+from driftjax.learn.run import run
+from driftjax.learn.scenario import build, drivers
+from driftjax.learn.stage import run_stage
+from driftjax.sim import LapCode
+
+SEDAN = load_learn_config("sedan")
+CONFIG = dataclasses.replace(
+    SEDAN, plants=2, seed=3, compare=False, gpr_laps=2, explore=dataclasses.replace(SEDAN.explore, num_sets=1)
+)
+quiet = lambda stage, done, of: None
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs") / "whole", to_dict(CONFIG))
+    return folder, run(CONFIG, folder, quiet)
+
+
+def test_every_lap_is_driven_to_its_end_sideways(finished):
+    _, results = finished
+    assert [stage["name"] for stage in results["stages"]][:2] == ["nominal", "gpr-1"]
+    for stage in results["stages"]:
+        cell = stage["controllers"]["path"]
+        assert cell["completed"] == [2, 2] and cell["codes"] == {"COMPLETED": 2}
+        assert cell["drift_share"]["mean"] >= 0.5
+
+
+def test_what_was_learnt_is_in_the_laps(finished):
+    folder, results = finished
+    lap = folder.read_stage("gpr-1")
+    assert np.all(lap["reference_found"].values) and np.all(lap["reference_error"].values < 1e-2)
+    assert np.all(lap["lags"].values > 0) and np.all(lap["lags"].values <= 0.2)
+    assert np.all((lap["gate"].values >= 0) & (lap["gate"].values <= 1)) and np.any(lap["gate"].values > 0.5)
+    solved = lap["solved"].values[lap["alive"].values & lap["drifting"].values]
+    assert np.mean(solved) > 0.9
+    assert results["summary"]["path"]["gpr"] < results["summary"]["path"]["nominal"]
+
+
+def test_a_killed_run_goes_on_from_its_last_stage_to_the_same_bits(finished, tmp_path):
+    folder, results = finished
+    stages = folder.finished()
+    shutil.copytree(folder.path, tmp_path / "killed")
+    for name in stages[2:]:
+        for path in (tmp_path / "killed" / "stages").glob(f"[0-9][0-9]_{name}.*"):
+            path.unlink()
+    (tmp_path / "killed" / "results.json").unlink()
+    again = RunFolder.open(tmp_path / "killed")
+    assert again.finished() == stages[:2]
+    assert run(CONFIG, again, quiet) == results
+    for name in stages:
+        assert again.read_stage(name).identical(folder.read_stage(name))
+
+
+def test_a_batch_of_sixteen_equals_sixteen_single_laps():
+    lap = dataclasses.replace(SEDAN.lap, time_limit=4.0)  # into the corner: pursuit, switch, drift MPC
+    config = dataclasses.replace(SEDAN, plants=16, lap=lap)
+    scenario = build(config)
+    untaught = scenario.over_lanes(empty(config.gp).residual)
+    drive = lambda s, d: run_stage(s, d, 0).laps.trace
+    all_drivers = drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught)
+    batch = drive(scenario, all_drivers)
+    assert int(jnp.sum(batch.decision.drifting[:, -1])) == 16
+    pick = lambda tree, i: jax.tree.map(lambda a: a[i : i + 1] if eqx.is_array(a) else a, tree)
+    for i in (0, 7, 15):
+        one = dataclasses.replace(
+            scenario, lanes=scenario.lanes[i : i + 1], plants=pick(scenario.plants, i), keys=scenario.keys[i : i + 1]
+        )
+        single = drive(one, pick(all_drivers, i))
+        for name in ("V", "beta", "r", "x", "y", "delta"):
+            np.testing.assert_allclose(getattr(single, name)[0], getattr(batch, name)[i], rtol=1e-6, atol=1e-6)
+
+
+def test_a_lap_that_spins_keeps_its_code_and_poisons_nothing():
+    config = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, spin_beta=0.5))
+    scenario = build(config)
+    # the second car is stopped where its sideslip passes half a radian; the first never gets there: it grips
+    untaught = scenario.over_lanes(empty(config.gp).residual)
+    stage = run_stage(scenario, drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught), 0)
+    assert set(np.asarray(stage.laps.code).tolist()) == {int(LapCode.SPUN)}
+    alive = np.asarray(stage.laps.trace.alive)
+    assert np.all(np.isfinite(np.asarray(stage.laps.trace.V))) and np.all(np.diff(alive.astype(int), axis=1) <= 0)
+    assert np.all(np.asarray(stage.figures.lateral_error) > 1.0)  # what was not driven counts as lost
