@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -10,7 +11,7 @@ from driftjax.core import RESULTS
 
 TOLERANCE = 1e-8  # on the projected gradient, relative to its size at the start
 MAX_STEPS = 100
-LENGTHS = 0.5 ** jnp.arange(12)  # trial step lengths, tried at once
+LENGTHS = 0.5 ** np.arange(12)  # trial step lengths, tried at once
 
 
 class SpeedSets(eqx.Module):

@@ -94,7 +94,7 @@ class LearnConfig:
     converged: float = 0.05
     """Relative change of the mean lateral error below which GP laps have converged."""
     compare: bool = True
-    """Also drive the other rows of the paper's table: pure pursuit, LQR, single-layer GPR-MPC."""
+    """Also drive the other rows of the paper's table: pure pursuit, LQR, the paper's cost, single-layer GPR-MPC."""
     combined_slip: float = 1.0
     """Friction ellipse of the nominal car in MPC, GP data and references: 0 is the published car, 1 a circle. The
     published car spins on plants that do not have more friction than it."""

@@ -43,7 +43,11 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
     names = code_names(data)
     counts = {names[int(code)]: int((codes == code).sum()) for code in np.unique(codes)}
     figure = lambda name: interval(np.array(list(_per_plant(data, name).values())))
-    return {
+    found = {}
+    if "reference_found" in data:
+        held = np.asarray(data["reference_found"].values)
+        found = {"references_found": [int(held.sum()), len(held)]}
+    return found | {
         "lateral_error": figure("lateral_error") | {"per_plant": _per_plant(data, "lateral_error")},
         "velocity_rmse": figure("velocity_rmse"),
         "drift_share": figure("drift_share"),

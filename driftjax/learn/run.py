@@ -1,5 +1,6 @@
 """`driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
 
+import dataclasses
 import io
 from collections.abc import Callable
 from typing import Any
@@ -34,6 +35,7 @@ def stage_names(config: LearnConfig) -> list[str]:
     little of the setting's, one driven afterwards does. They alone enter the summary, and nothing is learnt there.
     """
     names = ["pursuit", "lqr"] if config.compare else []
+    names += ["paper"] if config.compare and "paper" not in config.controllers else []
     names += ["nominal"] + (["single-layer"] if config.compare else [])
     names += [f"gpr-{k}" for k in range(1, config.gpr_laps + 1)] + ["gpr-best"]
     explore = [f"explore-{k}" for k in range(1, config.explore.num_sets + 1)]
@@ -106,6 +108,11 @@ def _stage(scenario: Scenario, progress: Progress, name: str, number: int):
     if kind in ("pursuit", "lqr"):
         stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)
         return progress, _data(scenario, stage, kind)
+    if kind == "paper":  # the paper's own cost, nominal car: how often it fails is part of the comparison
+        lanes = tuple(dataclasses.replace(lane, controller="paper") for lane in scenario.lanes)
+        other, planned = dataclasses.replace(scenario, lanes=lanes), _nominal_reference(scenario, untaught)
+        stage = run_stage(other, drivers(other, "mpc", planned.table, untaught), number)
+        return progress, _data(other, stage, "mpc", planned=planned)
     if kind == "single":  # the GP in the MPC, the reference from the nominal car
         residual = progress.memory.residual
         planned = _nominal_reference(scenario, untaught)

@@ -49,7 +49,13 @@ def stage_label(name: str) -> str:
         return f"GPR lap {number}"
     if kind == "explore":
         return f"explored {number}"
-    return {"nominal": "nominal MPC", "pursuit": "pure pursuit", "lqr": "LQR", "single-layer": "single-layer GPR"}[name]
+    return {
+        "nominal": "nominal MPC",
+        "paper": "nominal MPC",
+        "pursuit": "pure pursuit",
+        "lqr": "LQR",
+        "single-layer": "single-layer GPR",
+    }[name]
 
 
 def new_figure(rows: int, columns: int, size: tuple[float, float], **more: Any) -> tuple[Figure, Any]:

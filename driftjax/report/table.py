@@ -33,7 +33,10 @@ def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
 def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
     done, of = cell.get("completed") or (0, 0)
     codes = {code: count for code, count in (cell.get("codes") or {}).items() if code != "COMPLETED" and count}
-    failures = ", ".join(f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()) or "none"
+    failed = [f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()]
+    found, asked = cell.get("references_found") or (0, 0)
+    failed += [f"{asked - found} references not found"] if found < asked else []
+    failures = ", ".join(failed) or "none"
     share = (cell.get("drift_share") or {}).get("mean")
     errors = interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse"))
     name = CONTROLLERS.get(controller, controller)

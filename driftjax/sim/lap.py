@@ -64,7 +64,8 @@ class Sensed(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """One control step of every lane; a lap is a stack of these. Rows after the end of a lap repeat its last."""
+    """One control step of every lane; a lap is a stack of these. Rows after the end of a lap mean nothing: use
+    those where `alive`."""
 
     alive: Array  # whether the lap was still being driven
     sensed: Sensed

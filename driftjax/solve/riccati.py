@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+TINY = 1e-30  # keeps a matrix of zeros finite
 EIGENVALUE_FLOOR = 1e-8  # added to the eigenvalues of the input Hessian scaled to unit diagonal [-]
 
 
@@ -36,7 +37,7 @@ def inverse_absolute(R: Float[Array, "nu nu"]) -> Float[Array, "nu nu"]:
     if R.shape[0] == 1:
         return scale[None, :] ** 2 / jnp.maximum(jnp.abs(S), EIGENVALUE_FLOOR)
     determinant = jnp.abs(S[0, 0] * S[1, 1] - S[0, 1] ** 2)
-    size = jnp.sqrt(jnp.sum(S**2) + 2 * determinant)  # sum of the absolute eigenvalues
+    size = jnp.sqrt(jnp.maximum(jnp.sum(S**2) + 2 * determinant, TINY))  # sum of the absolute eigenvalues
     a, b, d = S[0, 0] ** 2 + S[0, 1] ** 2, S[0, 1] * (S[0, 0] + S[1, 1]), S[1, 1] ** 2 + S[0, 1] ** 2
     a, b, d = (a + determinant) / size + EIGENVALUE_FLOOR, b / size, (d + determinant) / size + EIGENVALUE_FLOOR
     inverse = jnp.array([[d, -b], [-b, a]]) / (a * d - b**2)
