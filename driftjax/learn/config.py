@@ -17,7 +17,7 @@ Controller = Literal["path", "paper"]
 class GPConfig:
     """Data and fit of the residual model."""
 
-    size: int = 150
+    size: int = 200
     """Largest number of informative points kept."""
     num_fit: int = 100
     """Points on which the marginal likelihood is maximised."""
