@@ -22,7 +22,7 @@ from driftjax.track import Track
 # First barrier parameter without and with a plan to start from. Objectives far from the reference are of order
 # 1e4: a smaller first barrier lets the iterates run into their bounds and jam there.
 COLD_BARRIER, WARM_BARRIER = 30.0, 0.3
-ACCEPTABLE = 10.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
+ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
 
 @dataclass(frozen=True)

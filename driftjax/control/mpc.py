@@ -28,7 +28,7 @@ class MPCConfig:
     """Weights on the change per step of delta [rad] and of Fxr [Fxr_unit]."""
     Fxr_unit: float = 1000.0
     """Newtons in the unit of force that R is written for: 1000 for the sedan, 1 for the RC car."""
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
     """Scaled KKT residual at which a solve counts as converged."""
     max_steps: int = 30
     """Interior-point iterations allowed per solve."""
