@@ -30,7 +30,7 @@ def loop(monkeypatch):
     """The learning loop replaced: made-up stages; `loop.stop` maps a stage to what is raised before it."""
     fake = types.SimpleNamespace(stop={}, configs=[], drawn=[])
 
-    def run(config, folder, report):
+    def run(config, folder, report, num_workers):
         fake.configs.append(config)
         for number, name in enumerate(STAGES):
             if name in folder.finished():
@@ -41,7 +41,9 @@ def loop(monkeypatch):
             fake.drawn.append(name)
             folder.write_dataset("plan.nc", synthetic_plan())
             folder.write_stage(name, synthetic_stage(name, synthetic_plan(), ("path", "paper"), 2, number), b"")
-        return synthetic_results(folder)
+        folder.write_json("results", synthetic_results(folder))
+        folder.collect()
+        return folder.read_json("results")
 
     module = types.ModuleType("driftjax.learn.run")
     module.run = run  # pyright: ignore[reportAttributeAccessIssue]
@@ -102,7 +104,10 @@ BAD = {
     "unwritable output, plan": (lambda: ["plan", "--out", written("file", "mine") + "/run"], "give another --out"),
     "taken output": (lambda: ["learn", "--out", finished_run()], "already holds a run; continue it with --resume"),
     "resume nothing": (lambda: ["learn", "--resume", "absent"], "absent: holds no run"),
-    "resume with flags": (lambda: ["learn", "--resume", finished_run(), "--plants", "3"], "leave out every other flag"),
+    "resume with flags": (
+        lambda: ["learn", "--resume", finished_run(), "--plants", "3"],
+        "leave out every flag but --workers",
+    ),
     "report on nothing": (lambda: ["report", "absent"], "absent: holds no run"),
 }
 

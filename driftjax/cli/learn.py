@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, merged, peek, progress, typed, within
-from driftjax.core import BadInput, from_dict, read_yaml
+from driftjax.core import BadInput, from_dict, num_workers, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import LearnConfig, load_learn_config
@@ -29,15 +29,18 @@ class Learn:
     out: Path | None = None
     """Run folder; runs/learn-CAR-TIME where left out."""
     resume: Path | None = None
-    """Run folder to go on with, from its last finished stage and with its own config; no other flags."""
+    """Run folder to go on with, from its last finished stage and with its own config; no flag beside but --workers."""
+    workers: int | None = None
+    """Processes that drive side by side; one per core where left out, none on a GPU. Results do not depend on it."""
 
 
 def run(argv: list[str]) -> int:
     """Plan, laps, table, figures."""
-    early, others = peek(argv, "car", "config", "resume")
+    early, others = peek(argv, "car", "config", "resume", "workers")
+    num = _positive("workers", early["workers"])
     if early["resume"] and not {"-h", "--help"} & set(others):
         if others or early["car"] or early["config"]:
-            raise BadInput("--resume goes on with the run's own config; leave out every other flag.")
+            raise BadInput("--resume goes on with the run's own config; leave out every flag but --workers.")
         folder = RunFolder.open(early["resume"])
         config = from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml"))
         check(config)
@@ -47,7 +50,13 @@ def run(argv: list[str]) -> int:
         check(config)
         folder = RunFolder.create(options.out or default_out("learn", config.car), to_dict(config))
     resume = f"driftjax learn --resume {shlex.quote(str(folder.path))}"
-    return within(folder, lambda: work(config, folder), resume)
+    return within(folder, lambda: work(config, folder, num), resume)
+
+
+def _positive(flag: str, text: str | None) -> int | None:
+    if text is not None and not (text.isdecimal() and int(text) > 0):
+        raise BadInput(f"--{flag} is '{text}'; give a whole number of at least 1.")
+    return None if text is None else int(text)
 
 
 def defaults(car: str | None, file: str | None) -> LearnConfig:
@@ -69,17 +78,16 @@ def check(config: LearnConfig) -> None:
         load_distribution(config.car)
 
 
-def work(config: LearnConfig, folder: RunFolder) -> int:
+def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     """Run, or go on; then write and print what came out."""
     from driftjax.learn.run import run as learn
     from driftjax.report import table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:
-        results = learn(config, folder, report)
-    folder.write_json("results", results)
-    folder.collect()
+        num = num_workers(config.num_lanes) if workers is None else workers
+        results = learn(config, folder, report, num if num > 1 else 0)
     page = write_report(folder)
-    print(table(folder.read_json("results")))
+    print(table(results))
     print(f"report: {page}")
     return 0

@@ -1,5 +1,9 @@
 """Records, results, integrators and config files; knows nothing above it."""
 
+from driftjax.core.blocks import Blocks as Blocks
+from driftjax.core.blocks import Rehearsal as Rehearsal
+from driftjax.core.blocks import num_workers as num_workers
+from driftjax.core.blocks import workers as workers
 from driftjax.core.config import find_config as find_config
 from driftjax.core.config import from_dict as from_dict
 from driftjax.core.config import read_yaml as read_yaml
@@ -7,6 +11,7 @@ from driftjax.core.config import require as require
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
 from driftjax.core.integrate import rk4_step as rk4_step
+from driftjax.core.programs import call as call
 from driftjax.core.records import Control as Control
 from driftjax.core.records import Scalar as Scalar
 from driftjax.core.records import State as State

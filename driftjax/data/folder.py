@@ -26,6 +26,7 @@ class RunFolder:
 
     def __init__(self, path: Path, config: dict[str, Any], made: tuple[Path, ...] | None = None) -> None:
         self.path, self.config, self._made = path, config, made
+        self._read: dict[Path, xr.Dataset] = {}  # stages that were read; a finished one never changes
 
     @classmethod
     def create(cls, path: str | Path, config: dict[str, Any], verb: str = "learn") -> "RunFolder":
@@ -101,7 +102,10 @@ class RunFolder:
 
     def read_stage(self, name: str) -> xr.Dataset:
         """Laps of a finished stage."""
-        return files.read_netcdf(self._stage(name).with_suffix(".nc"))
+        path = self._stage(name).with_suffix(".nc")
+        if path not in self._read or not path.exists():
+            self._read[path] = files.read_netcdf(path)
+        return self._read[path]
 
     def read_state(self, name: str) -> bytes:
         """What the stage after `name` starts from."""

@@ -112,6 +112,11 @@ class LearnConfig:
     gp: GPConfig = field(default_factory=GPConfig)
     explore: ExploreConfig = field(default_factory=ExploreConfig)
 
+    @property
+    def num_lanes(self) -> int:
+        """Laps driven side by side."""
+        return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
+
     def __post_init__(self) -> None:
         require(self.plants >= 1, f"key 'plants' is {self.plants}; give at least 1.")
         require(self.noise_seeds >= 1, f"key 'noise_seeds' is {self.noise_seeds}; give at least 1.")

@@ -41,8 +41,8 @@ class Drifts(eqx.Module):
 
     def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
         """GP input z (5,) of the drift at speed `V`, and whether it exists."""
-        fixed = SlipSpeed(self.beta, V)
-        found = continuation(self.nominal, residual, fixed, (self.x_eq, self.u_eq), branch=Branch.COUNTERSTEER)
+        fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
+        found = continuation(self.nominal, residual, fixed, guess, branch=Branch.COUNTERSTEER)
         return features(found.x, found.u), found.result == RESULTS.successful
 
 
@@ -59,31 +59,48 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidat
     widest = config.gamma_share * V_b * jnp.arange(1, config.num_sets + 1) / config.num_sets
     bounds = jnp.stack([-widest, widest], axis=1)
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
-    return _candidates(drifts(scenario), s, origin, r_b, bounds, weights, trace, residual, jnp.asarray(V_b))
+    corner = (drifts(scenario), s, origin, r_b, bounds, weights, jnp.asarray(V_b))
+    return scenario.blocks.map(candidate_lanes, (trace, residual), *corner)
 
 
-@eqx.filter_jit
-def _candidates(states: Drifts, s, origin, r_b, bounds, weights, trace: Trace, residual: Residual, V_b) -> Candidates:
+def candidate_lanes(
+    lanes: tuple[Trace, Residual],
+    states: Drifts,
+    s: Array,
+    origin: Array,
+    r_b: Array,
+    bounds: Array,
+    weights,
+    V_b: Array,
+) -> Candidates:
+    """Candidates of lanes given as (lap, residual)."""
+
     def one(trace: Trace, d: Residual):
         at = jnp.where(trace.alive, trace.s, jnp.inf)
         order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
         e = jnp.interp(s, at[order], trace.sensed.e[order])
         sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
                       V_max=3 * V_b)  # fmt: skip
-        exists = jax.vmap(lambda V: states(V, d)[1])(sets.V_ep)
+        _, exists = jax.vmap(lambda V: states(V, d))(sets.V_ep)
         return Candidates(s, origin, r_b * e, sets.V, sets.V_ep, ~(sets.distinct & exists))
 
-    return jax.vmap(one)(trace, residual)
+    return jax.vmap(one)(*lanes)
 
 
-@eqx.filter_jit
-def choose(states: Drifts, V_b: Array, options: ExploreConfig, found: Candidates, residual: Residual):
+def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
+    lanes = (found.V_ep, found.visited, residual)
+    return scenario.blocks.map(
+        choice_lanes, lanes, drifts(scenario), jnp.asarray(scenario.corner.V_b), scenario.config.explore
+    )
+
+
+def choice_lanes(lanes: tuple[Array, Array, Residual], states: Drifts, V_b: Array, options: ExploreConfig):
+    """Choices of lanes given as (candidate speeds, which were visited, residual)."""
 
     def one(V_ep: Array, visited: Array, d: Residual):
-        z = jax.vmap(lambda V: states(V, d)[0])(V_ep)
-        z_ref = states(V_b, d)[0]
-        choice = select(z, visited, z_ref, d.gp, jnp.asarray(options.P), options.lam)
+        z, _ = jax.vmap(lambda V: states(V, d))(jnp.append(V_ep, V_b))
+        choice = select(z[:-1], visited, z[-1], d.gp, jnp.asarray(options.P), options.lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
-    return jax.vmap(one)(found.V_ep, found.visited, residual)
+    return jax.vmap(one)(*lanes)

@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
-from driftjax.core import RESULTS
+from driftjax.core import RESULTS, as_float
 from driftjax.equilibrium import Branch, SlipRadius, continuation
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
@@ -52,22 +52,23 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, no)
 
 
-@eqx.filter_jit
-def _learn(nominal: SingleTrack, memory: Memory, stage: Stage, config: GPConfig, keys: Array) -> Memory:
-    dt = stage.laps.dt
+def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: SingleTrack, dt: float, config: GPConfig):
+    """Memories of lanes given as (memory before, lap, its reference, keys)."""
+    step = as_float(dt)
 
     def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
         lap = samples(trace, table)
-        lags = estimate_lags(nominal, lap, dt)
-        return learn(memory, *rows(nominal, lap, dt, lags), lags, config, key)
+        lags = estimate_lags(nominal, lap, step)
+        return learn(memory, *rows(nominal, lap, step, lags), lags, config, key)
 
-    return eqx.filter_vmap(one)(memory, stage.laps.trace, stage.table, keys)
+    return eqx.filter_vmap(one)(*lanes)
 
 
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
     """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
-    memory = _learn(scenario.nominal, progress.memory, stage, scenario.config.gp, keys)
+    lanes = (progress.memory, stage.laps.trace, stage.table, keys)
+    memory = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, scenario.config.mpc.dt, scenario.config.gp)
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
@@ -84,17 +85,19 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Pl
     config = scenario.config
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
-        return _entries(ocp, scenario.table, jnp.asarray(config.switch.lead), V_shift, config.mpc.tolerance)
+        return scenario.blocks.map(
+            entry_lanes, (ocp, V_shift), scenario.table, config.switch.lead, config.mpc.tolerance
+        )
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
     guess = (scenario.x_eq, scenario.u_eq)
     return _steps(scenario.nominal, residual, fixed, guess, scenario.table, V_shift)
 
 
-@eqx.filter_jit
-def _entries(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, tolerance: float) -> Planned:
+def entry_lanes(lanes: tuple[DriftOCP, Array], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
+    """The planned corner of lanes given as (problem, shift of the speed aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, lead, shift, options))(ocp, V_shift)
+    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, as_float(lead), shift, options))(*lanes)
 
 
 @eqx.filter_jit

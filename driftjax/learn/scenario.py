@@ -12,7 +12,7 @@ from driftjax.control.lqr import lqr
 from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
-from driftjax.core import RESULTS, BadInput, Control, State
+from driftjax.core import RESULTS, BadInput, Blocks, Control, State
 from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_nominal
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
@@ -59,6 +59,7 @@ class Scenario:
     keys: Array  # noise key of each lane
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
+    blocks: Blocks  # how lanes are computed
 
     @property
     def num_lanes(self) -> int:
@@ -71,7 +72,7 @@ class Scenario:
         return jax.tree.map(repeat, tree)
 
 
-def build(config: LearnConfig) -> Scenario:
+def build(config: LearnConfig, blocks: Blocks) -> Scenario:
     """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit."""
     vehicle = dataclasses.replace(load_vehicle(config.vehicle), combined_slip=config.combined_slip)
     track = load_track(config.track)
@@ -100,7 +101,7 @@ def build(config: LearnConfig) -> Scenario:
     return Scenario(
         config, vehicle, nominal, track, lap, table, where, steady.x, steady.u, tuple(lane for lane, _, _ in each),
         stack_plants([p for _, p, _ in each]), jnp.stack(keys), load_sensors(config.sensors),
-        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from driftjax.control.driver import Driver, decide
 from driftjax.control.table import ReferenceTable
 from driftjax.learn.metrics import LapFigures, lap_figures
 from driftjax.learn.scenario import Scenario
-from driftjax.sim import LapCode, LapConfig, Laps, drive
+from driftjax.sim import LapCode, LapConfig, Laps, Trace, drive
 from driftjax.sim.sensors import SensorConfig
 from driftjax.vehicle import DoubleTrack
 
@@ -26,19 +26,18 @@ class Stage(eqx.Module):
     figures: LapFigures
 
 
-@eqx.filter_jit
-def _drive(drivers: Driver, plants: DoubleTrack, speed: Array, sensors: SensorConfig, lap: LapConfig, keys: Array,
-           dt: float) -> Laps:  # fmt: skip
+def drive_lanes(
+    lanes: tuple[Driver, DoubleTrack, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
+) -> tuple[Trace, Array, Array, LapFigures]:
+    """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
+    drivers, plants, speed, keys = lanes
     memory = eqx.filter_vmap(lambda d, v: d.start(v))(drivers, speed)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
-    return drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
-
-
-@eqx.filter_jit
-def _figures(laps: Laps, table: ReferenceTable, lost_error: float) -> tuple[Array, LapFigures]:
+    laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
+    table = drivers.table
     V_ref = jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
-    figures = jax.vmap(lap_figures, in_axes=(0, 0, 0, 0, None))(laps.trace, laps.code, table, V_ref, lost_error)
-    return V_ref, figures
+    figures = jax.vmap(lap_figures, in_axes=(0, 0, 0, 0, None))(laps.trace, laps.code, table, V_ref, lap.lost_error)
+    return laps.trace, laps.code, V_ref, figures
 
 
 def run_stage(scenario: Scenario, drivers: Driver, number: int) -> Stage:
@@ -46,9 +45,9 @@ def run_stage(scenario: Scenario, drivers: Driver, number: int) -> Stage:
     config = scenario.config
     keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
     speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
-    laps = _drive(drivers, scenario.plants, speed, scenario.sensors, config.lap, keys, config.mpc.dt)
-    V_ref, figures = _figures(laps, drivers.table, config.lap.lost_error)
-    return Stage(laps, drivers.table, V_ref, figures)
+    lanes = (drivers, scenario.plants, speed, keys)
+    trace, code, V_ref, figures = scenario.blocks.map(drive_lanes, lanes, scenario.sensors, config.lap, config.mpc.dt)
+    return Stage(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
 
 
 def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.ndarray]:

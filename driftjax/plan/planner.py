@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from driftjax.core import RESULTS, Control, State, as_float
+from driftjax.core import RESULTS, Control, State, as_float, call
 from driftjax.plan.config import PlanConfig
 from driftjax.plan.filter_solver import solve
 from driftjax.plan.nodes import nodes
@@ -78,7 +78,6 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, config.rate_weight, config.course_weight, fair)
 
 
-@eqx.filter_jit
 def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
     """Solution from the guess `X` (n, 7); its input rates follow from its inputs and speeds."""
     slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
@@ -95,7 +94,6 @@ def _fastest(found: list[Solution]) -> Solution:
     return min(found, key=lambda one: float(jnp.where(jnp.isfinite(one.violation), one.violation, jnp.inf)))
 
 
-@eqx.filter_jit
 def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Solution, label_beta: Array, cut) -> Plan:
     """The plan in SI, in the world, cut to its lap, with the path that it drives."""
     states = best.X * ocp.scale
@@ -173,7 +171,6 @@ def plan(
     x0 = jnp.zeros(7).at[0].set(config.entry_speed) / ocp.scale
     options = Options(tolerance=config.tolerance, barrier=BARRIER, max_steps=config.max_steps)
     first = [jnp.asarray(X) / ocp.scale for X in guesses(at.s, stage, corners, vehicle, config)]
-    found = [_solve(ocp, x0, stage, X, options) for X in first]
-    best = _fastest(found)
+    best = _fastest([call(_solve, ocp, x0, stage, X, options) for X in first])
     label_beta = jnp.asarray(config.label_beta)
-    return _finish(ocp, track, stage, jnp.asarray(at.s), best, label_beta, (at.first, at.last))
+    return call(_finish, ocp, track, stage, jnp.asarray(at.s), best, label_beta, (at.first, at.last))

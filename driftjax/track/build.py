@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, splev, splprep
 
 from driftjax.core import BadInput, require
 from driftjax.track.check import MIN_POINTS, check_crossing, check_folding
@@ -161,9 +161,9 @@ def from_points(
 def _spline(at, px, py, closed: bool, smoothing: float):
     """`curve(t, order)`: x and y or their derivatives over chord length."""
     if smoothing > 0:
-        knots, _ = splprep([px, py], u=at, per=closed, s=len(px) * smoothing**2)
-        return lambda t, order: splev(t, knots, der=order)
-    spline = CubicSpline(at, np.stack([px, py], axis=1), bc_type="periodic" if closed else "natural")
+        knots, _ = scipy.interpolate.splprep([px, py], u=at, per=closed, s=len(px) * smoothing**2)
+        return lambda t, order: scipy.interpolate.splev(t, knots, der=order)
+    spline = scipy.interpolate.CubicSpline(at, np.stack([px, py], axis=1), bc_type="periodic" if closed else "natural")
     return lambda t, order: spline(t, order).T
 
 
@@ -177,5 +177,5 @@ def _arc_length(curve, at, num: int, closed: bool):
     dx, dy = curve(inner.ravel(), 1)
     speed = np.hypot(dx, dy).reshape(inner.shape)
     S = np.concatenate([[0.0], np.cumsum(speed @ weights * h / 2)])
-    inverse = CubicSpline(S, fine)
+    inverse = scipy.interpolate.CubicSpline(S, fine)
     return S[-1], inverse(np.linspace(0.0, S[-1], num, endpoint=not closed))

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
 from driftjax.vehicle.double_track import DoubleTrack
@@ -46,7 +46,7 @@ class Spread:
         if self.uniform is not None:
             return self.uniform[0] + share * (self.uniform[1] - self.uniform[0])
         mean, deviation = self.normal or (0.0, 0.0)
-        return float(mean + deviation * norm.ppf(norm.cdf(-2) + share * (norm.cdf(2) - norm.cdf(-2))))
+        return float(mean + deviation * ndtri(ndtr(-2) + share * (ndtr(2) - ndtr(-2))))
 
 
 def load_plant(name: str | Path) -> PlantConfig:

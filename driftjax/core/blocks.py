@@ -1,0 +1,139 @@
+"""Lanes computed in blocks beside each other: in worker processes on a CPU, all in one call on a GPU."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from driftjax.core.programs import call, prepare
+
+SETTINGS = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+
+
+class Blocks:
+    """How a function of a batch of lanes is computed: blocks of `size` lanes, one after the other or in workers.
+
+    A CPU gains nothing from more than one lane per call: it takes as long per lane, and all lanes of a call iterate
+    until the slowest has converged. Blocks of one also give the same bits in every batch and on any number of
+    workers, and compile one shape only. A GPU wants all lanes in one call: `size` None.
+    """
+
+    def __init__(self, size: int | None = 1, pool: ProcessPoolExecutor | None = None):
+        self.size, self.pool = size, pool
+
+    def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
+        """`function(lanes, *shared)`, whose arrays all have a leading axis of lanes, in and out.
+
+        `function` must be a module's own, so that it can be imported and kept (see `call`).
+        """
+        num = _num(lanes)
+        size = num if self.size is None else self.size
+        if size >= num and self.pool is None:
+            return call(function, lanes, *shared)
+        arrays = jax.tree.map(_plain, lanes)
+        cut = [jax.tree.map(lambda a, i=i: a[i : i + size] if eqx.is_array(a) else a, arrays)
+               for i in range(0, num, size)]  # fmt: skip
+        if self.pool is None:
+            found = [_call(function, block, *shared) for block in cut]
+        else:
+            others = jax.tree.map(_plain, shared)
+            try:
+                found = list(self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True)))
+            except BrokenProcessPool:
+                raise RuntimeError("a worker process died, perhaps for want of memory; try --workers 1") from None
+        return jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *found)
+
+
+class Rehearsal(Blocks):
+    """Lanes that are not computed: one worker compiles what `map` would call, and zeros come back."""
+
+    def __init__(self, pool: ProcessPoolExecutor):
+        super().__init__(1, pool)
+        self._workers = pool
+        self._begun: dict[str, Future] = {}
+        self._lock = threading.Lock()
+
+    def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
+        """Zeros in the shapes of `Blocks.map`."""
+        num, args = _num(lanes), (jax.tree.map(_first, lanes), *jax.tree.map(_plain, shared))
+        name = repr((function.__qualname__, jax.tree.structure(args)))
+        with self._lock:
+            if name not in self._begun:
+                self._begun[name] = self._workers.submit(_prepare, function, *args)
+        return jax.tree.map(lambda a: jnp.zeros((num, *a.shape[1:]), a.dtype) if eqx.is_array(a) else a,
+                            self._begun[name].result())  # fmt: skip
+
+
+def _num(lanes: PyTree) -> int:
+    return next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
+
+
+def _first(leaf: Any) -> Any:
+    return _plain(leaf)[:1] if eqx.is_array(leaf) else leaf
+
+
+def _plain(leaf: Any) -> Any:
+    """Arrays in NumPy's own type, so that cutting them compiles nothing; random keys have none."""
+    whole = eqx.is_array(leaf) and not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(leaf) if whole else leaf
+
+
+def _call(function: Callable[..., PyTree], *args: Any) -> PyTree:
+    return jax.tree.map(_plain, call(function, *args))
+
+
+def _prepare(function: Callable[..., PyTree], *args: Any) -> PyTree:
+    return jax.tree.map(_plain, prepare(function, *args))
+
+
+def num_workers(lanes: int) -> int:
+    """Worker processes that pay for `lanes` lanes: none on a GPU or a single core."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    useful = min(cores, lanes)
+    return useful if jax.default_backend() == "cpu" and useful > 1 else 0
+
+
+@contextmanager
+def workers(num: int) -> Iterator[Blocks]:
+    """Blocks computed by `num` processes, which end with the context however it is left; 0 stays in this process."""
+    if num == 0:
+        yield Blocks(1 if jax.default_backend() == "cpu" else None)
+        return
+    settings = {name: jax.config.values[name] for name in SETTINGS}
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(num, multiprocessing.get_context("spawn"), _begin, (settings,))
+    for _ in range(num):
+        pool.submit(os.getpid)  # the pool starts its processes on demand: let them load now
+    try:
+        yield Blocks(1, pool)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+
+
+def _begin(settings: dict[str, Any]) -> None:
+    """First thing in a worker: the parent's settings; Ctrl-C is the parent's to handle; end when it is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

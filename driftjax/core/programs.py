@@ -1,0 +1,137 @@
+"""Compiled programs that outlive the process before tracing: what JAX's own compilation cache leaves to do again.
+
+JAX keeps compiled programs on disk but finds them only after it has traced and lowered the function, which takes
+longer than loading them. Here the lowered program is kept beside them (`jax.export`), under a key of everything it
+depends on: function, shapes, static values, sources and versions.
+"""
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.export
+import jax.numpy as jnp
+from jax.stages import Compiled, Lowered
+from jaxtyping import PyTree
+
+PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt", "numpy")
+
+# LAPACK's routines that JAX does not promise to keep from version to version; the key holds the version.
+UNCHECKED = [jax.export.DisabledSafetyCheck.custom_call(f"lapack_{name}_ffi") for name in ("dormqr", "sormqr")]
+
+
+def call(function: Callable[..., PyTree], *args: Any) -> PyTree:
+    """`function(*args)` jitted; `function` must be a module's own, without state. Arrays are traced, the rest static.
+
+    Without a compilation cache directory, and on a GPU, it is simply traced and compiled.
+    """
+    run, arrays, skeleton = _program(function, args)
+    return _filled(skeleton, run(*arrays))
+
+
+def prepare(function: Callable[..., PyTree], *args: Any) -> PyTree:
+    """All of `call` but the computation: compiles, and returns zeros in the shapes of the result."""
+    run, _, skeleton = _program(function, args)
+    return _filled(skeleton, [jnp.zeros(out.shape, out.dtype) for out in run.out_info])
+
+
+def _filled(skeleton: PyTree, found: list) -> PyTree:
+    return jax.tree.map(lambda leaf: found[leaf.index] if isinstance(leaf, _Place) else leaf, skeleton)
+
+
+def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, list, PyTree]:
+    """Compiled function of arrays only, those arrays, and the output with places for what it returns."""
+    if "<" in function.__qualname__:
+        raise ValueError(f"{function.__qualname__}: only functions of a module itself can be kept")
+    leaves, structure = jax.tree.flatten(args)
+    traced = tuple(map(eqx.is_array, leaves))
+    arrays = [jnp.asarray(leaf) for leaf in leaves if eqx.is_array(leaf)]
+    static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
+    shapes = [str(jax.typeof(a)) for a in arrays]
+    around = (jax.default_backend(), jax.config.values["jax_enable_x64"], _sources())
+    text = repr((function.__module__, function.__qualname__, structure, traced, shapes, static, around))
+    name = f"{function.__qualname__}-{hashlib.sha256(text.encode()).hexdigest()}"
+    if name not in _programs:
+        plain = _Plain(function, structure, static, traced)
+        # a value that prints as an address is not the same in another process; a GPU needs calls that cannot be kept
+        folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
+        lowered, skeleton = _lowered(plain, arrays) if folder is None else _kept(folder / name, plain, arrays)
+        _programs[name] = lowered.compile(), skeleton, plain
+    run, skeleton, _ = _programs[name]
+    return run, arrays, skeleton
+
+
+def _folder() -> Path | None:
+    """Where programs are kept, beside JAX's own compilation cache."""
+    cache = jax.config.values["jax_compilation_cache_dir"]
+    return None if cache is None else Path(cache) / "programs"
+
+
+class _Place:
+    """Where an array stands in the output."""
+
+    def __init__(self, index: int):
+        self.index = index
+
+
+class _Plain:
+    """A function of arrays only, which notes the structure of its output while it is traced."""
+
+    def __init__(self, function: Callable[..., PyTree], structure: Any, static: list, traced: tuple[bool, ...]):
+        self.function, self.structure, self.static, self.traced = function, structure, static, traced
+        self.skeleton: PyTree = None
+
+    def __call__(self, *arrays):
+        given = iter(arrays)
+        leaves = [next(given) if is_array else leaf for leaf, is_array in zip(self.static, self.traced, strict=True)]
+        out, structure = jax.tree.flatten(self.function(*jax.tree.unflatten(self.structure, leaves)))
+        found = [leaf for leaf in out if eqx.is_array(leaf)]
+        places = iter(range(len(found)))
+        self.skeleton = jax.tree.unflatten(
+            structure, [_Place(next(places)) if eqx.is_array(leaf) else leaf for leaf in out]
+        )
+        return found
+
+
+# The function is held as well: while it lives no other can take the address that its name may hold.
+_programs: dict[str, tuple[Compiled, PyTree, _Plain]] = {}
+
+
+def _lowered(plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
+    lowered = jax.jit(plain).lower(*arrays)
+    return lowered, plain.skeleton
+
+
+def _kept(path: Path, plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
+    """The program kept at `path`; it is traced and put there first where it is not."""
+    if not path.is_file():
+        exported = jax.export.export(jax.jit(plain), disabled_checks=UNCHECKED)(*arrays)
+        _write(path, pickle.dumps((bytes(exported.serialize()), plain.skeleton)))
+    serialized, skeleton = pickle.loads(path.read_bytes())
+    return jax.jit(jax.export.deserialize(bytearray(serialized)).call).lower(*arrays), skeleton
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent)
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+    os.replace(name, path)
+
+
+@functools.cache
+def _sources() -> bytes:
+    """Fingerprint of this package and of the libraries that trace and lower it."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    digest.update(repr([importlib.metadata.version(name) for name in PACKAGES]).encode())
+    return digest.digest()
