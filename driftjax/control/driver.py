@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.lqr import LQR
-from driftjax.control.mpc import DriftOCP, predict, shifted, solve_mpc, within_limits
+from driftjax.control.mpc import DriftOCP, predict, solve_mpc, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import Control, State, as_float, lag_step, require
@@ -143,7 +143,7 @@ class Driver(eqx.Module):
         # an unfinished solve is still the better guess: the next one goes on from it
         usable = jnp.all(jnp.isfinite(solution.X)) & jnp.all(jnp.isfinite(solution.U))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
-        guess = shifted(jnp.where(usable, solution.X, X), jnp.where(usable, solution.U, U))
+        guess = shift(jnp.where(usable, solution.X, X)), shift(jnp.where(usable, solution.U, U))
         return decision, Memory(good[0], memory.reached, *guess, shift(good), jnp.asarray(True), usable)
 
 

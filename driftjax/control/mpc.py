@@ -9,7 +9,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_step
-from driftjax.solve import AbstractOCP, Options, Plan, shift, solve
+from driftjax.solve import AbstractOCP, Options, Plan, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import Residual, SingleTrack, VehicleConfig
 
@@ -268,8 +268,3 @@ def solve_mpc(
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
     inputs = within_limits(ocp, plan.U * ocp.u_scale, previous, share=0.0)
     return MPCSolution(Control(inputs[0, 0], inputs[0, 1]), plan.X[:, :5] * ocp.x_scale[:5], inputs, plan)
-
-
-def shifted(X: Array, U: Array) -> tuple[Array, Array]:
-    """The last plan one step later: guess of the next solve, and the fallback where that fails."""
-    return shift(X), shift(U)

@@ -18,6 +18,11 @@ def saturate(x: Array) -> Array:
     return x * (1 + x**4) ** -0.25
 
 
+def faded(near: Array) -> Array:
+    """1 where the nearness of all data is large, 0 where there is none."""
+    return -jnp.expm1(-FADE_RATE * near)
+
+
 def taylor(dz: Array, value: Array, gradient: Array, hessian: Array | None = None) -> Array:
     """Polynomial of first or second degree at the offset `dz` (nf,)."""
     first = value + gradient @ dz
@@ -88,7 +93,7 @@ class GP(eqx.Module):
 
     def fade(self, z: Array) -> Array:
         """Scalar: 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
-        return -jnp.expm1(-FADE_RATE * jnp.sum(self._nearness(z)))
+        return faded(jnp.sum(self._nearness(z)))
 
     def bounded_mean(self, z: Array) -> Array:
         """(D,): mean times fade, within twice the largest target seen: what a controller may trust far from data.
@@ -112,13 +117,13 @@ class GP(eqx.Module):
     def _bounded(self, mean: Array, near: Array) -> Array:
         largest = jnp.maximum(-self.lower, self.upper)
         limit = jnp.where(largest > 0, 2 * largest, 1.0)
-        return limit * saturate(-jnp.expm1(-FADE_RATE * near) * mean / limit)
+        return limit * saturate(faded(near) * mean / limit)
 
     def _mean_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), its gradient (D, nf) and Hessian (D, nf, nf) at `z`."""
         weight = jnp.exp(-2 * self.hyper.log_lengthscale) / jnp.square(self.scale)  # (D, nf)
         offset = z - self.Z  # (M, nf)
-        kernel = lambda q: KERNELS[self.kernel](q)
+        kernel = KERNELS[self.kernel]
         slope = lambda q: jax.jvp(kernel, (q,), (jnp.ones_like(q),))[1]
         q = weight @ jnp.square(offset).T  # (D, M)
         bend = jax.jvp(slope, (q,), (jnp.ones_like(q),))[1]

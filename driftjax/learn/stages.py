@@ -97,11 +97,12 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
         return None
     best = progress.best
     stage = run_stage(scenario, drivers(scenario, "mpc", best.table, best.residual), number)
-    found = progress.found
-    if name == "gpr-best" and scenario.config.explore.num_sets:
+    if not scenario.config.explore.num_sets:
+        return progress, _data(scenario, stage, "mpc", best.residual)
+    if name == "gpr-best":
         found = candidates(scenario, stage.laps.trace, progress.memory.residual)
         progress = eqx.tree_at(lambda p: p.found, progress, found)
-    return progress, _data(scenario, stage, "mpc", best.residual, found if scenario.config.explore.num_sets else None)
+    return progress, _data(scenario, stage, "mpc", best.residual, progress.found)
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
