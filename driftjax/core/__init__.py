@@ -1,5 +1,6 @@
 """Records, results, integrators and config files; knows nothing above it."""
 
+from driftjax.core.atomic import write_atomically as write_atomically
 from driftjax.core.blocks import Blocks as Blocks
 from driftjax.core.blocks import Rehearsal as Rehearsal
 from driftjax.core.blocks import num_workers as num_workers

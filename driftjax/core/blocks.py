@@ -60,7 +60,7 @@ class Rehearsal(Blocks):
     """Lanes that are not computed: one worker compiles what `map` would call, and zeros come back."""
 
     def __init__(self, pool: ProcessPoolExecutor):
-        super().__init__(1, pool)
+        super().__init__()
         self._workers = pool
         self._begun: dict[str, Future] = {}
         self._lock = threading.Lock()

@@ -8,9 +8,7 @@ depends on: function, shapes, static values, sources and versions.
 import functools
 import hashlib
 import importlib.metadata
-import os
 import pickle
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,8 @@ import jax.export
 import jax.numpy as jnp
 from jax.stages import Compiled, Lowered
 from jaxtyping import PyTree
+
+from driftjax.core.atomic import write_atomically
 
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt", "numpy")
 
@@ -114,17 +114,11 @@ def _kept(path: Path, plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
     """The program kept at `path`; it is traced and put there first where it is not."""
     if not path.is_file():
         exported = jax.export.export(jax.jit(plain), disabled_checks=UNCHECKED)(*arrays)
-        _write(path, pickle.dumps((bytes(exported.serialize()), plain.skeleton)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = pickle.dumps((bytes(exported.serialize()), plain.skeleton))
+        write_atomically(path, lambda p: p.write_bytes(content))
     serialized, skeleton = pickle.loads(path.read_bytes())
     return jax.jit(jax.export.deserialize(bytearray(serialized)).call).lower(*arrays), skeleton
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent)
-    with os.fdopen(handle, "wb") as file:
-        file.write(content)
-    os.replace(name, path)
 
 
 @functools.cache

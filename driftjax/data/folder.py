@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 import yaml
 
-from driftjax.core import BadInput, read_yaml
+from driftjax.core import BadInput, read_yaml, write_atomically
 from driftjax.data import files
 from driftjax.data.variables import SHARED
 from driftjax.data.versions import versions
@@ -46,7 +46,7 @@ class RunFolder:
             path.mkdir(parents=True, exist_ok=True)
             files.write_json(path / "versions.json", {"verb": verb} | versions())
             text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
-            files.write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
+            write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
         except OSError as error:
             folder.discard()
             raise BadInput(f"{path}: cannot be written ({error.strerror}); give another --out.") from None
@@ -97,13 +97,13 @@ class RunFolder:
         """Finish stage `name`: first its state, last its laps, each whole or absent."""
         stem = self._stage(name)
         stem.parent.mkdir(exist_ok=True)
-        files.write_atomically(stem.with_suffix(".state"), lambda p: p.write_bytes(state))
+        write_atomically(stem.with_suffix(".state"), lambda p: p.write_bytes(state))
         files.write_netcdf(stem.with_suffix(".nc"), data.assign_attrs(stage=name))
 
     def read_stage(self, name: str) -> xr.Dataset:
         """Laps of a finished stage."""
         path = self._stage(name).with_suffix(".nc")
-        if path not in self._read or not path.exists():
+        if path not in self._read:
             self._read[path] = files.read_netcdf(path)
         return self._read[path]
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from driftjax.data.files import write_atomically
+from driftjax.core import write_atomically
 from driftjax.data.variables import PLAN, dataset
 
 NODES = ("s", "t", "V", "beta", "r", "e", "theta", "delta", "Fxr", "x", "y", "psi", "S", "drift")

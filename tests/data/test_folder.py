@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from driftjax.core import BadInput
+from driftjax.core import BadInput, write_atomically
 from driftjax.data import PLAN, STAGE, RunFolder, code_names, dataset, list_runs
-from driftjax.data import files as data_files
 
 CONFIG = {"car": "sedan", "plants": 2, "path": {"Q": [5.0, 100.0, 50.0]}, "track": "sedan_corner"}
 CODES = {"RUNNING": 0, "COMPLETED": 1, "SPUN": 2}
@@ -91,7 +90,7 @@ def test_the_old_file_survives_a_write_that_breaks_off(tmp_path):
         raise RuntimeError("power cut")
 
     with pytest.raises(RuntimeError):
-        data_files.write_atomically(path, half)
+        write_atomically(path, half)
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
