@@ -38,8 +38,11 @@ class PurePursuit(eqx.Module):
     b: Array = eqx.field(converter=as_float)
     m: Array = eqx.field(converter=as_float)
 
-    def __call__(self, path: Track, x: Array, y: Array, psi: Array, V: Array, s: Array, speed: Array) -> Control:
-        """Unlimited command for a car at (x, y, psi), `s` along `path`, that should drive at `speed`.
+    def __call__(
+        self, path: Track, x: Array, y: Array, psi: Array, V: Array, s: Array, speed: Array, acceleration: Array
+    ) -> Control:
+        """Unlimited command for a car at (x, y, psi), `s` along `path`, that should drive at `speed` and gain it at
+        `acceleration` [m/s^2].
 
         delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d.
         """
@@ -50,7 +53,7 @@ class PurePursuit(eqx.Module):
         sin_eta_d = -dx * jnp.sin(psi) + dy * jnp.cos(psi)
         distance_squared = jnp.maximum(dx**2 + dy**2, 1e-6)
         delta = jnp.arctan(2 * self.wheelbase * sin_eta_d / distance_squared)
-        return Control(delta, self.m * self.speed_gain * (speed - V))
+        return Control(delta, self.m * (acceleration + self.speed_gain * (speed - V)))
 
 
 def pure_pursuit(config: PursuitConfig, vehicle: VehicleConfig) -> PurePursuit:

@@ -29,9 +29,19 @@ class ReferenceTable(eqx.Module):
 
     def row(self, values: Float[Array, " n"], s: Array) -> Array:
         """One column at arc length `s`, linear between rows, constant beyond the ends."""
+        i, share = self._position(values, s)
+        return values[i] + share * (values[i + 1] - values[i])
+
+    def slope(self, values: Float[Array, " n"], s: Array) -> Array:
+        """Derivative of one column along the arc length at `s` [unit/m]; beyond the ends that of the nearest rows."""
+        i, _ = self._position(values, s)
+        return (values[i + 1] - values[i]) / self.spacing
+
+    def _position(self, values: Float[Array, " n"], s: Array) -> tuple[Array, Array]:
+        """Row before `s` and how far `s` is on the way to the next one."""
         q = jnp.clip((s - self.start) / self.spacing, 0.0, values.shape[0] - 1.0)
         i = jnp.clip(jnp.floor(q).astype(int), 0, values.shape[0] - 2)
-        return values[i] + (q - i) * (values[i + 1] - values[i])
+        return i, q - i
 
     def reference(self, s: Float[Array, " N+1"]) -> Reference:
         """Rows where the car is expected to be at each stage of the horizon."""

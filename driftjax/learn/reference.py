@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,10 +15,12 @@ from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
 from driftjax.plan import Plan
+from driftjax.sim import keep_where
 from driftjax.solve import Options
 
 POINTS = 400  # rows of a reference table
 ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
+ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # of what was learnt: all at once; where that fails, little by little
 CORE = 0.5  # share of the drift section, about its middle, that stands for the steady part of the corner
 
 
@@ -65,6 +68,16 @@ class Planned(eqx.Module):
     num_steps: Array
 
 
+class Attempt(NamedTuple):
+    """Where the search for an entry stands."""
+
+    X: Float[Array, "N+1 5"]
+    U: Float[Array, "N 2"]
+    error: Array  # as in `Planned`
+    share: Array  # of what was learnt that `X`, `U` know of
+    num_steps: Array
+
+
 def step_table(table: ReferenceTable, x: State, u: Control) -> ReferenceTable:
     """The paper's reference: the constant drift state (V_ep, beta_eq, r_b) wherever the drift controller drives."""
     level = lambda value: jnp.broadcast_to(value, table.V.shape)
@@ -84,7 +97,8 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
 
     Starts `lead` metres before the drift section on the plan in `table` and follows path and sideslip of the plan;
     speed, yaw rate and inputs come out consistent with the model. `V_shift` [m/s] is added to the speed aimed at.
-    Rows outside the horizon keep the plan, and so does everything where the solve fails.
+    Where the solve fails it is led from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the
+    horizon keep the plan, and so does everything where that fails too.
     """
     s0 = table.drift_start - lead
     x, u = table.state(s0)
@@ -95,12 +109,25 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
     X = jnp.stack([plan.V, plan.beta, plan.r, plan.e, plan.theta], axis=1)
     at = lambda values: jax.vmap(lambda one: table.row(values, one))(s[:-1])
     U = jnp.stack([at(table.delta), at(table.Fxr)], axis=1)
-    found = solve_mpc(ocp, x0, previous, previous, target, X, U, options)
-    error = jnp.maximum(found.plan.kkt, found.plan.violation)
-    good = error < ENTRY_ERROR
+
+    def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:
+        steps = jnp.where(last.error < ENTRY_ERROR, 0, options.max_steps)
+        restart = share < last.share  # the whole model at once has failed
+        X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
+        part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
+        allowed = Options(options.tolerance, options.barrier, steps)
+        found = solve_mpc(part, x0, previous, previous, target, X_guess, U_guess, allowed)
+        whole = jnp.maximum(found.plan.kkt, found.plan.violation)
+        error = jnp.where(share < 1, jnp.inf, whole)  # a part of the model is a guess, never an answer
+        new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)
+        return keep_where(steps > 0, new, last), None
+
+    first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
+    found, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
+    good = found.error < ENTRY_ERROR
     new = _onto(table, s, found.X, found.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
-    return Planned(new, good, error, found.plan.num_steps)
+    return Planned(new, good, found.error, found.num_steps)
 
 
 def _schedule(table: ReferenceTable, s0: Array, num: int, dt: Array) -> Float[Array, " N+1"]:

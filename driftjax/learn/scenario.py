@@ -13,7 +13,7 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Blocks, Control, State
-from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_nominal
+from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
@@ -86,7 +86,7 @@ def build(config: LearnConfig, blocks: Blocks) -> Scenario:
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = vehicle.build(), corner(table, config.drift_beta)
-    steady = _steady(nominal, SlipRadius(where.beta, where.R))
+    steady = solve_nominal(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
     if not bool(steady.result == RESULTS.successful):
         raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
     plants = [load_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
@@ -103,13 +103,6 @@ def build(config: LearnConfig, blocks: Blocks) -> Scenario:
         stack_plants([p for _, p, _ in each]), jnp.stack(keys), load_sensors(config.sensors),
         entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
     )  # fmt: skip
-
-
-def _steady(nominal: SingleTrack, fixed: SlipRadius) -> Equilibrium:
-    """The drift of the nominal car, its friction ellipse included, from the published car's closed form."""
-    published = eqx.tree_at(lambda car: car.combined_slip, nominal, jnp.zeros(()))
-    first = solve_nominal(published, fixed, branch=Branch.COUNTERSTEER)
-    return solve(nominal, nominal, fixed, (first.x, first.u), branch=Branch.COUNTERSTEER)
 
 
 def problems(scenario: Scenario, residual: Residual) -> DriftOCP:

@@ -52,6 +52,9 @@ class PlanConfig:
     """Seconds paid per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
     course_weight: float = 0.0
     """Seconds paid per second and squared radian between course and track: keeps straights from being weaved along."""
+    front_slip: float = 0.0
+    """Seconds paid per second and squared radian of front slip beyond the tyre's peak: without it a plan may brake by
+    a saturated front, which no controller can steer from."""
     friction_share: float = 1.0
     """Friction that the plan may use, over the nominal car's [-]: leaves room to drift where grip would do."""
     combined_slip: float = 0.0
@@ -59,6 +62,8 @@ class PlanConfig:
     force that no tyre gives at once [-]."""
     brake_share: float = 1.0
     """Braking force that the plan may use, over the car's [-]."""
+    steer_share: float = 1.0
+    """Steering angle that the plan may use, over the car's [-]: what is left is there to catch a slide."""
     lead: float = 0.15
     """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
     tolerance: float = 1e-6
@@ -76,6 +81,7 @@ class PlanConfig:
             "end_slip",
             "drift_radius",
             "friction_share",
+            "steer_share",
             "tolerance",
         ):
             value = getattr(self, name)
@@ -88,6 +94,7 @@ class PlanConfig:
             "label_beta",
             "rate_weight",
             "course_weight",
+            "front_slip",
             "brake_share",
         ):
             value = getattr(self, name)
@@ -113,6 +120,7 @@ class PlanConfig:
             vehicle,
             mu=self.friction_share * vehicle.mu,
             Fxr_min=brake,
+            delta_max=self.steer_share * vehicle.delta_max,
             combined_slip=max(self.combined_slip, vehicle.combined_slip),
         )
 

@@ -73,9 +73,11 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     kappa = np.abs(np.asarray(stage.kappa))
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
     e0 = float(np.mean(np.asarray(stage.e_max - stage.e_min))) / 2
-    model = vehicle.build() if model is None else model
+    nominal = vehicle.build()
+    model = nominal if model is None else model
     fair = jnp.inf if config.V_fair is None else config.V_fair
-    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, config.rate_weight, config.course_weight, fair)
+    prices = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
+    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *prices)
 
 
 def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:

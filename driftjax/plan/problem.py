@@ -10,6 +10,7 @@ from jax import Array
 from driftjax.core import Control, State, as_float
 from driftjax.solve import AbstractOCP
 from driftjax.track import curvilinear_rates
+from driftjax.vehicle import SingleTrack
 
 SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
 
@@ -58,8 +59,10 @@ class MinimumTime(AbstractOCP):
     L0: Array = eqx.field(converter=as_float)  # scale of length: smallest radius [m]
     e0: Array = eqx.field(converter=as_float)  # scale of the lateral offset [m]
     rate_weight: Array = eqx.field(converter=as_float)  # [-]
-    course_weight: Array = eqx.field(converter=as_float, default=0.0)  # [-]
-    V_fair: Array = eqx.field(converter=as_float, default=jnp.inf)  # progress that hardly earns more time [m/s]
+    course_weight: Array = eqx.field(converter=as_float)  # [-]
+    front_slip: Array = eqx.field(converter=as_float)  # price of front slip beyond the peak [-]
+    nominal: SingleTrack  # whose front slip angle is priced
+    V_fair: Array = eqx.field(converter=as_float)  # progress that hardly earns more time [m/s]
 
     @property
     def scale(self) -> Array:
@@ -99,12 +102,19 @@ class MinimumTime(AbstractOCP):
         return self.terminal(x, p) + self.rate_weight * self.ds / self.L0 * (u[0] ** 2 + u[1] ** 2)
 
     def terminal(self, x: Array, p: Stage) -> Array:
-        """Time, and price of leaving the track's course, that the trapezoidal rule gives this node."""
+        """Time, and prices of course and front slip, that the trapezoidal rule gives this node."""
         slowness = self.slowness(x, p.kappa[0]) * self.V0
         floor = self.V0 / self.V_fair  # a smooth maximum of the two
         time = (slowness**SHARPNESS + floor**SHARPNESS) ** (1 / SHARPNESS)
         time = time + ENERGY_PRICE * floor * (x[0] * floor) ** 2
-        return p.share * self.ds / self.L0 * (time + self.course_weight * (x[1] + x[4]) ** 2)
+        price = self.course_weight * (x[1] + x[4]) ** 2 + self.front_slip * self.beyond_peak(x) ** 2
+        return p.share * self.ds / self.L0 * (time + price)
+
+    def beyond_peak(self, x: Array) -> Array:
+        """Front slip angle beyond the tyre's peak [rad]."""
+        V, beta, r, _, _, delta, Fxr = x * self.scale
+        alpha_f, _ = self.nominal.slip_angles(State(V, beta, r), Control(delta, Fxr))
+        return jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
         """Gaps of a stage, in scaled units."""

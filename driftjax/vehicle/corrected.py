@@ -29,6 +29,10 @@ class Residual(eqx.Module):
         """The same value for cheap differentiation: exact derivatives in `z` up to `order`, 1 or 2."""
         return self.gate * self.gp.local_bounded_mean(z, order)
 
+    def scaled(self, share: Array) -> "Residual":
+        """A share of what was learnt, from nothing at 0 to all of it at 1."""
+        return Residual(self.gp, share * self.gate, share * self.lags)
+
 
 class Corrected(eqx.Module):
     """Any car model with a residual rate added; `residual` maps z (5,) to (dV, dbeta, dr) (3,) in SI per second."""

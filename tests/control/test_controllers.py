@@ -28,7 +28,7 @@ def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
     x, y, psi, _ = path.pose(40.0)
     steer = pure_pursuit(PursuitConfig(), CAR)
     u = steer(path, x + CAR.b * jnp.cos(psi), y + CAR.b * jnp.sin(psi), psi, jnp.asarray(8.0), jnp.asarray(40.0),
-              jnp.asarray(8.0))  # fmt: skip
+              jnp.asarray(8.0), jnp.asarray(0.0))  # fmt: skip
     assert float(u.delta) == pytest.approx(np.arctan((CAR.a + CAR.b) * kappa), abs=1e-6)
     assert float(u.Fxr) == pytest.approx(0.0, abs=1e-9)
 
@@ -36,9 +36,10 @@ def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
 def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
     path = from_curvature([0.0, 100.0], [0.0, 0.0], 3.0, 101)
     steer = pure_pursuit(PursuitConfig(speed_gain=2.0), CAR)
-    at = lambda y, V: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, 20.0, 10.0)))
+    at = lambda y, V, ax=0.0: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, 20.0, 10.0, ax)))
     assert float(at(0.0, 9.0).Fxr) == pytest.approx(CAR.m * 2.0 * 1.0)
     assert float(at(0.0, 12.0).Fxr) == pytest.approx(-CAR.m * 2.0 * 2.0)
+    assert float(at(0.0, 10.0, 1.5).Fxr) == pytest.approx(CAR.m * 1.5)  # keeps a gaining plan without falling behind
     assert at(1.0, 10.0).delta < 0 < at(-1.0, 10.0).delta
     assert abs(at(1.0, 20.0).delta) < abs(at(1.0, 5.0).delta)  # looks further ahead when faster
 
