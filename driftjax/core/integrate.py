@@ -25,13 +25,19 @@ def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4)
 
 
+def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
+    """One step of Heun's method of order 2 for x_dot = f(x), step `dt` [s]."""
+    k1 = f(x)
+    k2 = f(axpy(dt, k1, x))
+    return axpy(dt / 2, axpy(1.0, k1, k2), x)
+
+
 def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array, Array]:
     """Mean over a step `dt` [s] and end of it of a first-order lag of time constant `lag` [s] towards `target`.
 
-    Exact for a target held over the step; a lag of 0 gives the target itself.
+    Exact for a target held over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
     """
     slow = lag > 1e-6 * dt
-    lag = jnp.where(slow, lag, dt)
-    left = jnp.where(slow, jnp.exp(-dt / lag), 0.0)
-    mean = jnp.where(slow, (1 - left) * lag / dt, 0.0)
+    left = jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
+    mean = (1 - left) * lag / dt
     return target + (value - target) * mean, target + (value - target) * left

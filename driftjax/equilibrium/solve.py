@@ -143,8 +143,12 @@ def _judge(worst: Array, on_branch: Array) -> RESULTS:
 def solve_nominal(
     nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int, throw: bool = False
 ) -> Equilibrium:
-    """The nominal car's steady state on `branch`, from no guess; `no_root` where it has none there."""
-    x, u, exists = pick(fixed.roots(nominal), branch)
+    """The nominal car's steady state on `branch`, from no guess; `no_root` where the published car has none there.
+
+    With a friction ellipse the closed form of the published car, which has none, is the guess.
+    """
+    published = eqx.tree_at(lambda car: car.combined_slip, nominal, jnp.zeros_like(nominal.combined_slip))
+    x, u, exists = pick(fixed.roots(published), branch)
     out = solve(nominal, nominal, fixed, (x, u), branch=branch)
     result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
     out = eqx.tree_at(lambda e: e.result, out, result)

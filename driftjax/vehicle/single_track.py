@@ -12,6 +12,11 @@ LATERAL_FLOOR = 0.04  # square of the share of lateral force that no drive force
 V_FLOOR = 1e-3  # speed below which beta_dot is held finite [m/s]
 
 
+def lateral_left(used: Array) -> Array:
+    """Share of its lateral force that an axle keeps when drive takes `used` of the squared friction [-]."""
+    return jnp.sqrt(jnp.maximum(1 - used, LATERAL_FLOOR))
+
+
 class SingleTrack(eqx.Module):
     """Nominal single-track car (Wu et al. 2025, Eq. 1-3); calling it gives the time derivative.
 
@@ -48,12 +53,14 @@ class SingleTrack(eqx.Module):
         """Lateral force of front and rear axle in the wheel frames [N], left positive."""
         alpha_f, alpha_r = self.slip_angles(x, u)
         used = self.combined_slip * u.Fxr / (self.tyre.mu * self.Fzr)
-        left = jnp.sqrt(jnp.maximum(1 - used**2, LATERAL_FLOOR))
-        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * left
+        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * lateral_left(used**2)
 
     def __call__(self, x: State, u: Control) -> State:
         """Time derivative of `x` (Eq. 1)."""
-        Fyf, Fyr = self.lateral_forces(x, u)
+        return self.rates(x, u, *self.lateral_forces(x, u))
+
+    def rates(self, x: State, u: Control, Fyf: Array, Fyr: Array) -> State:
+        """Time derivative of `x` under these lateral forces of the axles in the wheel frames [N]."""
         V = jnp.maximum(x.V, V_FLOOR)
         sin, cos = jnp.sin(x.beta), jnp.cos(x.beta)
         front = u.delta - x.beta

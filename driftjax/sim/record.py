@@ -1,0 +1,126 @@
+"""Drives a manoeuvre on a universal car and records what a measurement would: the source of logs with a known truth.
+
+The plant runs at its own small step with another integrator than the model that later explains the log, its rates are
+disturbed, and the driver only sees noisy measurements.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State
+from driftjax.core.integrate import heun_step
+from driftjax.sim.rollout import SETTLE, Felt, advance, settled
+from driftjax.vehicle.effect.flow import Place, heat_rate
+from driftjax.vehicle.parameters import VehicleConfig
+from driftjax.vehicle.universal import Universal
+
+FILTER = 0.02  # time constant of the driver's filter on what is measured, over sqrt(L / g) x 5 [-]
+
+
+class Manoeuvre(NamedTuple):
+    """What a driver does: states aimed at, commands that go with them, and a feedback on the difference."""
+
+    x_ref: Float[Array, "T 3"]  # V, beta, r
+    u_ref: Float[Array, "T 2"]  # delta [rad], Fxr [N]
+    K: Float[Array, "2 3"]  # command less per unit of the state's excess
+    lap: Array  # length of one lap, for the position along it [m]
+
+
+class Conditions(NamedTuple):
+    """What disturbs the car and its measurement."""
+
+    sigma: Float[Array, "3"]  # standard deviation of measured V, beta, r
+    disturbance: Float[Array, "3"]  # standard deviation of rates added to those of V, beta, r
+    correlation: Array  # correlation time of these [s]
+
+
+class Recording(NamedTuple):
+    """Rows of a log (T,) and the truth behind them."""
+
+    y: Float[Array, "T 3"]  # measured V, beta, r
+    command: Float[Array, "T 2"]
+    place: Place  # fields (T,); position along the lap as a share of it
+    x: Float[Array, "T 3"]  # true V, beta, r
+    position: Float[Array, "T 2"]  # true x, y [m]
+
+
+class _Now(NamedTuple):
+    x: State
+    felt: Felt
+    memory: tuple
+    place: Place
+    position: Array
+    seen: Array  # filtered measurement
+    command: Array
+    push: Array
+    distance: Array
+
+
+def limits(vehicle: VehicleConfig, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smallest and largest command (2,), and its largest change per step."""
+    lower = np.array([-vehicle.delta_max, vehicle.Fxr_min])
+    upper = np.array([vehicle.delta_max, vehicle.Fxr_max])
+    return lower, upper, dt * np.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max])
+
+
+def record(
+    plant: Universal, vehicle: VehicleConfig, manoeuvre: Manoeuvre, conditions: Conditions, key: Array, dt: float,
+    substeps: int = 10,
+) -> Recording:  # fmt: skip
+    """One run of `manoeuvre` at sample time `dt` [s], the plant `substeps` times as fast; starts on its first row."""
+    h = dt / substeps
+    lower, upper, rate = limits(vehicle, dt)
+    nominal = vehicle.build()
+    smooth = 1 - jnp.exp(-dt / (FILTER * 5 * ((vehicle.a + vehicle.b) / 9.81) ** 0.5))
+    first = State(*manoeuvre.x_ref[0])
+    u0 = jnp.clip(manoeuvre.u_ref[0], lower, upper)
+
+    def warm(memory, _):
+        return plant.act(memory, Control(u0[0], u0[1]), first.V, h)
+
+    memory, held = jax.lax.scan(warm, plant.start(h), length=round(SETTLE / h))
+    zero = jnp.zeros(())
+    place = Place(zero, zero, zero, zero)
+    felt = settled(plant, first, jax.tree.map(lambda a: a[-1], held), place)
+    start = _Now(first, felt, memory, place, jnp.zeros(2), manoeuvre.x_ref[0], u0, jnp.zeros(3), zero)
+
+    def fine(now: _Now, u: Control) -> _Now:
+        memory, reached = plant.act(now.memory, u, now.x.V, h)
+        x, felt = advance(plant, now.x, now.felt, reached, now.place, jnp.asarray(h), State(*now.push), heun_step)
+        course = now.place.psi + now.x.beta
+        distance = now.distance + h * now.x.V
+        place = Place(
+            now.place.t + h, now.place.psi + h * (now.x.r + x.r) / 2, (distance / manoeuvre.lap) % 1.0,
+            now.place.heat + h * heat_rate(nominal, now.x),
+        )  # fmt: skip
+        position = now.position + h * now.x.V * jnp.stack([jnp.cos(course), jnp.sin(course)])
+        return now._replace(x=x, felt=felt, memory=memory, place=place, position=position, distance=distance)
+
+    def step(now: _Now, row):
+        x_ref, u_ref, noise, kick = row
+        memory, reached = plant.act(now.memory, Control(now.command[0], now.command[1]), now.x.V, h)
+        after, _ = advance(plant, now.x, now.felt, reached, now.place, jnp.asarray(h), State(*now.push), heun_step)
+        told = plant.sense(now.x, jax.tree.map(lambda a, b: (b - a) / h, now.x, after))
+        y = jnp.stack(told) + noise
+        seen = now.seen + smooth * (y - now.seen)
+        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - rate, now.command + rate)
+        command = jnp.clip(command, lower, upper)
+        left = jnp.exp(-dt / conditions.correlation)
+        push = left * now.push + jnp.sqrt(1 - left**2) * kick
+        row = Recording(y, command, now.place, jnp.stack(now.x), now.position)
+        now = now._replace(seen=seen, command=command, push=push)
+        u = Control(command[0], command[1])
+        now = jax.lax.fori_loop(0, substeps, lambda _, n: fine(n, u), now)
+        return now, row
+
+    T = len(manoeuvre.x_ref)
+    measured, driven = jax.random.split(key)
+    noise = conditions.sigma * jax.random.normal(measured, (T, 3))
+    kicks = conditions.disturbance * jax.random.normal(driven, (T, 3))
+    start = start._replace(push=kicks[0])
+    return jax.lax.scan(step, start, (manoeuvre.x_ref, manoeuvre.u_ref, noise, kicks))[1]

@@ -1,0 +1,90 @@
+"""Derivatives of one step by state, input and every parameter at once.
+
+The forces have few outputs and few inputs that change within a step, but some sixty parameters. So their Jacobian is
+had backwards at each stage of the Runge-Kutta step, and only small products run forwards.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State
+from driftjax.sim.rollout import Felt, felt_at, follow, lagged
+from driftjax.vehicle.effect.flow import Aux, Place, rates
+from driftjax.vehicle.universal import Universal
+
+NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6  # of the classical Runge-Kutta
+
+
+class Dual(NamedTuple):
+    """Values (k,) and their derivatives (k, M) by the M things that are varied."""
+
+    value: Array
+    by: Array
+
+
+def join(*parts: Dual) -> Dual:
+    """Values one after the other."""
+    return Dual(*(jnp.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
+    """f(x, theta): derivatives by `x` through its own, and by theta where `direct` (K, M) says how it varies."""
+    by_x, by_theta = jax.jacrev(f, (0, 1))(x.value, theta)
+    return Dual(f(x.value, theta), by_x @ x.by + by_theta @ direct)
+
+
+def move_with_derivatives(
+    model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array
+) -> Dual:
+    """State and what is felt one step later (6,), and its derivatives (6, 8 + K) by z, u and theta.
+
+    The same step as `rollout.move`.
+    """
+    K = len(model.theta)
+    every = jnp.eye(8 + K)
+    direct, state, felt, inputs = every[8:], Dual(z[:3], every[:3]), Dual(z[3:], every[3:6]), Dual(u, every[6:8])
+    with_theta = lambda theta: eqx.tree_at(lambda m: m.theta, model, theta)
+
+    def force(v, theta):
+        flow = with_theta(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
+        return jnp.stack([*rates(flow), flow.ay])
+
+    def behind(v, theta):
+        car, x, u = with_theta(theta), _state(v), _control(v[6:])
+        at = follow(car, x, u, _state(v[8:]), v[11])
+        aux, end = lagged(car, Felt(v[3:5], v[5]), at, dt)
+        return jnp.concatenate([aux.slip, aux.ay[None], end.slip, end.ay[None]])
+
+    def reach(v, theta):
+        end = felt_at(with_theta(theta), _state(v), _control(v[3:]), Felt(v[5:7], v[7]))
+        return jnp.concatenate([v[:3], end.slip, end.ay[None]])
+
+    nothing = Dual(jnp.zeros(3), jnp.zeros((3, 8 + K)))
+    there = through(force, join(state, nothing, inputs), model.theta, direct)
+    late = through(behind, join(state, felt, inputs, there), model.theta, direct)
+    aux, end = (Dual(late.value[part], late.by[part]) for part in (slice(3), slice(3, 6)))
+
+    def stage(carry, row):
+        k, total = carry
+        node, weight = row
+        y = jax.tree.map(lambda a, b: a + node * dt * b, state, k)
+        found = through(force, join(y, aux, inputs), model.theta, direct)
+        k = Dual(found.value[:3], found.by[:3])
+        return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
+
+    (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
+    return through(reach, join(after, inputs, end), model.theta, direct)
+
+
+def _state(v: Array) -> State:
+    return State(v[0], v[1], v[2])
+
+
+def _control(v: Array) -> Control:
+    return Control(v[0], v[1])

@@ -1,0 +1,24 @@
+"""The catalogue: every module here that defines `EFFECT` is one missing physics, found by its being here."""
+
+import importlib
+import pkgutil
+
+from driftjax.core import BadInput
+from driftjax.vehicle.effect.base import Effect as Effect
+from driftjax.vehicle.effect.base import Parameter as Parameter
+from driftjax.vehicle.effect.base import reference as reference
+from driftjax.vehicle.effect.flow import Car as Car
+from driftjax.vehicle.effect.flow import Flow as Flow
+from driftjax.vehicle.effect.flow import Place as Place
+
+_MODULES = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
+_FOUND: list[Effect] = [module.EFFECT for module in _MODULES if hasattr(module, "EFFECT")]
+EFFECTS: dict[str, Effect] = {effect.name: effect for effect in sorted(_FOUND, key=lambda one: one.number)}
+
+
+def effects_named(names: tuple[str, ...]) -> tuple[Effect, ...]:
+    """The effects of these names, in the catalogue's order; raises `BadInput` for a name it does not hold."""
+    unknown = sorted(set(names) - set(EFFECTS))
+    if unknown:
+        raise BadInput(f"effect '{unknown[0]}': no such effect; the catalogue holds {', '.join(EFFECTS)}.")
+    return tuple(effect for name, effect in EFFECTS.items() if name in names)

@@ -1,0 +1,23 @@
+"""Aerodynamic drag against the velocity: X - c V^2 cos(beta), Y - c V^2 sin(beta), c = rho C_d A / 2 (SAE J1263)."""
+
+import jax.numpy as jnp
+
+from driftjax.vehicle.effect.base import Effect, Parameter
+from driftjax.vehicle.effect.flow import Flow
+
+
+def apply(flow: Flow, p) -> Flow:
+    """Pull against the velocity, by its square."""
+    drag = p[0] * flow.x.V**2
+    return flow._replace(X=flow.X - drag * jnp.cos(flow.x.beta), Y=flow.Y - drag * jnp.sin(flow.x.beta))
+
+
+EFFECT = Effect(
+    name="aero_drag",
+    number=13,
+    station="force",
+    parameters=(Parameter("c", "N s^2/m^2", 0.0012, "drag", lower=0.0),),
+    apply=apply,
+    source="SAE J1263 (2010)",
+    sentence="the air holds the car back",
+)

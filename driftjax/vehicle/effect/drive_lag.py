@@ -1,0 +1,24 @@
+"""Lag of the drive: tau F_xr_dot + F_xr = F_command (Rajamani 2012, Ch. 5)."""
+
+import jax.numpy as jnp
+
+from driftjax.core import Control, lag_step
+from driftjax.vehicle.effect.base import Effect, Parameter
+
+
+def apply(memory, u: Control, V, dt, p):
+    """Mean force over the step; `memory` is the force reached."""
+    mean, end = lag_step(memory, u.Fxr, p[0], dt)
+    return end, u._replace(Fxr=mean)
+
+
+EFFECT = Effect(
+    name="drive_lag",
+    number=18,
+    station="command",
+    parameters=(Parameter("tau", "s", 0.14, "time", lower=0.0),),
+    apply=apply,
+    source="first-order actuator; Rajamani 2012, Ch. 5",
+    sentence="the drive force lags behind its command",
+    start=lambda dt: jnp.zeros(()),
+)

@@ -1,0 +1,151 @@
+"""The car as a pipeline: what each station hands to the next, and the rates that come out."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, State
+from driftjax.tyre import SimplifiedPacejka
+from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_left
+
+ROLL_GRIP = 0.04  # grip lost to lateral load transfer at 1 g, which the nominal friction, steady, already holds [-]
+CREEP = 0.02  # width of the smooth sign of the forward speed, over sqrt(g L) [-]
+
+
+class Car(NamedTuple):
+    """Parameters of the car after the effects of station `car`."""
+
+    m: Array  # mass [kg]
+    Iz: Array  # yaw inertia [kg m^2]
+    a: Array  # centre of mass to front axle [m]
+    b: Array  # centre of mass to rear axle [m]
+    muf: Array  # friction of the front axle [-]
+    mur: Array
+    Bf: Array  # stiffness factor of the front tyres [1/rad]
+    Br: Array
+    Cf: Array  # shape factor of the front tyres [-]
+    Cr: Array
+    ellipse: Array  # square of the friction ellipse's share: 0 none, 1 a circle [-]
+    relaxation: Array  # relaxation length of both axles [m]
+    roll_lag: Array  # time constant of the lateral load transfer [s]
+
+    @property
+    def wheelbase(self) -> Array:
+        """Distance L between the axles [m]."""
+        return self.a + self.b
+
+    @property
+    def unit_speed(self) -> Array:
+        """sqrt(g L), the speed of Froude number 1 [m/s]."""
+        return jnp.sqrt(G * self.wheelbase)
+
+    @property
+    def nominal(self) -> SingleTrack:
+        """The single track with this car's size and mass; its tyre is the front one."""
+        return SingleTrack(self.m, self.Iz, self.a, self.b, SimplifiedPacejka(self.muf, self.Bf, self.Cf))
+
+
+class Place(NamedTuple):
+    """Where and when a sample was taken."""
+
+    t: Array  # since the start of the run [s]
+    psi: Array  # heading [rad]
+    s: Array  # distance along the lap, as a share of it [-]
+    heat: Array  # sliding work of the rear tyres since the start of the run, over weight x 100 sqrt(g L) s [-]
+
+
+class Aux(NamedTuple):
+    """What lags behind the state within a roll-out, held over one step."""
+
+    slip: Array  # (2,) slip angle that front and rear tyre feel, less the geometric one [rad]
+    ay: Array  # lateral acceleration that the body's roll has reached, less the present one [m/s^2]
+
+
+class Flow(NamedTuple):
+    """All that is known of one instant, filled in from station to station."""
+
+    car: Car
+    x: State
+    u: Control  # what the actuators have reached
+    place: Place
+    alpha_f: Array  # slip angles [rad]
+    alpha_r: Array
+    ax: Array  # acceleration along the body from the tyre forces at static load [m/s^2]
+    ay: Array  # lateral acceleration from the same, left positive [m/s^2]
+    ay_lag: Array  # what roll adds to it while it lags [m/s^2]
+    Fzf: Array  # axle loads [N]
+    Fzr: Array
+    muf: Array  # friction coefficients [-]
+    mur: Array
+    Fyf: Array  # lateral tyre forces, wheel frame [N]
+    Fyr: Array
+    Fxf: Array  # longitudinal force of the front axle [N]
+    Fxr: Array  # and of the rear [N]
+    X: Array  # further force along the body, at the centre of mass [N]
+    Y: Array  # further force to the left [N]
+    N: Array  # further yaw moment [N m]
+
+
+def heat_rate(nominal: SingleTrack, x: State) -> Array:
+    """Sliding power of the nominal rear tyres over weight x 100 sqrt(g L) [1/s]: the rate of `Place.heat`."""
+    alpha_r = jnp.arctan2(x.V * jnp.sin(x.beta) - nominal.b * x.r, jnp.maximum(x.V * jnp.cos(x.beta), V_FLOOR))
+    force = jnp.abs(nominal.tyre.lateral(alpha_r, nominal.Fzr))
+    unit = 100 * nominal.m * G * jnp.sqrt(G * (nominal.a + nominal.b))
+    return force * x.V * jnp.abs(jnp.sin(alpha_r)) / unit
+
+
+def axle_forces(flow: Flow) -> Flow:
+    """`flow` with the lateral tyre forces at its slip angles, loads and friction."""
+    car = flow.car
+    front = SimplifiedPacejka(flow.muf, car.Bf, car.Cf).lateral(flow.alpha_f, flow.Fzf)
+    rear = SimplifiedPacejka(flow.mur, car.Br, car.Cr).lateral(flow.alpha_r, flow.Fzr)
+    left = lambda Fx, mu, Fz: lateral_left(car.ellipse * (Fx / (mu * Fz)) ** 2)
+    return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
+
+
+def forward(flow: Flow) -> Array:
+    """Smooth sign of the forward speed, for what resists rolling [-]."""
+    along = flow.x.V * jnp.cos(flow.x.beta)
+    return along / jnp.sqrt(along**2 + (CREEP * flow.car.unit_speed) ** 2)
+
+
+def enter(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
+    """Slip angles, static loads and friction, before any effect of the stations after `car`."""
+    alpha_f, alpha_r = car.nominal.slip_angles(x, u)
+    zero = jnp.zeros_like(x.V)
+    return Flow(
+        car, x, u, place, alpha_f + aux.slip[0], alpha_r + aux.slip[1], zero, zero, aux.ay,
+        car.nominal.Fzf, car.nominal.Fzr, car.muf, car.mur, zero, zero, zero, u.Fxr, zero, zero, zero,
+    )  # fmt: skip
+
+
+def accelerate(flow: Flow) -> Flow:
+    """`flow` with the accelerations that tyre forces at its present loads give the body, for the load transfer."""
+    flow, sin, cos = axle_forces(flow), jnp.sin(flow.u.delta), jnp.cos(flow.u.delta)
+    ax = (flow.Fxr + flow.Fxf * cos - flow.Fyf * sin) / flow.car.m
+    ay = (flow.Fyf * cos + flow.Fxf * sin + flow.Fyr) / flow.car.m
+    return roll_grip(flow._replace(ax=ax, ay=ay))
+
+
+def roll_grip(flow: Flow) -> Flow:
+    """`flow` with the grip that lateral load transfer, while it lags, takes less or more of than once it is reached.
+
+    Friction falls by `ROLL_GRIP` (ay/g)^2 (Milliken and Milliken 1995, Ch. 18). The nominal friction is that of steady
+    driving and so holds this already; what remains is the difference between the ay that roll has reached and ay.
+    """
+    late = flow.ay_lag * (2 * flow.ay + flow.ay_lag) / G**2
+    left = 1 - ROLL_GRIP * late
+    return flow._replace(muf=flow.muf * left, mur=flow.mur * left)
+
+
+def rates(flow: Flow) -> State:
+    """Newton's law: time derivative of the state under all forces of `flow`."""
+    car, x, delta = flow.car, flow.x, flow.u.delta
+    dx = car.nominal.rates(x, Control(delta, flow.Fxr), flow.Fyf, flow.Fyr)
+    X = flow.X + flow.Fxf * jnp.cos(delta)
+    Y = flow.Y + flow.Fxf * jnp.sin(delta)
+    N = flow.N + car.a * flow.Fxf * jnp.sin(delta)
+    sin, cos, V = jnp.sin(x.beta), jnp.cos(x.beta), jnp.maximum(x.V, V_FLOOR)
+    along, across = (X * cos + Y * sin) / car.m, (Y * cos - X * sin) / (car.m * V)
+    return State(dx.V + along, dx.beta + across, dx.r + N / car.Iz)

@@ -1,0 +1,33 @@
+"""Backlash of half-width w: delta is the last one, held within delta_command +- w (Nordin and Gutman 2002)."""
+
+import jax.numpy as jnp
+
+from driftjax.core import Control
+from driftjax.vehicle.effect.base import Effect, Parameter
+
+TINY = 1e-9  # play below which the wheels always lie at one of its sides [rad]
+
+
+def apply(memory, u: Control, V, dt, p):
+    """Drag the wheels along by either side of the play; `memory` is the last command and where in the play they stand.
+
+    Kept as a share of the play, so that the angle has the right slopes at w = 0, where both its sides meet.
+    """
+    last, share = memory
+    change, wide = u.delta - last, p[0] > TINY
+    inside = jnp.clip(share - change / jnp.where(wide, p[0], 1.0), -1.0, 1.0)
+    pressed = jnp.where(change == 0, share, -jnp.sign(change))
+    share = jnp.where(wide, inside, pressed)
+    return (u.delta, share), u._replace(delta=u.delta + p[0] * share)
+
+
+EFFECT = Effect(
+    name="steer_backlash",
+    number=33,
+    station="command",
+    parameters=(Parameter("w", "rad", 0.01, lower=0.0),),
+    apply=apply,
+    source="Nordin and Gutman 2002",
+    sentence="the steering has play",
+    start=lambda dt: (jnp.zeros(()), jnp.zeros(())),
+)

@@ -1,0 +1,29 @@
+"""Wheel spin: q V F_xr_dot + F_xr = F_command (after Goh, Goel and Gerdes 2020).
+
+Wheel inertia I_w and radius R_w with force C_kappa kappa at the slip kappa = (omega R_w - V) / V give the lag
+(I_w / R_w^2) V / C_kappa: q is the wheels' inertia as a mass over the slip stiffness, which in a slide is a small part
+of the tyre's at rest. Its growth with speed tells it from `drive_lag`.
+"""
+
+import jax.numpy as jnp
+
+from driftjax.core import Control, lag_step
+from driftjax.vehicle.effect.base import Effect, Parameter
+
+
+def apply(memory, u: Control, V, dt, p):
+    """Mean force over the step; `memory` is the force reached."""
+    mean, end = lag_step(memory, u.Fxr, p[0] * V, dt)
+    return end, u._replace(Fxr=mean)
+
+
+EFFECT = Effect(
+    name="wheel_spin",
+    number=20,
+    station="command",
+    parameters=(Parameter("q", "s^2/m", 0.04, "per_acceleration", lower=0.0),),
+    apply=apply,
+    source="Goh, Goel and Gerdes 2020",
+    sentence="the wheels first have to spin up, so that the drive force lags the more the faster the car is",
+    start=lambda dt: jnp.zeros(()),
+)

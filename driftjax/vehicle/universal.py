@@ -1,0 +1,87 @@
+"""One car that holds every effect of a catalogue at once; at theta = 0 it is the nominal car exactly."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State
+from driftjax.vehicle.effect.base import Effect, Station
+from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, accelerate, axle_forces, enter, rates
+from driftjax.vehicle.parameters import VehicleConfig
+
+
+class Universal(eqx.Module):
+    """The nominal car with effects; `theta` counts typical sizes, so that it is the same in any units."""
+
+    base: Car
+    effects: tuple[Effect, ...] = eqx.field(static=True)
+    scale: Float[Array, " K"]  # typical size of each parameter, SI
+    theta: Float[Array, " K"]
+
+    def values(self) -> dict[str, tuple[Array, ...]]:
+        """Parameters of each effect, SI."""
+        found, at, physical = {}, 0, self.theta * self.scale
+        for effect in self.effects:
+            found[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
+            at += len(effect.parameters)
+        return found
+
+    def _through(self, station: Station, record):
+        values = self.values()
+        for effect in self.effects:
+            if effect.station == station:
+                record = effect.apply(record, values[effect.name])
+        return record
+
+    @property
+    def car(self) -> Car:
+        """Parameters of the car, effects of station `car` included."""
+        return self._through("car", self.base)
+
+    def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
+        """Everything about one instant, from slip to forces."""
+        flow = self._through("slip", enter(self.car, x, u, place, aux))
+        flow = self._through("load", accelerate(flow))
+        flow = axle_forces(self._through("friction", flow))
+        return self._through("force", flow)
+
+    def rates(self, x: State, u: Control, place: Place, aux: Aux) -> State:
+        """Time derivative of the state; `u` is what the actuators have reached."""
+        return rates(self.flow(x, u, place, aux))
+
+    def start(self, dt: float) -> tuple:
+        """Memory of the actuators at rest, for steps of `dt` [s]."""
+        return tuple(effect.start(dt) for effect in self.effects if effect.station == "command")
+
+    def act(self, memory: tuple, u: Control, V: Array, dt: float) -> tuple[tuple, Control]:
+        """What the actuators make of command `u` held over one step `dt` [s] at speed `V` (its mean), and memory."""
+        values, new = self.values(), []
+        commands = [effect for effect in self.effects if effect.station == "command"]
+        for effect, held in zip(commands, memory, strict=True):
+            after, u = effect.apply(held, u, V, dt, values[effect.name])
+            new.append(after)
+        return tuple(new), u
+
+    def sense(self, x: State, dx: State) -> State:
+        """What the sensors tell of `x`, noise apart; `dx` its rate."""
+        values = self.values()
+        for effect in self.effects:
+            if effect.station == "sensor":
+                x = effect.apply(x, dx, values[effect.name])
+        return x
+
+
+def base_car(vehicle: VehicleConfig) -> Car:
+    """The nominal car as `Car`."""
+    one = lambda value: jnp.asarray(value, float)
+    return Car(
+        *map(one, (vehicle.m, vehicle.Iz, vehicle.a, vehicle.b, vehicle.mu, vehicle.mu, vehicle.B, vehicle.B)),
+        *map(one, (vehicle.C, vehicle.C, vehicle.combined_slip**2, 0.0, 0.0)),
+    )
+
+
+def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...]) -> Universal:
+    """The car with these effects, all neutral."""
+    scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
+    return Universal(base_car(vehicle), effects, jnp.asarray(scale), jnp.zeros(len(scale)))
