@@ -1,0 +1,93 @@
+"""Time bases of measured runs: sample time, dropouts, gaps, jitter, thinning."""
+
+import numpy as np
+
+from driftjax.core import BadInput
+
+Channels = dict[str, np.ndarray]
+
+HOLD = 3  # samples for which a missing command is held, and sample times that t may jump within a run
+UNIFORM = 0.01  # deviation of the steps from the sample time up to which nothing is resampled
+JITTER = 0.20  # deviation up to which linear resampling is fair
+SLACK = 0.5  # sample times by which jitter may stretch a gap
+
+
+def sample_time(t: np.ndarray) -> float:
+    """Sample time [s]: mean of the steps of `t` that are no gaps, so that rounded time stamps do no harm."""
+    steps = np.diff(t)
+    middle = float(np.median(steps))
+    return float(f"{np.mean(steps[np.abs(steps - middle) <= SLACK * middle]):.9g}")
+
+
+def jitter(t: np.ndarray, dt: float) -> float:
+    """Deviation of the steps from whole multiples of the sample time that 99 % of them stay within [1]."""
+    steps = np.diff(t) / dt
+    return float(np.quantile(np.abs(steps - np.maximum(np.round(steps), 1)), 0.99))
+
+
+def hold(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """`command` with up to 3 missing samples in a row held, and the rows that then have a value."""
+    there = np.isfinite(command)
+    index = np.arange(len(t))
+    last = np.maximum.accumulate(np.where(there, index, -1))
+    following = np.minimum.accumulate(np.where(there, index, len(t))[::-1])[::-1]
+    since = np.append(t, -np.inf)[last]  # -1, none before, reads the end
+    until = np.append(t, np.inf)[following]
+    held = ~there & (until - since <= (HOLD + 1 + SLACK) * dt)
+    return np.where(held, command[last], command), there | held
+
+
+def pieces(t: np.ndarray, dt: float) -> list[slice]:
+    """Stretches of rows between which t jumps by more than 3 sample times."""
+    cuts = np.flatnonzero(np.diff(t) > (HOLD + SLACK) * dt) + 1
+    edges = [0, *cuts.tolist(), len(t)]
+    return [slice(start, stop) for start, stop in zip(edges, edges[1:], strict=False)]
+
+
+def is_uniform(t: np.ndarray, dt: float) -> bool:
+    """Whether every step of `t` is the sample time within 1 %."""
+    return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
+
+
+def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
+    """Channels at every `dt` from the start: samples that lie there as they are, others between their neighbours.
+
+    Where samples are lost, the channels named in `held` keep their value and the others are missing.
+    """
+    grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + SLACK) + 1)
+    left = np.clip(np.searchsorted(t, grid, side="right") - 1, 0, len(t) - 2)
+    after, before = grid - t[left], t[left + 1] - grid
+    lost = after + before > (1 + SLACK) * dt
+
+    def at_grid(name: str, y: np.ndarray) -> np.ndarray:
+        between = y[left] + np.clip(after / (after + before), 0, 1) * (y[left + 1] - y[left])
+        between = np.where(lost, y[left] if name in held else np.nan, between)
+        return np.where(after <= UNIFORM * dt, y[left], np.where(before <= UNIFORM * dt, y[left + 1], between))
+
+    return grid, {name: at_grid(name, y) for name, y in values.items()}
+
+
+def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int) -> tuple[np.ndarray, Channels]:
+    """Every `factor`-th sample; channels named in `averaged` as their mean from there to the next one kept."""
+    starts = np.arange(0, len(t), factor)
+    counts = np.diff(np.append(starts, len(t)))
+    return t[starts], {
+        name: np.add.reduceat(y, starts) / counts if name in averaged else y[starts] for name, y in values.items()
+    }
+
+
+def thinning(dt: float, rate: float, where: str) -> int:
+    """How many samples of sample time `dt` [s] make one at `rate` [Hz]; raises `BadInput` where none fit."""
+    factor = max(round(1 / (dt * rate)), 1)
+    if abs(factor * dt * rate - 1) > UNIFORM:
+        nearest = f"{1 / dt:.4g}" if factor == 1 else f"{1 / (dt * factor):.4g}"
+        raise BadInput(f"{where}: its {1 / dt:.4g} Hz cannot be thinned to 'rate' {rate:g} Hz; choose {nearest}.")
+    return factor
+
+
+def unwrap(angle: np.ndarray) -> np.ndarray:
+    """`angle` [rad] without jumps of 2 pi; missing values stay missing."""
+    there = np.isfinite(angle)
+    smooth = angle.copy()
+    smooth[there] = np.unwrap(angle[there])
+    return smooth
