@@ -1,0 +1,131 @@
+"""The library of manoeuvres that tell effects apart: drifts, steady and excited, and driving with grip."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.control.lqr import lqr
+from driftjax.core import RESULTS, BadInput
+from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
+from driftjax.sim.record import Manoeuvre
+from driftjax.vehicle.parameters import VehicleConfig
+from driftjax.vehicle.single_track import G
+
+STEER, DRIVE = 0.05, 0.06  # size of the excitation: steering [rad], drive force over weight
+
+
+class Size(NamedTuple):
+    """What makes a manoeuvre the same on any car."""
+
+    length: float  # wheelbase [m]
+    time: float  # sqrt(L / g) [s]
+    speed: float  # sqrt(g L) [m/s]
+    weight: float  # [N]
+
+
+def size(vehicle: VehicleConfig) -> Size:
+    """Units of this car."""
+    length = vehicle.a + vehicle.b
+    return Size(length, (length / G) ** 0.5, (length * G) ** 0.5, vehicle.m * G)
+
+
+def multisine(rng: np.random.Generator, t: np.ndarray, slowest: float, fastest: float, num: int = 5) -> np.ndarray:
+    """Sum of sines with random phases at `num` frequencies [Hz], of unit standard deviation."""
+    frequencies = np.geomspace(slowest, fastest, num) * rng.uniform(0.9, 1.1, num)
+    phases = rng.uniform(0, 2 * np.pi, num)
+    return np.sqrt(2 / num) * np.sum(np.sin(2 * np.pi * np.outer(t, frequencies) + phases), axis=1)
+
+
+def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excited: bool = True) -> Manoeuvre:
+    """A drift on a circle, either way, held by an LQR; where `excited`, steering and drive are wiggled."""
+    unit, nominal, turn = size(vehicle), vehicle.build(), rng.choice([-1.0, 1.0])
+    beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(4.0, 7.0)
+    steady = solve_nominal(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
+    if not bool(steady.result == RESULTS.successful):
+        raise BadInput(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
+    Q = jnp.array([(10 / unit.speed) ** 2, 10.0**2, (5 * unit.time) ** 2])
+    R_u = jnp.array([10.0**2, (5 / unit.weight) ** 2])
+    gain = lqr(nominal, steady.x, steady.u, Q, R_u, jnp.asarray(t[1] - t[0]))
+    wiggle = np.zeros((len(t), 2))
+    if excited:
+        low, high = 0.12 / unit.time, 0.9 / unit.time
+        wiggle[:, 0] = STEER * multisine(rng, t, low, high)
+        wiggle[:, 1] = DRIVE * unit.weight * multisine(rng, t, low / 2, high / 2)
+    x = np.broadcast_to(np.array(jnp.stack(steady.x)), (len(t), 3))
+    return Manoeuvre(jnp.asarray(x), jnp.stack(steady.u) + wiggle, gain.K, jnp.asarray(2 * np.pi * abs(R)))
+
+
+def steady_drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """A drift held as still as noise lets it."""
+    return drift(vehicle, rng, t, excited=False)
+
+
+def _cruise(vehicle: VehicleConfig, speed: np.ndarray, steer: np.ndarray, push: np.ndarray, hold: bool = True):
+    """Open-loop steering [rad] and drive [N] around the speed [m/s] that a feedback holds."""
+    unit = size(vehicle)
+    x = np.stack([speed, np.zeros_like(speed), np.zeros_like(speed)], axis=1)
+    gain = 0.5 * vehicle.m / unit.time if hold else 0.0
+    K = np.array([[0.0, 0.0, 0.0], [gain, 0.0, 0.0]])
+    return Manoeuvre(*map(jnp.asarray, (x, np.stack([steer, push], axis=1), K, 40 * unit.length)))
+
+
+def _steer_for(vehicle: VehicleConfig, speed: float, share: float) -> float:
+    """Steering angle [rad] at which the car corners at `share` of its friction, tyres linear."""
+    return min(share * vehicle.mu * G * (vehicle.a + vehicle.b) / speed**2 * 1.3, 0.5 * vehicle.delta_max)
+
+
+def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Cornering with grip: steering wiggled around zero, drive too."""
+    unit = size(vehicle)
+    speed = unit.speed * rng.uniform(1.8, 2.6)
+    steer = 0.6 * _steer_for(vehicle, speed, 0.6) * multisine(rng, t, 0.12 / unit.time, 0.8 / unit.time)
+    push = 0.12 * unit.weight * multisine(rng, t, 0.06 / unit.time, 0.4 / unit.time)
+    return _cruise(vehicle, np.full(len(t), speed), steer, push)
+
+
+def slalom(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Steering sine whose frequency grows, at a steady speed."""
+    unit = size(vehicle)
+    speed = unit.speed * rng.uniform(1.6, 2.4)
+    slow, fast = 0.1 / unit.time, 0.8 / unit.time
+    phase = 2 * np.pi * (slow * t + (fast - slow) * t**2 / (2 * t[-1]))
+    return _cruise(vehicle, np.full(len(t), speed), _steer_for(vehicle, speed, 0.6) * np.sin(phase), 0 * t)
+
+
+def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Steering steps to both sides and back."""
+    unit = size(vehicle)
+    speed = unit.speed * rng.uniform(1.6, 2.4)
+    levels = rng.permutation(np.array([0.0, 0.7, -0.7, 0.4, -0.4, 0.0]))
+    index = np.minimum((t / t[-1] * len(levels)).astype(int), len(levels) - 1)
+    return _cruise(vehicle, np.full(len(t), speed), _steer_for(vehicle, speed, 0.7) * levels[index], 0 * t)
+
+
+def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Drive and brake in steps while cornering gently."""
+    unit = size(vehicle)
+    speed = unit.speed * rng.uniform(2.0, 2.8)
+    levels = rng.permutation(np.array([0.25, -0.2, 0.15, -0.15, 0.25, -0.25]))
+    index = np.minimum((t / t[-1] * len(levels)).astype(int), len(levels) - 1)
+    steer = _steer_for(vehicle, speed, 0.35) * multisine(rng, t, 0.1 / unit.time, 0.3 / unit.time)
+    return _cruise(vehicle, np.full(len(t), speed), steer, 0.6 * unit.weight * levels[index])
+
+
+def coast_down(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Rolling straight without drive from a high speed."""
+    speed = size(vehicle).speed * rng.uniform(3.0, 4.0)
+    return _cruise(vehicle, np.full(len(t), speed), 0 * t, 0 * t, hold=False)
+
+
+MANOEUVRES: dict[str, Callable[[VehicleConfig, np.random.Generator, np.ndarray], Manoeuvre]] = {
+    "drift": drift,
+    "steady_drift": steady_drift,
+    "grip_sine": grip_sine,
+    "slalom": slalom,
+    "step_steer": step_steer,
+    "throttle_steps": throttle_steps,
+    "coast_down": coast_down,
+}
+RICH = ("drift", "drift", "drift", "drift", "grip_sine", "throttle_steps")  # the standard 60 s

@@ -1,0 +1,90 @@
+"""Which effects the residuals ask for: scores, their test at a family-wise rate, and what they would be worth.
+
+Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
+chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
+Miller 2008).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.runs import Followed
+
+DRAWS = 1999  # of the random signs
+CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
+
+
+class Scores(NamedTuple):
+    """One-parameter tests of everything that is not in the hypothesis yet."""
+
+    H: np.ndarray  # (K, K) information of all parameters
+    blocks: np.ndarray  # (C, K) score of each block
+    T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
+    gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
+    p_value: float  # that chance gives the largest |T|
+
+
+def block_sums(task: Problem, at: Followed) -> tuple[np.ndarray, np.ndarray]:
+    """Information (K, K) and scores by block (C, K)."""
+    e, J = np.asarray(at.e), np.asarray(at.J)
+    H = np.einsum("ptij,ptik->jk", J, J, optimize=True)
+    blocks = np.zeros((task.data.num_blocks, J.shape[-1]))
+    np.add.at(blocks, task.data.block, np.einsum("ptik,pti->ptk", J, e))
+    return H, blocks
+
+
+def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Matrix (K, K) that takes the members `columns` out of scores: effective score = blocks @ it."""
+    P = np.eye(len(H))
+    if len(columns):
+        HS = H[np.ix_(columns, columns)]
+        P[columns] -= np.linalg.solve(HS + 1e-12 * np.trace(HS) * np.eye(len(HS)), H[columns])
+    return P
+
+
+def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, ...], seed: int) -> Scores:
+    """Tests of all effects outside `members` at the fit that `at` belongs to."""
+    H, blocks = block_sums(task, at)
+    columns = task.columns(members)
+    P = partial_out(H, columns)
+    effective, information = blocks @ P, P.T @ H @ P
+    own = np.diag(information) > CONDITION * np.maximum(np.diag(H), 1e-300)
+    own &= np.diag(H) > 0
+    own[columns] = False
+    U, spread = effective.sum(axis=0), np.sqrt((effective**2).sum(axis=0))
+    allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
+    T = np.where(own & allowed, U / np.where(own, spread, 1.0), 0.0)
+    one_sided = own & (task.lower >= theta)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(blocks)))
+    drawn = (signs @ effective)[:, own] / spread[own]
+    drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
+    largest = drawn.max(axis=1, initial=0.0)
+    p_value = (1 + np.sum(largest >= np.abs(T).max(initial=0.0))) / (DRAWS + 1)
+    gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
+    return Scores(H, blocks, T, gains, float(p_value))
+
+
+def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:
+    """Fall of the sum of squares by the best linear step in the parameters of one effect whose sign is allowed."""
+    columns = task.columns((effect,))
+    columns = columns[T[columns] != 0]
+    if effect in members or not len(columns):
+        return 0.0
+    part = H[np.ix_(columns, columns)]
+    return float(U[columns] @ np.linalg.solve(part + 1e-9 * np.trace(part) * np.eye(len(part)), U[columns]))
+
+
+def covariance(task: Problem, at: Followed, columns: np.ndarray) -> np.ndarray:
+    """Covariance of the parameters `columns`, robust to dependence within blocks, never below the model's own.
+
+    Sandwich with the correction C / (C - k) of few clusters (Cameron and Miller 2015, Eq. 12).
+    """
+    H, blocks = block_sums(task, at)
+    inverse = np.linalg.inv(H[np.ix_(columns, columns)])
+    U = blocks[:, columns]
+    C = len(U)
+    robust = inverse @ (U.T @ U) @ inverse * C / max(C - len(columns), 1)
+    scale = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
+    return inverse * np.outer(scale, scale)

@@ -1,0 +1,110 @@
+"""Which effects are named: forward, swap and backward steps between refits of the whole nonlinear model."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.diagnose.fit import Fit, Problem, around, priced, refine
+from driftjax.diagnose.runs import Followed
+from driftjax.diagnose.score import Scores, scores
+
+LEVEL = 0.05  # family-wise rate at which chance may name an effect
+MOST = 4  # effects that one diagnosis may name
+REFITS = 6  # candidates refitted at each step
+WORTH = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
+MATERIAL = 0.08  # size below which an effect is left out, in typical sizes
+
+
+class Step(NamedTuple):
+    """One hypothesis on the way."""
+
+    members: tuple[int, ...]
+    fit: Fit
+    p_value: float  # of the test that let the last member in
+
+
+class Selection(NamedTuple):
+    """What the search ends with."""
+
+    members: tuple[int, ...]
+    fit: Fit
+    at: Followed
+    scores: Scores  # of what is left out
+    p_values: dict[int, float]
+    nominal: Fit
+
+
+def price(task: Problem, fit: Fit, members: tuple[int, ...]) -> float:
+    """Cost of a hypothesis with what its parameters must earn."""
+    return fit.cost + WORTH * len(task.columns(members))
+
+
+def best_of(task: Problem, fit: Fit, members: tuple[int, ...], gain: np.ndarray) -> tuple[tuple, Fit]:
+    """`members` with one more, the one whose refit has the least price; themselves where none earns its keep.
+
+    Candidates by the `gain` (E,) they promise; after one step all but the best three are given up.
+    """
+    worth = gain - WORTH * np.array([len(task.columns((i,))) for i in range(len(gain))])
+    order = [int(i) for i in np.argsort(-worth)[:REFITS] if gain[i] > 0.2 * gain.max()]
+    at = around(task, fit)
+    grown = [(*members, one) for one in order if one not in members]
+    trials = [(refine(task, fit, task.columns(new), at, num=1), new) for new in grown]
+    trials.sort(key=lambda item: price(task, *item))
+    trials = [(refine(task, trial, task.columns(new)), new) for trial, new in trials[:3]]
+    trial, new = min([*trials, (fit, members)], key=lambda item: price(task, *item))
+    return new, trial
+
+
+def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
+    """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each."""
+    members: tuple[int, ...] = ()
+    fit, p_values = start, dict[int, float]()
+    at, left = tested(task, fit, members, seed)
+    while len(members) < MOST and left.p_value < LEVEL:
+        grown, trial = best_of(task, fit, members, left.gain)
+        new, trial = prune(task, *swap(task, grown, trial))
+        if price(task, trial, new) >= price(task, fit, members):
+            break
+        p_values.update({i: left.p_value for i in new if i not in p_values})
+        members, fit = new, trial
+        at, left = tested(task, fit, members, seed + len(members))
+    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, start)
+
+
+def tested(task: Problem, fit: Fit, members: tuple[int, ...], seed: int) -> tuple[Followed, Scores]:
+    """The fit linearised, and the tests of all that it leaves out."""
+    at = around(task, fit)
+    return at, scores(task, at, fit.theta, members, seed)
+
+
+def without(task: Problem, fit: Fit, members: tuple[int, ...], gone: int) -> tuple[tuple[int, ...], Fit]:
+    """The hypothesis refitted without the effect `gone`."""
+    theta, rest = fit.theta.copy(), tuple(i for i in members if i != gone)
+    theta[task.columns((gone,))] = 0.0
+    return rest, refine(task, priced(task, theta), task.columns(rest))
+
+
+def swap(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
+    """Each earlier member in turn gives way to the outsider that suits its place best, where that lowers the price."""
+    for old in members[:-1]:
+        rest, base = without(task, fit, members, old)
+        _, left = tested(task, base, rest, 0)
+        new, trial = best_of(task, base, rest, left.gain)
+        if price(task, trial, new) < price(task, fit, members) - 1.0:
+            members, fit = new, trial
+    return members, fit
+
+
+def prune(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
+    """Members that are immaterial or not worth their parameters are taken out, the least worth first."""
+    while len(members) > 1:
+        trials = []
+        for one in members:
+            rest, trial = without(task, fit, members, one)
+            small = np.abs(fit.theta[task.columns((one,))]).max() < MATERIAL
+            trials.append((-np.inf if small else price(task, trial, rest), rest, trial))
+        loss, rest, trial = min(trials, key=lambda item: item[0])
+        if loss >= price(task, fit, members):
+            break
+        members, fit = rest, trial
+    return members, fit
