@@ -5,13 +5,15 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from driftjax.control.lqr import lqr
 from driftjax.core import RESULTS, BadInput
+from driftjax.core.programs import call
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
 from driftjax.sim.record import Manoeuvre
 from driftjax.vehicle.parameters import VehicleConfig
-from driftjax.vehicle.single_track import G
+from driftjax.vehicle.single_track import G, SingleTrack
 
 STEER, DRIVE = 0.05, 0.06  # size of the excitation: steering [rad], drive force over weight
 
@@ -38,23 +40,28 @@ def multisine(rng: np.random.Generator, t: np.ndarray, slowest: float, fastest: 
     return np.sqrt(2 / num) * np.sum(np.sin(2 * np.pi * np.outer(t, frequencies) + phases), axis=1)
 
 
+def _hold(nominal: SingleTrack, at: Array, Q: Array, R_u: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
+    """State and input of the drift with slip and radius `at`, the LQR's gain there, and whether there is one."""
+    steady = solve_nominal(nominal, SlipRadius(at[0], at[1]), branch=Branch.COUNTERSTEER)
+    gain = lqr(nominal, steady.x, steady.u, Q, R_u, dt)
+    return jnp.stack(steady.x), jnp.stack(steady.u), gain.K, steady.result == RESULTS.successful
+
+
 def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excited: bool = True) -> Manoeuvre:
     """A drift on a circle, either way, held by an LQR; where `excited`, steering and drive are wiggled."""
     unit, nominal, turn = size(vehicle), vehicle.build(), rng.choice([-1.0, 1.0])
-    beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(4.0, 7.0)
-    steady = solve_nominal(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
-    if not bool(steady.result == RESULTS.successful):
-        raise BadInput(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
+    beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(3.5, 9.0)
     Q = jnp.array([(10 / unit.speed) ** 2, 10.0**2, (5 * unit.time) ** 2])
     R_u = jnp.array([10.0**2, (5 / unit.weight) ** 2])
-    gain = lqr(nominal, steady.x, steady.u, Q, R_u, jnp.asarray(t[1] - t[0]))
+    x, u, K, found = call(_hold, nominal, jnp.array([beta, R]), Q, R_u, jnp.asarray(t[1] - t[0]))
+    if not found:
+        raise BadInput(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
     wiggle = np.zeros((len(t), 2))
     if excited:
         low, high = 0.12 / unit.time, 0.9 / unit.time
         wiggle[:, 0] = STEER * multisine(rng, t, low, high)
         wiggle[:, 1] = DRIVE * unit.weight * multisine(rng, t, low / 2, high / 2)
-    x = np.broadcast_to(np.array(jnp.stack(steady.x)), (len(t), 3))
-    return Manoeuvre(jnp.asarray(x), jnp.stack(steady.u) + wiggle, gain.K, jnp.asarray(2 * np.pi * abs(R)))
+    return Manoeuvre(jnp.broadcast_to(x, (len(t), 3)), u + wiggle, K, jnp.asarray(2 * np.pi * abs(R)))
 
 
 def steady_drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
@@ -79,7 +86,7 @@ def _steer_for(vehicle: VehicleConfig, speed: float, share: float) -> float:
 def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Cornering with grip: steering wiggled around zero, drive too."""
     unit = size(vehicle)
-    speed = unit.speed * rng.uniform(1.8, 2.6)
+    speed = unit.speed * rng.uniform(2.2, 4.2)
     steer = 0.6 * _steer_for(vehicle, speed, 0.6) * multisine(rng, t, 0.12 / unit.time, 0.8 / unit.time)
     push = 0.12 * unit.weight * multisine(rng, t, 0.06 / unit.time, 0.4 / unit.time)
     return _cruise(vehicle, np.full(len(t), speed), steer, push)
@@ -106,10 +113,10 @@ def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) 
 def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Drive and brake in steps while cornering gently."""
     unit = size(vehicle)
-    speed = unit.speed * rng.uniform(2.0, 2.8)
-    levels = rng.permutation(np.array([0.25, -0.2, 0.15, -0.15, 0.25, -0.25]))
+    speed = unit.speed * rng.uniform(2.0, 3.6)
+    levels = rng.permutation(np.array([0.25, -0.2, 0.15, -0.1, 0.2, -0.15, 0.0]))
     index = np.minimum((t / t[-1] * len(levels)).astype(int), len(levels) - 1)
-    steer = _steer_for(vehicle, speed, 0.35) * multisine(rng, t, 0.1 / unit.time, 0.3 / unit.time)
+    steer = _steer_for(vehicle, speed, 0.25) * multisine(rng, t, 0.1 / unit.time, 0.3 / unit.time)
     return _cruise(vehicle, np.full(len(t), speed), steer, 0.6 * unit.weight * levels[index])
 
 

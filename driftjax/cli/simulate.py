@@ -1,0 +1,128 @@
+"""`driftjax simulate`: a log of a car with known effects, and the truth beside it."""
+
+import dataclasses
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+import yaml
+
+from driftjax.cli.console import default_out, peek, typed, within
+from driftjax.control.campaign import Campaign, Truth, record_runs
+from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder, write_log
+from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle.effect import EFFECTS, effects_named
+
+OWN = ("vehicle", "combined_slip", "effects")  # keys beside those of Campaign
+FILES = ("log.csv", "truth.yaml")
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulate:
+    """Drive manoeuvres on a car with any effects: log.csv in the log format, and truth.yaml, which it does not tell."""
+
+    options: Annotated[Campaign, tyro.conf.arg(name="")] = Campaign()
+    vehicle: Path = Path("sedan")
+    """Base car: a shipped name or a vehicle YAML."""
+    combined_slip: float = 1.0
+    """Of the base car: 1 a friction circle; 0, as published, holds no drift within its force limits [-]."""
+    effects: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An effect of the catalogue: NAME.PARAMETER=VALUE in SI units, such as load_transfer_long.h=0.5, or NAME=2 for
+    all its parameters at 2 typical sizes. One per flag, added to those of the file; the last one counts."""
+    config: Path | None = None
+    """YAML file of options, where they differ from the defaults."""
+    out: Path | None = None
+    """Output folder; runs/simulate-VEHICLE-TIME where left out."""
+
+
+def run(argv: list[str]) -> int:
+    """Drive, write."""
+    early, _ = peek(argv, "config")
+    typed_in = typed(Simulate, argv, "driftjax simulate", defaults(early["config"]))
+    vehicle = load_vehicle(typed_in.vehicle)
+    try:
+        vehicle = dataclasses.replace(vehicle, combined_slip=typed_in.combined_slip)
+    except BadInput as error:
+        raise BadInput(f"flags: {error}") from None
+    theta = strengths(vehicle, typed_in.effects)
+    out = typed_in.out or default_out("simulate", vehicle.name)
+    for name in FILES:
+        if (out / name).exists():
+            raise BadInput(f"{out / name}: exists already; give another --out.")
+    options = {key: to_dict(typed_in)[key] for key in OWN} | to_dict(typed_in.options)
+    folder = RunFolder.create(out, options, "simulate")
+    print(f"driving {len(typed_in.options.manoeuvres)} runs of {typed_in.options.duration:g} s on {vehicle.name}",
+          flush=True)  # fmt: skip
+    return within(folder, lambda: work(vehicle, theta, typed_in, folder))
+
+
+def defaults(file: str | None) -> Simulate:
+    """The options of the YAML `file` over those of the verb."""
+    written = read_yaml(Path(file)) if file else {}
+    own = {key: written.pop(key) for key in OWN if key in written}
+    options = from_dict(Campaign, written, file or "defaults")
+    return dataclasses.replace(from_dict(Simulate, own, file or "defaults"), options=options)
+
+
+def strengths(vehicle: VehicleConfig, words: tuple[str, ...]) -> np.ndarray:
+    """Every parameter of the catalogue in typical sizes, from words `name.parameter=value` (SI) and `name=sizes`."""
+    each = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in effect.parameters]
+    theta = np.zeros(len(each))
+    for word in words:
+        target, _, number = word.partition("=")
+        name, _, which = target.partition(".")
+        (effect,) = effects_named((name,))
+        known = ", ".join(one.name for one in effect.parameters)
+        if which and which not in known.split(", "):
+            raise BadInput(f"effect '{word}': {name} has no parameter '{which}'; it has {known}.")
+        value = _number(number, word)
+        for i, (owner, parameter) in enumerate(each):
+            if owner == name and (not which or parameter.name == which):
+                scale = parameter.scale(vehicle) if which else 1.0
+                lower, upper = parameter.lower * scale, parameter.upper * scale
+                if not lower <= value <= upper:
+                    unit = (parameter.unit if parameter.unit != "1" else "") if which else "typical sizes"
+                    raise BadInput(f"effect '{word}': the value lies in {lower:.4g}..{upper:.4g} {unit}".rstrip() + ".")
+                theta[i] = value / scale
+    return theta
+
+
+def _number(text: str, word: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInput(f"effect '{word}': there is no number; write name.parameter=value in SI, or name=typical sizes.")
+    return value
+
+
+def work(vehicle: VehicleConfig, theta: np.ndarray, typed_in: Simulate, folder: RunFolder) -> int:
+    """Log and truth into `folder`; 1 where no run is left."""
+    runs, truth = record_runs(vehicle, theta, typed_in.options)
+    text = yaml.safe_dump(described(truth, typed_in), sort_keys=False, allow_unicode=True)
+    write_atomically(folder.path / "truth.yaml", lambda p: p.write_text(text, encoding="utf-8"))
+    for name in truth.left_out:
+        print(f"{name}: the car spun or came to a stop in every draw; the run was left out.")
+    if not runs:
+        print("driftjax simulate: the car spun or came to a stop in every run; weaken the effects or the noise.",
+              file=sys.stderr)  # fmt: skip
+        return 1
+    write_log(folder.path / "log.csv", runs)
+    print(f"log: {folder.path / 'log.csv'}, {len(runs)} runs\ntruth: {folder.path / 'truth.yaml'}")
+    return 0
+
+
+def described(truth: Truth, typed_in: Simulate) -> dict:
+    """What truth.yaml holds, SI."""
+    options = typed_in.options
+    return {
+        "vehicle": str(typed_in.vehicle), "combined_slip": typed_in.combined_slip, "seed": options.seed,
+        "effects": truth.effects, "noise": truth.noise, "process_noise": truth.process_noise,
+        "dropouts": options.dropouts, "outliers": options.outliers, "left_out": list(truth.left_out),
+    }  # fmt: skip

@@ -1,0 +1,76 @@
+"""How sure a name is: intervals of its parameters, and the probability that it rather than a rival acts."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from driftjax.diagnose.fit import Problem, normal
+from driftjax.diagnose.score import covariance, partial_out
+from driftjax.diagnose.select import WORTH, Selection, price, tested, without
+
+RIVAL = 0.01  # probability from which a rival is worth telling of
+ALIKE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
+
+
+class Cause(NamedTuple):
+    """One named effect."""
+
+    effect: int
+    theta: np.ndarray  # (k,) in typical sizes
+    half_width: np.ndarray  # (k,) of the 95 % interval
+    probability: float
+    rivals: dict[int, float]  # effects that might act in its place, with their probabilities
+    alike: tuple[int, ...]  # effects whose signature is nearly the same
+
+
+def causes(task: Problem, found: Selection) -> list[Cause]:
+    """Every named effect with its interval, its probability and its rivals."""
+    columns = task.columns(found.members)
+    if not len(columns):
+        return []
+    spread = np.sqrt(np.diag(covariance(task, found.at, columns)))
+    quantile = student.ppf(0.975, max(task.data.num_blocks - len(columns), 1))
+    each = []
+    for member in found.members:
+        own = task.columns((member,))
+        at = np.searchsorted(columns, own)
+        probability, rivals = odds(task, found, member)
+        alike = confusable(task, found, member)
+        each.append(Cause(member, found.fit.theta[own], quantile * spread[at], probability, rivals, alike))
+    return each
+
+
+def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int, float]]:
+    """Probability of `member` in its place among all effects, and of the rivals above `RIVAL`.
+
+    Each hypothesis weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978); a rival's price
+    is that of its best linear step, which flatters no one but hardly any rival either.
+    """
+    rest, base = without(task, found.fit, found.members, member)
+    _, left = tested(task, base, rest, 0)
+    prices = np.full(len(task.effects), np.inf)
+    for i in range(len(prices)):
+        if i not in rest and left.gain[i] > 0:
+            prices[i] = base.cost - left.gain[i] + WORTH * len(task.columns((*rest, i)))
+    prices[member] = price(task, found.fit, found.members)
+    weight = np.exp(-0.5 * (prices - prices.min()))
+    share = weight / weight.sum()
+    rivals = {i: float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL}
+    return float(share[member]), rivals
+
+
+def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
+    """Effects whose signature in these data, all other members apart, is nearly that of `member`."""
+    H, _ = normal(found.at)
+    P = partial_out(H, task.columns(tuple(i for i in found.members if i != member)))
+    own, H = task.columns((member,)), P.T @ H @ P
+    alike = []
+    for i in range(len(task.effects)):
+        columns = task.columns((i,))
+        if i in found.members or len(columns) > 1 or len(own) > 1:
+            continue
+        size = np.sqrt(H[own[0], own[0]] * H[columns[0], columns[0]])
+        if size > 0 and abs(H[own[0], columns[0]]) > ALIKE * size:
+            alike.append(i)
+    return tuple(alike)

@@ -1,0 +1,44 @@
+"""What a log holds of a recording: places measured with noise, outliers, dropouts."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from driftjax.data import Run
+from driftjax.sim.record import Recording
+
+LOST = 5  # mean length of a dropout [samples]
+OUTLIER = (10.0, 30.0)  # size of outliers, over the typical noise
+
+
+class Flaws(NamedTuple):
+    """What is wrong with a log beside the noise of V, beta, r."""
+
+    dropouts: float  # share of samples in which V, beta and r are missing
+    outliers: float  # share of their values that are off
+    typical: Float[np.ndarray, "3"]  # noise of V, beta, r that sizes outliers
+    metres: float  # standard deviation of x, y, s [m]
+    heading: float  # standard deviation of psi [rad]
+
+
+def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: np.random.Generator) -> Run:
+    """The recording of a run as a log with samples every `dt` [s]; s counts the metres of each `lap` [m] anew."""
+    y, num = np.array(one.y), len(one.y)
+    off = rng.uniform(*OUTLIER, y.shape) * rng.choice([-1.0, 1.0], y.shape) * flaws.typical
+    y += np.where(rng.uniform(size=y.shape) < flaws.outliers, off, 0.0)
+    V, beta, r = np.where(dropouts(rng, num, flaws.dropouts)[:, None], np.nan, y).T
+    V = np.maximum(V, 0.0)  # a speed is never negative
+    delta, Fxr = np.array(one.command).T
+    x, y, s = np.stack([*one.position.T, lap * one.place.s]) + flaws.metres * rng.standard_normal((3, num))
+    psi = np.asarray(one.place.psi) + flaws.heading * rng.standard_normal(num)
+    extra = {"x": x, "y": y, "psi": psi, "s": np.clip(s, 0.0, lap)}
+    return Run(name, np.arange(num) * dt, V, beta, r, delta, Fxr, dt, extra)
+
+
+def dropouts(rng: np.random.Generator, num: int, share: float) -> np.ndarray:
+    """Which of `num` samples are lost: `share` of them, in stretches of `LOST` on average; never the first."""
+    u, lost = rng.uniform(size=num), np.zeros(num, bool)
+    for i in range(1, num):
+        lost[i] = u[i] < (1 - 1 / LOST if lost[i - 1] else share / (1 - share) / LOST)
+    return lost
