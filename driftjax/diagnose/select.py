@@ -97,7 +97,7 @@ def swap(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, 
 
 def prune(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
     """Members that are immaterial or not worth their parameters are taken out, the least worth first."""
-    while len(members) > 1:
+    while members:
         trials = []
         for one in members:
             rest, trial = without(task, fit, members, one)
