@@ -1,0 +1,44 @@
+"""Orders of convergence of the fixed-step integrators, and the first-order lag against its closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.core import lag_step, rk4_step
+from driftjax.core.integrate import heun_step
+
+
+def pendulum(step, num):
+    """Angle and rate at t = 2 s of a driven pendulum, in `num` steps; time is part of the state."""
+    rate = lambda x: {"angle": x["rate"], "rate": -jnp.sin(x["angle"]) + 0.5 * jnp.cos(x["t"]), "t": jnp.ones(())}
+    x = {"angle": jnp.asarray(1.0), "rate": jnp.zeros(()), "t": jnp.zeros(())}
+    x = jax.lax.fori_loop(0, num, lambda _, x: step(rate, x, 2.0 / num), x)
+    return np.array([x["angle"], x["rate"]])
+
+
+@pytest.mark.parametrize(("step", "order"), [(heun_step, 2), (rk4_step, 4)], ids=["heun", "rk4"])
+def test_order_of_convergence(step, order):
+    exact = pendulum(rk4_step, 1000)
+    errors = [np.abs(pendulum(step, num) - exact).max() for num in (10, 20, 40)]
+    assert errors[-1] > 1e-9  # well above rounding, or the order says nothing
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), order, atol=0.35)
+
+
+@pytest.mark.parametrize("lag", [0.003, 0.08, 2.0])
+def test_lag_is_that_of_the_differential_equation(lag):
+    dt, start, target = 0.05, 0.4, -1.2
+    t = np.linspace(0, dt, 20001)
+    course = target + (start - target) * np.exp(-t / lag)
+    mean, end = lag_step(*map(jnp.asarray, (start, target, lag, dt)))
+    np.testing.assert_allclose(mean, np.trapezoid(course, t) / dt, atol=1e-6)
+    np.testing.assert_allclose(end, course[-1], atol=1e-14)
+
+
+def test_no_lag_is_the_target_with_the_slope_of_a_small_one():
+    dt, start, target = 0.05, 0.4, -1.2
+    step = lambda lag: jnp.stack(lag_step(jnp.asarray(start), jnp.asarray(target), lag, jnp.asarray(dt)))
+    np.testing.assert_array_equal(step(jnp.zeros(())), target)
+    slope = jax.jacfwd(step)(jnp.zeros(()))
+    small = (step(jnp.asarray(1e-4)) - target) / 1e-4
+    np.testing.assert_allclose(slope, small, rtol=1e-9, atol=1e-12)

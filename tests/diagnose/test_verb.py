@@ -1,0 +1,94 @@
+"""`driftjax diagnose` from the shell: a hidden effect found, data that say nothing, one sentence for bad input."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnose.recorded import NAMES, hidden, recorded
+
+from driftjax.cli import main
+from driftjax.data import Run, write_log
+from driftjax.vehicle.effect import EFFECTS
+
+OTHERS = [name for name in EFFECTS if name not in NAMES]
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """Every test works in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def hidden_lag():
+    """Runs of a sedan whose steering lags by a typical time."""
+    return recorded(hidden(steer_lag=1.0), 5, 6)
+
+
+def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden_lag, capsys):
+    write_log(Path("log.csv"), hidden_lag)
+    asked = ["log.csv", "--combined-slip", "1", "--out", "found", "--without", *OTHERS]
+    assert main(["diagnose", *asked]) == 0
+    told = json.loads(Path("found/diagnosis.json").read_text())
+    assert (told["schema"], told["verdict"]) == (1, "NAMED")
+    assert [cause["effect"] for cause in told["causes"]] == ["steer_lag"]
+    found = told["causes"][0]["parameters"]["tau"]
+    true = next(p for p in EFFECTS["steer_lag"].parameters).typical * (3.05 / 9.81) ** 0.5
+    assert found["unit"] == "s" and found["value"] == pytest.approx(true, rel=0.1)
+    gain = told["gain"]
+    names = [run.name for run in hidden_lag]
+    assert gain["held_out_runs"] == names[2::3]
+    assert gain["skill"]["extended"] > 0.8 and gain["ci95"]["extended"][0] > 0
+    assert gain["skill"]["extended"] > gain["skill"]["retuned"]
+    car = yaml.safe_load(Path("found/extended.yaml").read_text())
+    assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(found["value"])
+    out = capsys.readouterr().out
+    assert "NAMED: The steering lags behind its command" in out and "extended" in out
+    assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
+
+
+def test_two_seconds_of_data_say_nothing(capsys):
+    t = np.arange(200) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    assert main(["diagnose", "short.csv", "--out", "short"]) == 0
+    told = json.loads(Path("short/diagnosis.json").read_text())
+    assert told["verdict"] == "DATA_INSUFFICIENT" and told["causes"] == []
+    assert "2.0 s" in told["sentence"] and "2.0 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: [row[:2] + row[3:] for row in rows], ("log.csv", "beta")),
+        (lambda rows: [rows[0], *[[*row[:2], str(57.3 * float(row[2])), *row[3:]] for row in rows[1:]]], ("degrees",)),
+        (lambda rows: rows[:50] + rows[40:], ("log.csv", "t")),
+        (lambda rows: [rows[0], [rows[1][0], "fast", *rows[1][2:]], *rows[2:]], ("log.csv", "fast")),
+    ],
+)
+def test_a_bad_log_is_one_sentence_and_leaves_nothing(change, words, capsys):
+    t = np.arange(600) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("log.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    with open("log.csv", newline="") as file:
+        rows = list(csv.reader(file))
+    with open("log.csv", "w", newline="") as file:
+        csv.writer(file).writerows(change(rows))
+    assert main(["diagnose", "log.csv", "--out", "out"]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and all(word in told[0] for word in words)
+    assert not Path("out").exists()
+
+
+def test_an_unknown_effect_and_a_missing_log_are_bad_input(capsys):
+    assert main(["diagnose", "none.csv"]) == 2
+    assert "none.csv" in capsys.readouterr().err
+    t = np.arange(600) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("log.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    assert main(["diagnose", "log.csv", "--without", "magic"]) == 2
+    assert "magic" in capsys.readouterr().err

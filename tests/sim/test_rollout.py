@@ -1,0 +1,185 @@
+"""Steps of the universal car: the nominal one without effects, lags by hand, and derivatives by another route."""
+
+import functools
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.core import Control, State, rk4_step
+from driftjax.sim.rollout import SETTLE, Felt, acting, advance, begin, move, settled, told
+from driftjax.sim.sensitivity import move_with_derivatives
+from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.effect import Place, effects_named
+from driftjax.vehicle.universal import Universal, universal
+
+NUM, DT = 12, 0.01
+BENT = (  # every lag, and effects of every station that a step runs through
+    "friction_rear sliding_friction load_sensitivity load_transfer_long combined_slip relaxation_length mass cog_shift "
+    "roll_lag roll_steer side_wind drive_split"
+).split()
+QUICK = {"xla_disable_hlo_passes": "fusion"}  # compiles several times faster
+STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
+
+
+def car_with(car="sedan", **found) -> Universal:
+    """The car with these effects of one parameter each, SI."""
+    model = universal(load_vehicle(car), effects_named(tuple(found)))
+    values = jnp.array([float(found[effect.name]) for effect in model.effects])
+    return eqx.tree_at(lambda m: m.theta, model, values / model.scale)
+
+
+def without_grip(model: Universal) -> Universal:
+    """The car on ice so smooth that nothing pushes it: it goes on straight."""
+    return eqx.tree_at(lambda m: (m.base.muf, m.base.mur), model, (jnp.asarray(1e-13), jnp.asarray(1e-13)))
+
+
+@functools.cache
+def rich():
+    """States with what is felt (NUM, 6), commands and places: sliding and gripping, driven and braked."""
+    rng, vehicle = np.random.default_rng(5), load_vehicle("sedan")
+    between = lambda low, high: rng.uniform(low, high, NUM)
+    x = [between(5, 20), between(-0.6, 0.6), between(-1.0, 1.0)]
+    felt = [between(-0.4, 0.4), between(-0.4, 0.4), between(-8, 8)]
+    u = [between(-0.4, 0.4), vehicle.Fxr_max * between(-0.5, 0.8)]
+    place = Place(*map(jnp.asarray, (between(0, 60), between(-3, 3), between(0, 1), between(0, 0.3))))
+    return jnp.asarray(np.stack(x + felt, axis=1)), jnp.asarray(np.stack(u, axis=1)), place
+
+
+@functools.cache
+def bent() -> Universal:
+    """The sedan with many effects at once, lags included, at sizes met in practice."""
+    model = universal(load_vehicle("sedan"), effects_named(tuple(BENT)))
+    lower = np.array([parameter.lower for effect in model.effects for parameter in effect.parameters])
+    rng = np.random.default_rng(6)
+    sign = np.where(lower == 0, 1.0, rng.choice([-1.0, 1.0], len(lower)))
+    return eqx.tree_at(lambda m: m.theta, model, jnp.asarray(sign * rng.uniform(0.4, 1.2, len(lower))))
+
+
+@pytest.mark.parametrize("combined_slip", [0.0, 1.0])
+def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
+    vehicle = replace(load_vehicle("sedan"), combined_slip=combined_slip)
+    model, nominal = eqx.tree_at(lambda m: m.theta, bent(), jnp.zeros_like(bent().theta)), vehicle.build()
+    model = eqx.tree_at(lambda m: m.base, model, universal(vehicle, ()).base)
+    z, u, place = rich()
+    found = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT))))(z, u, place)
+
+    def one(z, u):
+        control = Control(u[0], u[1])
+        x = rk4_step(lambda x: nominal(x, control), State(z[0], z[1], z[2]), DT)
+        return jnp.stack([*x, *nominal.slip_angles(x, control)])
+
+    expected = jax.jit(jax.vmap(one))(z, u)
+    np.testing.assert_allclose(found[:, :5], expected, rtol=1e-12, atol=1e-13)  # tyres feel the slip there is
+
+
+def steered(model, delta, num, V=10.0, beta=0.1, r=0.0, place=STILL, dt=DT):
+    """State and what is felt (num + 1, 6) after the steering jumps from 0 to `delta`."""
+    z0 = begin(model, jnp.array([V, beta, r]), jnp.zeros(2), place)
+    on = lambda z, _: (lambda z: (z, z))(move(model, z, jnp.array([delta, 0.0]), place, jnp.asarray(dt)))
+    return np.concatenate([z0[None], jax.jit(lambda z: jax.lax.scan(on, z, length=num)[1])(z0)])
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.05])
+def test_slip_settles_over_the_relaxation_length(dt):
+    sigma, V, beta, delta, num = 0.6, 10.0, 0.1, 0.2, 30
+    found = steered(without_grip(car_with(relaxation_length=sigma)), delta, num, V, beta, dt=dt)
+    np.testing.assert_allclose(found[:, :3], np.tile([V, beta, 0.0], (num + 1, 1)), atol=1e-11)
+    away = np.exp(-V * dt * np.arange(1, num + 1) / sigma)
+    np.testing.assert_allclose(found[0, 3:5], beta, atol=1e-11)
+    np.testing.assert_allclose(found[1:, 3], beta - delta + delta * away, atol=1e-11)
+    np.testing.assert_allclose(found[1:, 4], beta, atol=1e-11)
+
+
+def test_slip_that_moves_evenly_is_felt_late_by_the_time_of_the_relaxation():
+    sigma, V, r, dt, num = 0.4, 10.0, 0.02, 0.02, 40  # turning on the spot without grip: slip grows at about r
+    model = without_grip(car_with(relaxation_length=sigma))
+    start = begin(model, jnp.array([V, 0.0, r]), jnp.zeros(2), STILL)
+    on = lambda z, _: (lambda z: (z, z))(move(model, z, jnp.zeros(2), STILL, jnp.asarray(dt)))
+    found = np.asarray(jax.lax.scan(on, start, length=num)[1])
+    slip = np.stack([found[:, 1] + a * r / V for a in (1.4, -1.65)], axis=1)
+    np.testing.assert_allclose(found[:, 3:5], slip + r * sigma / V, atol=2e-6)  # of 8e-4 by which it is late
+
+
+def test_roll_follows_the_lateral_acceleration():
+    tau, dt, num = 0.15, 0.01, 200
+    model = car_with(roll_lag=tau)
+    found = steered(model, 0.02, num, V=12.0, beta=0.0, dt=dt)
+    nominal = load_vehicle("sedan").build()
+    steady = nominal(State(*map(jnp.asarray, found[-1, :3])), Control(jnp.asarray(0.02), jnp.asarray(0.0)))
+    np.testing.assert_allclose(found[-1, 5], found[-1, 0] * (found[-1, 2] + float(steady.beta)), rtol=0.01)
+    first = float(found[1, 5] / (1 - np.exp(-dt / tau)))  # the acceleration that the jump of the front force gives
+    side = nominal.tyre.lateral(jnp.asarray(-0.02), nominal.Fzf) / nominal.m
+    np.testing.assert_allclose(first, side * np.cos(0.02), rtol=1e-6)
+
+
+def test_what_is_felt_forgets_where_it_began():
+    model, (z, u, place) = bent(), rich()
+    at = jax.tree.map(lambda a: a[0], place)
+    x, control = State(z[0, 0], z[0, 1], z[0, 2]), Control(u[0, 0], u[0, 1])
+    apart = [settled(model, x, control, at), Felt(z[1, 3:5], z[1, 5])]
+
+    def on(felts, _):
+        states = [advance(model, x, felt, control, at, jnp.asarray(1e-4))[1] for felt in felts]
+        return states, None
+
+    one, other = jax.lax.scan(on, apart, length=20000)[0]  # the state held, what is felt moving: 2 s
+    np.testing.assert_allclose(jnp.stack([*one.slip, one.ay]), jnp.stack([*other.slip, other.ay]), rtol=1e-4, atol=1e-6)
+
+
+def test_steps_with_lags_converge():
+    model = car_with(relaxation_length=0.5, roll_lag=0.12)
+    ends = [steered(model, 0.08, num, V=15.0, dt=0.6 / num)[-1] for num in (30, 60, 120, 30 * 40)]
+    scale = np.abs(ends[-1]) + np.array([0, 0.01, 0.01, 0.01, 0.01, 0.1])
+    errors = [np.abs((end - ends[-1]) / scale).max() for end in ends[:-1]]
+    assert errors[0] < 0.02
+    assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.07, 0.3])
+def test_lagging_steering_is_that_of_the_differential_equation(tau):
+    rng, num, lead = np.random.default_rng(2), 60, round(SETTLE / DT)
+    jumps = np.zeros(lead + num)
+    jumps[[0, lead, lead + 7, lead + 30]] = [0.1, *rng.uniform(-0.3, 0.3, 3)]
+    commands = np.stack([np.cumsum(jumps), np.full(lead + num, 500.0)], axis=1)
+    found = acting(car_with(steer_lag=tau), jnp.asarray(commands), jnp.full(lead + num, 10.0), DT)
+    k = np.arange(lead + num)  # mean over step k of the response 1 - exp(-t / tau) to a jump at its begin
+    response = 1 - np.exp(-k * DT / tau) * (1 - np.exp(-DT / tau)) * tau / DT
+    np.testing.assert_allclose(found[:, 0], np.convolve(jumps, response)[: lead + num], atol=1e-12)
+    np.testing.assert_array_equal(found[:, 1], 500.0)
+
+
+def test_actuators_have_forgotten_their_start_after_settling():
+    model = car_with(steer_lag=0.14, steer_delay=0.1, drive_lag=0.16)
+    lead = round(SETTLE / DT)
+    rest = jnp.tile(jnp.array([[0.3, 2000.0]]), (lead + 2, 1))
+    found = acting(model, rest, jnp.full(lead + 2, 10.0), DT)
+    np.testing.assert_allclose(found[lead:], rest[lead:], rtol=3e-3)
+
+
+def test_sensors_tell_the_yaw_rate_with_its_bias():
+    model = car_with(gyro_bias=0.03)
+    found = told(model, jnp.array([10.0, -0.3, 0.5]), jnp.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(found, [10.0, -0.3, 0.53], rtol=1e-14)
+
+
+def test_derivatives_of_a_step_are_those_of_forward_mode():
+    model, (z, u, place) = bent(), rich()
+    assert float(model.car.relaxation) > 0.1 and float(model.car.roll_lag) > 0.05
+
+    def both(z, u, place):
+        def f(z, u, theta):
+            return move(eqx.tree_at(lambda m: m.theta, model, theta), z, u, place, jnp.asarray(DT))
+
+        by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2))(z, u, model.theta), axis=1)
+        return f(z, u, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT))
+
+    value, exact, found = jax.jit(jax.vmap(both), compiler_options=QUICK)(z, u, place)
+    np.testing.assert_allclose(found.value, value, rtol=1e-12, atol=1e-13)
+    largest = np.abs(exact).max(axis=0)  # (6, 8 + K)
+    assert (largest.max(axis=0) > 0).all()  # a column of zeros would tell nothing
+    largest = np.where(largest > 0, largest, 1.0)
+    np.testing.assert_allclose(found.by / largest, exact / largest, atol=1e-10)
