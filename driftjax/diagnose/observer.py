@@ -52,6 +52,11 @@ class Path(NamedTuple):
     u: Float[Array, "T 2"]  # commands acting
 
 
+def driven(seen: Float[Array, "T 3"]) -> Array:
+    """Whether a sample (T,) is one of the run: what follows its last measurement is padding, where nothing moves."""
+    return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(seen, axis=1)))) > 0
+
+
 def _felt_shift(model: Universal, x: Array, after: Array, u: Array) -> Array:
     """Change of what the tyres feel when the state is corrected from `x` to `after` (3,)."""
     slip = lambda v: jnp.stack(model.car.nominal.slip_angles(State(v[0], v[1], v[2]), Control(u[0], u[1])))
@@ -68,7 +73,7 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
 
     def on(carry, row):
         z, d, last = carry
-        u, place, y, seen, L = row
+        u, place, y, seen, L, alive = row
         e = seen * (y - told(model, z[:3], (z[:3] - last) / step))
         update = L @ e
         x = z[:3] + update[:3]
@@ -78,10 +83,11 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
         state, felt = State(x[0], x[1], x[2]), Felt(after[3:5], after[5])
         moved, felt = advance(model, state, felt, Control(u[0], u[1]), place, step, State(d[0], d[1], d[2]))
         ahead = jnp.concatenate([jnp.stack(moved), felt.slip, felt.ay[None]])
-        return (ahead, gains.left * d, x), (e, after, z, (z[:3] - last) / step)
+        next_one = jnp.where(alive, ahead, z), jnp.where(alive, gains.left * d, d), jnp.where(alive, x, last)
+        return next_one, (e, jnp.where(alive, after, z), z, (z[:3] - last) / step)
 
     first = z, jnp.zeros(3), z[:3]
-    e, z, predicted, rate = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L))[1]
+    e, z, predicted, rate = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
     return Path(e, z, predicted, rate, u)
 
 
@@ -93,7 +99,7 @@ def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Ar
     Q = jnp.block([[zero, zero], [zero, (1 - left**2) * grown]])
 
     def on(P, row):
-        A, seen = row
+        A, seen, alive = row
         H = jnp.concatenate([jnp.diag(seen), zero], axis=1)
         S = H @ P @ H.T + R * seen[:, None] * seen[None, :] + jnp.diag(1 - seen)
         factor = jnp.linalg.cholesky(S)
@@ -101,10 +107,10 @@ def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Ar
         L = jnp.linalg.solve(S, H @ P).T
         P = P - L @ S @ L.T
         F = jnp.block([[A, dt * (eye + A) / 2], [zero, left * eye]])
-        P = F @ P @ F.T + Q
+        P = jnp.where(alive, F @ P @ F.T + Q, P)
         return (P + P.T) / 2, (L, white, jnp.sum(jnp.log(jnp.diagonal(factor))))
 
-    L, white, log_det = jax.lax.scan(on, start, (A, seen))[1]
+    L, white, log_det = jax.lax.scan(on, start, (A, seen, driven(seen)))[1]
     return Gains(L, white, left, jnp.sum(log_det))
 
 
@@ -125,14 +131,14 @@ def chain(steps: Steps, gains: Gains, seen: Array, dt: float) -> Float[Array, "T
 
     def on(carry, row):
         S, d = carry
-        one, L, seen, half = row
+        one, L, seen, half, alive = row
         e = -seen[:, None] * (one.D @ S[:3] + one.F)
         S, d = _corrected(S, d, one.slip, L @ e)
         ahead = one.A @ S + one.C + jnp.concatenate([half @ d, jnp.zeros((3, K))])
-        return (ahead, gains.left * d), e
+        return (jnp.where(alive, ahead, S), gains.left * d), e
 
     start = jnp.zeros((6, K)), jnp.zeros((3, K))
-    return jax.lax.scan(on, start, (steps, gains.L, seen, half))[1]
+    return jax.lax.scan(on, start, (steps, gains.L, seen, half, driven(seen)))[1]
 
 
 def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, seen: Array, dt: float) -> Array:
@@ -141,12 +147,13 @@ def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, seen: 
 
     def on(carry, row):
         S, d = carry
-        A, D, slip, e, old, L, seen, half = row
+        A, D, slip, e, old, L, seen, half, alive = row
         new = e - seen * (D @ S[:3])
         S, d = _corrected(S, d, slip, L @ new - old @ e)
-        return (A @ S + jnp.concatenate([half @ d, jnp.zeros(3)]), gains.left * d), new
+        ahead = A @ S + jnp.concatenate([half @ d, jnp.zeros(3)])
+        return (jnp.where(alive, ahead, S), gains.left * d), new
 
-    rows = (steps.A, steps.D, steps.slip, e, L, gains.L, seen, half)
+    rows = (steps.A, steps.D, steps.slip, e, L, gains.L, seen, half, driven(seen))
     return jax.lax.scan(on, (jnp.zeros(6), jnp.zeros(3)), rows)[1]
 
 

@@ -93,7 +93,6 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
     assert max(off.values()) < 0.01, off
 
 
-@pytest.mark.xfail(strict=True, reason="the padding is driven on: uncertainty overflows where the car stands in it")
 def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     still = np.zeros(ROWS)
     V = np.maximum(20 * np.clip(np.linspace(1.3, 0, ROWS), 0, 1), 0.3)
