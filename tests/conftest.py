@@ -9,8 +9,17 @@ os.environ.setdefault("NPROC", "1")  # XLA's CPU client with two or more threads
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
 
 import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", os.environ.get(
     "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "driftjax-jax-cache")))  # fmt: skip
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def programs_let_go():
+    """Programs of one module are given up before the next: a process may hold 65530 memory maps, and every compiled
+    program takes some; beyond that XLA crashes."""
+    yield
+    jax.clear_caches()

@@ -1,6 +1,7 @@
 """What the verbs share: flags over files, work inside a run folder, progress."""
 
 import argparse
+import dataclasses
 import sys
 import time
 import traceback
@@ -14,6 +15,7 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput
 from driftjax.data import RunFolder
+from driftjax.vehicle import VehicleConfig, load_vehicle
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -34,6 +36,15 @@ def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) ->
         if default is None:
             return tyro.cli(cls, args=argv, prog=prog)
         return tyro.cli(cls, args=argv, prog=prog, default=default)
+    except BadInput as error:
+        raise BadInput(f"flags: {error}") from None
+
+
+def base_car(name: Path, combined_slip: float | None) -> VehicleConfig:
+    """The vehicle `name`, with another friction ellipse where one is given."""
+    vehicle = load_vehicle(name)
+    try:
+        return vehicle if combined_slip is None else dataclasses.replace(vehicle, combined_slip=combined_slip)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
 

@@ -7,11 +7,12 @@ from typing import Annotated, Any
 import tyro
 import yaml
 
-from driftjax.cli.console import default_out, progress, typed, within
+from driftjax.cli.console import base_car, default_out, progress, typed, within
 from driftjax.core import write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
+from driftjax.data.columns import MEASURED
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, extended, gain_json, to_json
-from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle import VehicleConfig
 
 STEPS = ("noise and nominal car", "naming", "gain", "done")
 
@@ -36,9 +37,7 @@ class Diagnose:
 def run(argv: list[str]) -> int:
     """Read, name, measure, tell."""
     asked = typed(Diagnose, argv, "driftjax diagnose")
-    vehicle = load_vehicle(asked.vehicle)
-    if asked.combined_slip is not None:
-        vehicle = dataclasses.replace(vehicle, combined_slip=asked.combined_slip)
+    vehicle = base_car(asked.vehicle, asked.combined_slip)
     log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "options": dataclasses.asdict(asked.options)}
@@ -69,28 +68,27 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
 
 def _bare(sentence: str, verdict: str, log: Log, config: DiagnoseConfig) -> dict[str, Any]:
     """`diagnosis.json` of data that say nothing."""
-    gain = {"held_out_runs": [], "horizons_s": [], "rmse": {}, "skill": {}, "ci95": {}}
     data = {"sha256": log.sha256, "rows": log.rows, "notes": list(log.notes), "noise_sigma": {}}
     return {
         "schema": 1, "verdict": verdict, "sentence": sentence, "causes": [],
-        "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain, "next_manoeuvre": None,
-        "data": data, "seed": config.seed,
+        "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(None),
+        "next_manoeuvre": None, "data": data, "seed": config.seed,
     }  # fmt: skip
 
 
 def gain_table(found: Diagnosis) -> str:
     """Open-loop errors on the runs held out, per model and horizon, and the share of the explainable error removed."""
-    gain = gain_json(found)
+    gain = gain_json(found.gain)
     if not gain["held_out_runs"]:
         return "gain: not measured, for want of runs to hold out.\n"
     lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
-    lines += [f"{'model':10}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   explainable removed"]
+    lines += [f"{'model':12}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   explainable removed"]
     for name, channels in gain["rmse"].items():
         for i, horizon in enumerate(gain["horizons_s"]):
-            values = "".join(f"{channels[c][i]:{w}.4f}" for c, w in (("V", 10), ("beta", 12), ("r", 11)))
+            values = "".join(f"{channels[c][i]:{w}.4f}" for c, w in zip(MEASURED, (10, 12, 11), strict=True))
             share = ""
             if horizon == 1.0 and name in gain["skill"]:
                 low, high = gain["ci95"][name]
                 share = f"   {gain['skill'][name]:.2f} [{low:.2f}, {high:.2f}]"
-            lines.append(f"{name:10}{horizon:10.3g}{values}{share}")
+            lines.append(f"{name:12}{horizon:10.3g}{values}{share}")
     return "\n".join(lines) + "\n"

@@ -10,12 +10,12 @@ import numpy as np
 import tyro
 import yaml
 
-from driftjax.cli.console import default_out, peek, typed, within
+from driftjax.cli.console import base_car, default_out, peek, typed, within
 from driftjax.control.campaign import Campaign, Truth, record_runs
 from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder, write_log
-from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, effects_named
 
 OWN = ("vehicle", "combined_slip", "effects")  # keys beside those of Campaign
@@ -44,11 +44,7 @@ def run(argv: list[str]) -> int:
     """Drive, write."""
     early, _ = peek(argv, "config")
     typed_in = typed(Simulate, argv, "driftjax simulate", defaults(early["config"]))
-    vehicle = load_vehicle(typed_in.vehicle)
-    try:
-        vehicle = dataclasses.replace(vehicle, combined_slip=typed_in.combined_slip)
-    except BadInput as error:
-        raise BadInput(f"flags: {error}") from None
+    vehicle = base_car(typed_in.vehicle, typed_in.combined_slip)
     theta = strengths(vehicle, typed_in.effects)
     out = typed_in.out or default_out("simulate", vehicle.name)
     for name in FILES:
@@ -86,8 +82,8 @@ def strengths(vehicle: VehicleConfig, words: tuple[str, ...]) -> np.ndarray:
                 scale = parameter.scale(vehicle) if which else 1.0
                 lower, upper = parameter.lower * scale, parameter.upper * scale
                 if not lower <= value <= upper:
-                    unit = (parameter.unit if parameter.unit != "1" else "") if which else "typical sizes"
-                    raise BadInput(f"effect '{word}': the value lies in {lower:.4g}..{upper:.4g} {unit}".rstrip() + ".")
+                    unit = parameter.suffix if which else " typical sizes"
+                    raise BadInput(f"effect '{word}': the value lies in {lower:.4g}..{upper:.4g}{unit}.")
                 theta[i] = value / scale
     return theta
 

@@ -1,9 +1,7 @@
 """Runs of the manoeuvre library on a car with a known truth, driven side by side, as a measurement would log them."""
 
 from dataclasses import dataclass
-from operator import itemgetter
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -84,45 +82,38 @@ def typical(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1
 
 
 def driven(
-    vehicle: VehicleConfig, theta: Array, manoeuvres: Manoeuvre, conditions: Conditions, seeds: Array, dt: float
+    vehicle: VehicleConfig, theta: Array, manoeuvre: Manoeuvre, conditions: Conditions, seed: Array, dt: float
 ) -> Recording:
-    """Manoeuvres stacked along a first axis, side by side, each with the noise of its seed; samples every `dt` [s]."""
-    plant = eqx.tree_at(lambda car: car.theta, universal(vehicle, tuple(EFFECTS.values())), theta)
+    """One manoeuvre with the noise of its seed; samples every `dt` [s]."""
+    plant = universal(vehicle, tuple(EFFECTS.values())).at(theta)
     substeps = max(round(dt / STEP), 1)
-    one = lambda manoeuvre, seed: record(plant, vehicle, manoeuvre, conditions, jax.random.key(seed), dt, substeps)
-    return jax.vmap(one)(manoeuvres, seeds)
+    return record(plant, vehicle, manoeuvre, conditions, jax.random.key(seed), dt, substeps)
 
 
 def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -> tuple[tuple[Run, ...], Truth]:
     """Logged runs of `vehicle` with all effects of the catalogue at `theta` (typical sizes), and the truth.
 
-    A run that spins is drawn again `REDRAWS` times, then left out. Another batch size, run length or car compiles anew.
+    A run that spins is drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program
+    serves any number of them; another run length or car compiles anew.
     """
     t, dt = np.arange(round(campaign.duration * campaign.rate)) / campaign.rate, 1 / campaign.rate
     conditions = typical(vehicle, campaign.noise, campaign.process_noise)
-    names = [f"{name}-{i + 1}" for i, name in enumerate(campaign.manoeuvres)]
-    rngs = [np.random.default_rng((campaign.seed, i)) for i in range(len(names))]
-
-    def draw(i: int) -> tuple[Manoeuvre, np.uint32]:
-        return MANOEUVRES[campaign.manoeuvres[i]](vehicle, rngs[i], t), rngs[i].integers(2**32, dtype=np.uint32)
-
-    draws, found = [draw(i) for i in range(len(names))], dict[int, tuple[Recording, float]]()
-    for _ in range(1 + REDRAWS):
-        stacked, seeds = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *draws)  # of no weak type: one compile
-        batch = call(driven, vehicle, jnp.asarray(theta), stacked, conditions, seeds, dt)
-        for i in set(range(len(names))) - set(found):
-            one = jax.tree.map(itemgetter(i), batch)
-            if spun(vehicle, one):
-                draws[i] = draw(i)
-            else:
-                found[i] = one, float(draws[i][0].lap)
-        if len(found) == len(names):
-            break
-    flaws = flawed(vehicle, campaign)
-    runs = tuple(logged(names[i], *found[i], dt, flaws, rngs[i]) for i in sorted(found))
-    states = {names[i]: np.asarray(found[i][0].x) for i in sorted(found)}
-    left_out = tuple(name for i, name in enumerate(names) if i not in found)
-    return runs, _truth(vehicle, theta, conditions, left_out, states)
+    flaws, runs, states, left_out = flawed(vehicle, campaign), [], {}, []
+    for i, kind in enumerate(campaign.manoeuvres):
+        name, rng = f"{kind}-{i + 1}", np.random.default_rng((campaign.seed, i))
+        for _ in range(1 + REDRAWS):
+            manoeuvre, seed = jax.tree.map(  # arrays of no weak type: one compile
+                lambda a: jnp.asarray(np.asarray(a)),
+                (MANOEUVRES[kind](vehicle, rng, t), rng.integers(2**32, dtype=np.uint32)),
+            )
+            one = call(driven, vehicle, jnp.asarray(theta), manoeuvre, conditions, seed, dt)
+            if not spun(vehicle, one):
+                runs.append(logged(name, one, float(manoeuvre.lap), dt, flaws, rng))
+                states[name] = np.asarray(one.x)
+                break
+        else:
+            left_out.append(name)
+    return tuple(runs), _truth(vehicle, theta, conditions, tuple(left_out), states)
 
 
 def flawed(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:

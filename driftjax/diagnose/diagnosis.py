@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import require
-from driftjax.data import Log, Run
+from driftjax.data import Log
+from driftjax.data.columns import MEASURED
 from driftjax.diagnose.evidence import Cause, causes
-from driftjax.diagnose.fit import Problem, around, priced, problem, refine
-from driftjax.diagnose.gain import Errors, open_loop, rmse, skill
+from driftjax.diagnose.fit import Fit, Problem, priced, problem, refine
+from driftjax.diagnose.gain import Errors, floor, open_loop, skill
+from driftjax.diagnose.propose import Proposal, propose
 from driftjax.diagnose.select import Selection, search
+from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
 from driftjax.vehicle import VehicleConfig
-from driftjax.vehicle.effect import EFFECTS, Effect
+from driftjax.vehicle.effect import EFFECTS
 
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
 
@@ -25,7 +28,8 @@ class DiagnoseConfig:
     """Options of a diagnosis."""
 
     held_out: int = 3
-    """Every so-many-th run is kept back to measure the gain on; it takes no part in naming. 0: none is."""
+    """Every so-many-th run is held out to measure the gain on: effects are named and fitted once more without them.
+    0: none is, and no gain is measured."""
     without: tuple[str, ...] = ()
     """Effects left out of the catalogue."""
     seed: int = 0
@@ -39,6 +43,17 @@ class DiagnoseConfig:
 
 
 @dataclass(frozen=True)
+class Gain:
+    """What the extension gains on runs held out, when named and fitted without them."""
+
+    held: tuple[str, ...]  # names of the runs held out
+    named: tuple[str, ...]  # effects named without them
+    errors: dict[str, Errors]  # of the models compared
+    floor: Errors  # what noise alone makes
+    skills: dict[str, tuple[float, tuple[float, float]]]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What was found, ready to be told."""
 
@@ -46,61 +61,66 @@ class Diagnosis:
     task: Problem
     found: Selection
     causes: list[Cause]
+    left: Unexplained
     judgement: Judgement
-    held: tuple[str, ...]  # names of the runs that the gain was measured on
-    errors: dict[str, Errors]  # of the models compared
-    skills: dict[str, tuple[float, tuple[float, float]]]
+    proposal: Proposal | None
+    gain: Gain | None  # None where there are too few runs to hold any out
     config: DiagnoseConfig
 
 
-def split(runs: tuple[Run, ...], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Runs to name from, and runs held out; of fewer than `every` runs none is held out."""
-    if every == 0 or len(runs) < every:
-        return runs, ()
-    held = tuple(run for i, run in enumerate(runs) if i % every == every - 1)
-    return tuple(run for run in runs if run not in held), held
-
-
-def catalogue(runs: tuple[Run, ...], without: tuple[str, ...]) -> tuple[Effect, ...]:
-    """Effects that these runs could tell: those whose columns every run has."""
-    has = set.intersection(*(set(run.extra) for run in runs))
-    return tuple(e for e in EFFECTS.values() if e.name not in without and set(e.needs) <= has)
+def split(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the runs to name from, and of those held out; of fewer than `every` runs none is held out."""
+    runs = np.arange(num)
+    held = runs % every == every - 1 if every else np.zeros(num, bool)
+    return runs[~held], runs[held]
 
 
 def diagnose(
     vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, report: Callable[[str], None] = lambda text: None
 ) -> Diagnosis | Judgement:
-    """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any."""
+    """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
+
+    Causes are named from all runs. The gain is that of what is named and fitted without the runs held out.
+    """
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
-    use, held = split(log.runs, config.held_out)
     report("noise and nominal car")
-    task = problem(vehicle, catalogue(log.runs, config.without), use)
+    task = problem(vehicle, tuple(EFFECTS.values()), log.runs, config.without)
     report("naming")
-    found = search(task, priced(task, np.zeros(len(task.lower))), config.seed)
+    found = search(task, nominal(task), config.seed)
     named = causes(task, found)
-    judgement = judge(task, found, named, duration)
+    left = unexplained(task, found, config.seed)
+    judgement = judge(task, found, named, left, duration)
+    proposal = propose(vehicle, task, found, named, judgement, config.seed)
     report("gain")
-    errors, skills = measure(vehicle, task, found, held, config.seed)
-    return Diagnosis(vehicle, task, found, named, judgement, tuple(run.name for run in held), errors, skills, config)
+    gain = measure(task, tuple(run.name for run in log.runs), config)
+    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
 
 
-def measure(vehicle: VehicleConfig, task: Problem, found: Selection, held: tuple[Run, ...], seed: int):
+def nominal(task: Problem) -> Fit:
+    """The car without any effect."""
+    return priced(task, np.zeros(len(task.lower)))
+
+
+def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
     """Open-loop errors on the runs held out of the nominal car, the re-tuned one and the extended one, with skills."""
-    if not held:
-        return {}, {}
-    test = problem(vehicle, task.effects, held)._replace(noise=task.noise)
-    names = [effect.name for effect in task.effects]
-    columns = task.columns(tuple(names.index(name) for name in RETUNED if name in names))
-    nominal = np.zeros(len(task.lower))
-    tuned = refine(task, found.nominal, columns, around(task, found.nominal))
-    thetas = {"nominal": nominal, "retuned": tuned.theta, "extended": found.fit.theta}
+    use, held = split(len(names), config.held_out)
+    if not len(held):
+        return None
+    train, test = task.part(use), task.part(held)
+    found = search(train, nominal(train), config.seed)
+    effects = [effect.name for effect in task.effects]
+    columns = task.columns(tuple(effects.index(name) for name in RETUNED))
+    tuned = refine(train, found.nominal, columns[task.asked[columns]])
+    thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
     errors = {name: open_loop(test, theta) for name, theta in thetas.items()}
-    compared = {name: skill(errors["nominal"], one, task.noise.sigma, seed) for name, one in errors.items()}
-    del compared["nominal"]
-    return errors, compared
+    least = floor(test, found.fit.theta)
+    skills = {name: skill(errors["nominal"], one, least, config.seed) for name, one in errors.items()}
+    del skills["nominal"]
+    named = tuple(effects[i] for i in found.members)
+    return Gain(tuple(names[i] for i in held), named, errors, least, skills)
 
 
 def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
@@ -117,7 +137,7 @@ def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
         alike = sorted({*others, *(task.effects[i].name for i in cause.alike)})
         each.append({
             "effect": effect.name, "probability": cause.probability,
-            "p_value": found.found.p_values[cause.effect], "parameters": parameters,
+            "p_value": found.found.p_values[cause.effect], "parameters": parameters, "invariance": cause.invariance,
             "confusable_with": alike, "rivals": others,
         })  # fmt: skip
     noise = task.noise
@@ -126,13 +146,13 @@ def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
         "verdict": str(found.judgement.verdict),
         "sentence": found.judgement.sentence,
         "causes": each,
-        "unexplained": {"p_value": found.found.scores.p_value, "channel": None, "drivers": []},
-        "gain": gain_json(found),
-        "next_manoeuvre": None,
+        "unexplained": unexplained_json(found.left),
+        "gain": gain_json(found.gain),
+        "next_manoeuvre": found.proposal._asdict() if found.proposal else None,
         "data": {
             "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
-            "noise_sigma": dict(zip(("V", "beta", "r"), map(float, noise.sigma), strict=True)),
-            "process_sigma": dict(zip(("V", "beta", "r"), map(float, noise.disturbance), strict=True)),
+            "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
+            "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
             "process_correlation_s": noise.correlation,
         },
         "config": dataclasses.asdict(found.config),
@@ -140,20 +160,31 @@ def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def gain_json(found: Diagnosis) -> dict[str, Any]:
+def unexplained_json(left: Unexplained) -> dict[str, Any]:
+    """What is left; neither channel nor drivers where that is nothing."""
+    if not left.found:
+        return {"p_value": left.p_value, "channel": None, "drivers": []}
+    return {
+        "p_value": left.p_value, "channel": left.term.channel, "drivers": list(left.drivers)[:2],
+        "worth": left.drivers, "term": left.term._asdict(),
+    }  # fmt: skip
+
+
+def gain_json(gain: Gain | None) -> dict[str, Any]:
     """The gain on the runs held out, per model, horizon and channel."""
-    if not found.errors:
+    if gain is None:
         return {"held_out_runs": [], "horizons_s": [], "rmse": {}, "skill": {}, "ci95": {}}
     table = {
-        name: {c: [float(v) for v in rmse(one)[:, i]] for i, c in enumerate(("V", "beta", "r"))}
-        for name, one in found.errors.items()
+        name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
+        for name, one in (gain.errors | {"noise_floor": gain.floor}).items()
     }
     return {
-        "held_out_runs": list(found.held),
-        "horizons_s": list(found.errors["nominal"].horizons),
+        "held_out_runs": list(gain.held),
+        "named_without_them": list(gain.named),
+        "horizons_s": list(gain.floor.horizons),
         "rmse": table,
-        "skill": {name: value for name, (value, _) in found.skills.items()},
-        "ci95": {name: list(interval) for name, (_, interval) in found.skills.items()},
+        "skill": {name: value for name, (value, _) in gain.skills.items()},
+        "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
     }
 
 

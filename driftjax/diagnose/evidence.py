@@ -3,13 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import t as student
 
-from driftjax.diagnose.fit import Problem, normal
+from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.score import covariance, partial_out
 from driftjax.diagnose.select import WORTH, Selection, price, tested, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of
+SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 ALIKE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
 
 
@@ -22,6 +24,7 @@ class Cause(NamedTuple):
     probability: float
     rivals: dict[int, float]  # effects that might act in its place, with their probabilities
     alike: tuple[int, ...]  # effects whose signature is nearly the same
+    invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
 
 
 def causes(task: Problem, found: Selection) -> list[Cause]:
@@ -29,7 +32,8 @@ def causes(task: Problem, found: Selection) -> list[Cause]:
     columns = task.columns(found.members)
     if not len(columns):
         return []
-    spread = np.sqrt(np.diag(covariance(task, found.at, columns)))
+    constant = invariance(task, found)
+    spread = np.sqrt(np.diag(covariance(found.scores.H, found.scores.blocks, columns)))
     quantile = student.ppf(0.975, max(task.data.num_blocks - len(columns), 1))
     each = []
     for member in found.members:
@@ -37,8 +41,36 @@ def causes(task: Problem, found: Selection) -> list[Cause]:
         at = np.searchsorted(columns, own)
         probability, rivals = odds(task, found, member)
         alike = confusable(task, found, member)
-        each.append(Cause(member, found.fit.theta[own], quantile * spread[at], probability, rivals, alike))
+        width = quantile * spread[at]
+        each.append(Cause(member, found.fit.theta[own], width, probability, rivals, alike, constant[member]))
     return each
+
+
+def invariance(task: Problem, found: Selection) -> dict[int, float]:
+    """Probability that chance alone makes runs ask for a parameter as differently as they do, the least per member.
+
+    A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016). Scores of each run, all other
+    members taken out, over their information make Cochran's Q (1954), in units of what blocks vary by.
+    """
+    columns, runs = task.columns(found.members), np.unique(task.data.run)
+    if len(runs) < 2:
+        return dict.fromkeys(found.members, 1.0)
+    e, J = np.asarray(found.at.e), np.asarray(found.at.J)[..., columns]
+    H = np.array([np.einsum("ptij,ptik->jk", *2 * (J[task.data.run == run],), optimize=True) for run in runs])
+    U = np.array([np.einsum("ptij,pti->j", J[task.data.run == run], e[task.data.run == run]) for run in runs])
+    total, blocks = H.sum(axis=0), found.scores.blocks[:, columns]
+    least = dict.fromkeys(found.members, 1.0)
+    for k, column in enumerate(columns):
+        other = np.arange(len(columns)) != k
+        w = np.zeros(len(columns))
+        w[k], w[other] = 1.0, -np.linalg.solve(total[np.ix_(other, other)], total[other, k])
+        information, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
+        excess = max(np.sum((blocks @ w) ** 2) / information.sum(), 1.0)
+        known = information > SHARE * information.sum()
+        Q = np.sum(score[known] ** 2 / information[known]) - score[known].sum() ** 2 / information[known].sum()
+        member = int(task.owner[column])
+        least[member] = min(least[member], float(chi2.sf(Q / excess, max(known.sum() - 1, 1))))
+    return least
 
 
 def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int, float]]:
@@ -48,7 +80,7 @@ def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int,
     is that of its best linear step, which flatters no one but hardly any rival either.
     """
     rest, base = without(task, found.fit, found.members, member)
-    _, left = tested(task, base, rest, 0)
+    left = tested(task, base, rest, 0)[1]
     prices = np.full(len(task.effects), np.inf)
     for i in range(len(prices)):
         if i not in rest and left.gain[i] > 0:
@@ -62,7 +94,7 @@ def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int,
 
 def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
     """Effects whose signature in these data, all other members apart, is nearly that of `member`."""
-    H, _ = normal(found.at)
+    H = found.scores.H
     P = partial_out(H, task.columns(tuple(i for i in found.members if i != member)))
     own, H = task.columns((member,)), P.T @ H @ P
     alike = []

@@ -9,7 +9,18 @@ import numpy as np
 from driftjax.data import Run
 from driftjax.diagnose.noise import CORRELATION, FIRST, PRIOR, Noise, estimate, measurement_noise
 from driftjax.diagnose.observer import Gains
-from driftjax.diagnose.runs import Followed, Pieces, derivatives, differentiate, follow, gains, held, pieces, whiten
+from driftjax.diagnose.runs import (
+    Followed,
+    Pieces,
+    derivatives,
+    differentiate,
+    follow,
+    gains,
+    held,
+    pick,
+    pieces,
+    whiten,
+)
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Effect
 from driftjax.vehicle.universal import Universal, universal
@@ -26,6 +37,8 @@ class Problem(NamedTuple):
     lower: np.ndarray  # (K,) bounds of theta, in typical sizes
     upper: np.ndarray
     owner: np.ndarray  # (K,) index of the effect that a parameter belongs to
+    has: frozenset[str]  # further columns that every run has
+    asked: np.ndarray  # (K,) whether the parameter is in question: others stay at 0
     noise: Noise
     gains: Gains
 
@@ -38,6 +51,11 @@ class Problem(NamedTuple):
         """Parameters of the effects `members`."""
         return np.flatnonzero(np.isin(self.owner, members))
 
+    def part(self, runs: np.ndarray) -> "Problem":
+        """The same problem over the runs with these numbers only."""
+        keep = np.flatnonzero(np.isin(self.data.run, runs))
+        return self._replace(data=self.data.part(keep), gains=pick(self.gains, keep))
+
 
 class Fit(NamedTuple):
     """One hypothesis at its best."""
@@ -46,25 +64,31 @@ class Fit(NamedTuple):
     cost: float  # sum of squares of whitened innovations, prior included
 
 
-def problem(vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...]) -> Problem:
-    """Everything that questions need, the noise estimated from the data."""
+def problem(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
+) -> Problem:
+    """Everything that questions need, the noise estimated from the data.
+
+    Effects `without` which the question is put stay neutral, as do those whose columns a run lacks.
+    """
     model, data = universal(vehicle, effects), pieces(vehicle, runs)
     seen = jnp.asarray(data.track.seen)
     sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
     start = Noise(sigma, FIRST * sigma, CORRELATION)
     theta = np.zeros(len(model.theta))
-    fixed = held(data)
-    path = follow(model, data, theta, fixed)
-    noise = estimate(derivatives(model, data, theta, path), path.e, fixed, seen, start, data.dt)
+    fixed, has = held(data), frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
+    asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
+    path = follow(model, data, theta, fixed)
+    noise = estimate(derivatives(model, data, theta, path, asked), path.e, fixed, seen, start, data.dt)
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
     owner = np.array([i for i, _ in parameters])
-    return Problem(model, data, lower, upper, owner, noise, gains(model, data, noise.row(), fixed))
+    return Problem(model, data, lower, upper, owner, has, asked, noise, gains(model, data, noise.row(), fixed))
 
 
 def around(task: Problem, fit: Fit) -> Followed:
     """Whitened innovations and their derivatives at `fit`."""
-    return differentiate(task.model, task.data, fit.theta, task.gains)
+    return differentiate(task.model, task.data, fit.theta, task.gains, task.asked)[0]
 
 
 def priced(task: Problem, theta: np.ndarray) -> Fit:

@@ -8,7 +8,6 @@ fixed by the noise and the nominal car; parameters then enter the prediction onl
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import Felt, acting, advance, begin, told
+from driftjax.sim.rollout import acting, begin, move, told
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
@@ -39,6 +38,7 @@ class Gains(NamedTuple):
     L: Float[Array, "T 6 3"]  # update of state and disturbances
     white: Float[Array, "T 3 3"]  # what makes innovations white and of unit variance, rows of missing channels zero
     left: Array  # share of a disturbance left after one step
+    P: Float[Array, "T 6 6"]  # covariance of state and disturbances after the update
     log_det: Array  # sum of the logarithms of the innovations' determinants
 
 
@@ -57,34 +57,35 @@ def driven(seen: Float[Array, "T 3"]) -> Array:
     return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(seen, axis=1)))) > 0
 
 
-def _felt_shift(model: Universal, x: Array, after: Array, u: Array) -> Array:
-    """Change of what the tyres feel when the state is corrected from `x` to `after` (3,)."""
-    slip = lambda v: jnp.stack(model.car.nominal.slip_angles(State(v[0], v[1], v[2]), Control(u[0], u[1])))
-    return jnp.concatenate([after, slip(after) - slip(x), jnp.zeros(1)])
+def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Geometric slip angles of front and rear [rad]."""
+    return jnp.stack(model.car.nominal.slip_angles(State(x[0], x[1], x[2]), Control(u[0], u[1])))
+
+
+def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
+    """Commands acting (T, 2), and state with what is felt (6,) at the first sample."""
+    u = acting(model, run.commands, run.V, dt)
+    T = len(run.y)
+    return u[-T:], begin(model, run.start, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
 def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
     """The observer along one run."""
-    model = eqx.tree_at(lambda m: m.theta, model, theta)
-    T, step = len(run.y), jnp.asarray(dt)
-    u_all = acting(model, run.commands, run.V, dt)
-    u, before = u_all[-T:], u_all[-T - 1]
-    z = begin(model, run.start, before, jax.tree.map(lambda a: a[0], run.place))
+    model, step = model.at(theta), jnp.asarray(dt)
+    u, z = started(model, run, dt)
 
     def on(carry, row):
         z, d, last = carry
         u, place, y, seen, L, alive = row
-        e = seen * (y - told(model, z[:3], (z[:3] - last) / step))
+        rate = (z[:3] - last) / step
+        e = seen * (y - told(model, z[:3], rate))
         update = L @ e
-        x = z[:3] + update[:3]
-        shifted = _felt_shift(model, z[:3], x, u)
-        after = jnp.concatenate([x, z[3:] + shifted[3:]])
-        d = d + update[3:]
-        state, felt = State(x[0], x[1], x[2]), Felt(after[3:5], after[5])
-        moved, felt = advance(model, state, felt, Control(u[0], u[1]), place, step, State(d[0], d[1], d[2]))
-        ahead = jnp.concatenate([jnp.stack(moved), felt.slip, felt.ay[None]])
+        x, d = z[:3] + update[:3], d + update[3:]
+        # tyres feel a corrected state at once; what lags in them stays as far behind
+        after = jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
+        ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
         next_one = jnp.where(alive, ahead, z), jnp.where(alive, gains.left * d, d), jnp.where(alive, x, last)
-        return next_one, (e, jnp.where(alive, after, z), z, (z[:3] - last) / step)
+        return next_one, (e, jnp.where(alive, after, z), z, rate)
 
     first = z, jnp.zeros(3), z[:3]
     e, z, predicted, rate = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
@@ -93,8 +94,7 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
 
 def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:
     """Gains of one run from the state's transitions `A`, for white measurement noise and disturbances of the rates."""
-    R, grown = jnp.diag(sigma**2), jnp.diag(disturbance**2)
-    zero, eye = jnp.zeros((3, 3)), jnp.eye(3)
+    R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
     start = jnp.block([[4 * R, zero], [zero, grown]])
     Q = jnp.block([[zero, zero], [zero, (1 - left**2) * grown]])
 
@@ -105,82 +105,124 @@ def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Ar
         factor = jnp.linalg.cholesky(S)
         white = jax.scipy.linalg.solve_triangular(factor, jnp.diag(seen), lower=True)
         L = jnp.linalg.solve(S, H @ P).T
-        P = P - L @ S @ L.T
-        F = jnp.block([[A, dt * (eye + A) / 2], [zero, left * eye]])
-        P = jnp.where(alive, F @ P @ F.T + Q, P)
-        return (P + P.T) / 2, (L, white, jnp.sum(jnp.log(jnp.diagonal(factor))))
+        known = P - L @ S @ L.T
+        F = transition(A, left, dt)
+        P = jnp.where(alive, F @ known @ F.T + Q, known)
+        return (P + P.T) / 2, (L, white, known, jnp.sum(jnp.log(jnp.diagonal(factor))))
 
-    L, white, log_det = jax.lax.scan(on, start, (A, seen, driven(seen)))[1]
-    return Gains(L, white, left, jnp.sum(log_det))
+    L, white, known, log_det = jax.lax.scan(on, start, (A, seen, driven(seen)))[1]
+    return Gains(L, white, left, known, jnp.sum(log_det))
+
+
+def transition(A: Float[Array, "3 3"], left: Array, dt: float) -> Float[Array, "6 6"]:
+    """State and disturbances one step later by the same, for the state's own transition `A`."""
+    zero, eye = jnp.zeros((3, 3)), jnp.eye(3)
+    return jnp.block([[A, dt * (eye + A) / 2], [zero, left * eye]])
+
+
+def expected(
+    A: Float[Array, "T 3 3"], P: Float[Array, "T 6 6"], noise: Float[Array, "7"], starts: Array, num: int, dt: float
+) -> Float[Array, "n num 3"]:
+    """Squares of the open-loop errors 1..num steps after samples `starts` that noise alone makes of a true model.
+
+    The error of the start grows along the run's transitions `A`, disturbances that nobody foresees act on it, and
+    the measurement compared with is noisy itself; to first order.
+    """
+    left = jnp.exp(-dt / noise[6])
+    grown = jnp.diag(noise[3:6] ** 2)
+    Q = jnp.zeros((6, 6)).at[3:, 3:].set((1 - left**2) * grown)
+
+    def one(k):
+        def on(M, j):
+            F = transition(A[jnp.minimum(k + j, len(A) - 1)], left, dt)
+            M = F @ M @ F.T + Q
+            return M, jnp.diagonal(M)[:3] + noise[:3] ** 2
+
+        return jax.lax.scan(on, P[k].at[3:, 3:].set(grown), jnp.arange(num))[1]  # predictions know no disturbance
+
+    return jax.vmap(one)(starts)
 
 
 class Steps(NamedTuple):
-    """Derivatives of every step of a run, each by itself."""
+    """Derivatives along a run: of every step by itself, and of the start."""
 
     A: Float[Array, "T 6 6"]  # next state and what is felt, by the same
     C: Float[Array, "T 6 K"]  # by theta, through the car and through the commands
     D: Float[Array, "T 3 3"]  # what is told, by the state
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
+    first: Float[Array, "6 K"]  # state and what is felt at the first sample, by theta
 
 
-def chain(steps: Steps, gains: Gains, seen: Array, dt: float) -> Float[Array, "T 3 K"]:
-    """Derivatives of the innovations by theta: those of state and disturbances run along with the observer."""
-    K = steps.C.shape[2]
-    half = dt * (jnp.eye(3) + steps.A[:, :3, :3]) / 2
+def felt(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n"]:
+    """State and what is felt, by a change `x` of the state alone: tyres feel it at once."""
+    return jnp.concatenate([x, slip @ x, jnp.zeros_like(x[:1])])
+
+
+def pushed(steps: Steps, dt: float) -> Float[Array, "T 6 3"]:
+    """State and what is felt one step later, by a push of the rates during the step."""
+    half = dt * (jnp.eye(3) + steps.A[:, :3, :3] + steps.A[:, :3, 3:5] @ steps.slip) / 2
+    return jax.vmap(felt)(steps.slip, half)
+
+
+def chain(
+    steps: Steps, gains: Gains, seen: Array, dt: float, extra: Float[Array, "T 6 #K"] | None = None
+) -> Float[Array, "T 3 K"]:
+    """Derivatives of the innovations by theta: those of state and disturbances run along with the observer.
+
+    `extra` is added to the update of state and disturbances.
+    """
+    extra = jnp.zeros((len(seen), 6, 1)) if extra is None else extra
 
     def on(carry, row):
         S, d = carry
-        one, L, seen, half, alive = row
-        e = -seen[:, None] * (one.D @ S[:3] + one.F)
-        S, d = _corrected(S, d, one.slip, L @ e)
-        ahead = one.A @ S + one.C + jnp.concatenate([half @ d, jnp.zeros((3, K))])
-        return (jnp.where(alive, ahead, S), gains.left * d), e
+        A, C, D, F, slip, L, seen, push, extra, alive = row
+        e = -seen[:, None] * (D @ S[:3] + F)
+        update = L @ e + extra
+        S, d = S + felt(slip, update[:3]), d + update[3:]
+        return (jnp.where(alive, A @ S + C + push @ d, S), gains.left * d), e
 
-    start = jnp.zeros((6, K)), jnp.zeros((3, K))
-    return jax.lax.scan(on, start, (steps, gains.L, seen, half, driven(seen)))[1]
+    rows = (*steps[:5], gains.L, seen, pushed(steps, dt), extra, driven(seen))
+    return jax.lax.scan(on, (steps.first, jnp.zeros_like(steps.first[:3])), rows)[1]
 
 
 def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, seen: Array, dt: float) -> Array:
     """Innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
-    half = dt * (jnp.eye(3) + steps.A[:, :3, :3]) / 2
-
-    def on(carry, row):
-        S, d = carry
-        A, D, slip, e, old, L, seen, half, alive = row
-        new = e - seen * (D @ S[:3])
-        S, d = _corrected(S, d, slip, L @ new - old @ e)
-        ahead = A @ S + jnp.concatenate([half @ d, jnp.zeros(3)])
-        return (jnp.where(alive, ahead, S), gains.left * d), new
-
-    rows = (steps.A, steps.D, steps.slip, e, L, gains.L, seen, half, driven(seen))
-    return jax.lax.scan(on, (jnp.zeros(6), jnp.zeros(3)), rows)[1]
+    still = jnp.zeros((6, 1))
+    old = jnp.einsum("tij,tj->ti", L, e)
+    steps = steps._replace(C=jnp.broadcast_to(still, (len(e), 6, 1)), F=-e[:, :, None], first=still)
+    return chain(steps, gains, seen, dt, -old[:, :, None])[:, :, 0]
 
 
-def _corrected(S: Array, d: Array, slip: Array, update: Array) -> tuple[Array, Array]:
-    """State with what is felt (6, ...) and disturbances (3, ...) after an `update` (6, ...)."""
-    nothing = jnp.zeros_like(update[:1])
-    return S + jnp.concatenate([update[:3], slip @ update[:3], nothing]), d + update[3:]
+class Local(NamedTuple):
+    """Derivatives at single samples, as in `Steps`, with those by the commands and by theta at given commands."""
+
+    A: Float[Array, "n 6 6"]
+    by_u: Float[Array, "n 6 2"]
+    by_theta: Float[Array, "n 6 K"]
+    D: Float[Array, "n 3 3"]
+    F: Float[Array, "n 3 K"]
+    slip: Float[Array, "n 2 3"]
 
 
-def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> tuple[Array, Steps]:
-    """Derivatives at single samples (leading axis): by the command (6, 2), and the rest."""
-    with_theta = lambda p: eqx.tree_at(lambda m: m.theta, model, p)
-    car, step = with_theta(theta), jnp.asarray(dt)
+def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> Local:
+    """Derivatives at single samples of `path` (leading axis)."""
+    car, step = model.at(theta), jnp.asarray(dt)
 
     def one(path: Path, place: Place):
         by = move_with_derivatives(car, path.z, path.u, place, step).by
-        D, F = jax.jacrev(lambda x, p: told(with_theta(p), x, path.rate), (0, 1))(path.before[:3], theta)
-        slip = jax.jacrev(lambda v: _felt_shift(car, path.z[:3], v, path.u)[3:5])(path.z[:3])
-        return by[:, 6:8], Steps(by[:, :6], by[:, 8:], D, F, slip)
+        D, F = jax.jacrev(lambda x, p: told(model.at(p), x, path.rate), (0, 1))(path.before[:3], theta)
+        slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
+        return Local(by[:, :6], by[:, 6:8], by[:, 8:], D, F, slip)
 
     return jax.vmap(one)(path, place)
 
 
-def by_commands(model: Universal, theta: Array, run: Track, dt: float) -> Float[Array, "T 2 K"]:
-    """Derivatives of the commands acting; only effects of the actuators have any."""
+def by_commands(model: Universal, theta: Array, run: Track, dt: float) -> tuple[Array, Array]:
+    """Derivatives by theta of the commands acting (T, 2, K), and of state and what is felt at the start (6, K)."""
     stations = [effect.station for effect in model.effects for _ in effect.parameters]
-    columns = np.flatnonzero(np.array(stations) == "command")
-    value = lambda p: acting(eqx.tree_at(lambda m: m.theta, model, p), run.commands, run.V, dt)[-len(run.y) :]
-    each = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1])(jnp.eye(len(theta))[columns])
-    return jnp.zeros((len(run.y), 2, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
+    columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
+    value = lambda p: started(model.at(p), run, dt)
+    each = jax.vmap(lambda d: jax.jvp(lambda p: value(p)[0], (theta,), (d,))[1])(jnp.eye(len(theta))[columns])
+    by_u = jnp.zeros((len(run.y), 2, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
+    return by_u, jax.jacrev(lambda p: value(p)[1])(theta)

@@ -10,7 +10,18 @@ from jax import Array
 
 from driftjax.core import State
 from driftjax.data import Run
-from driftjax.diagnose.observer import Gains, Path, Steps, Track, by_commands, chain, follow_run, local, riccati
+from driftjax.diagnose.observer import (
+    Gains,
+    Local,
+    Path,
+    Steps,
+    Track,
+    by_commands,
+    chain,
+    follow_run,
+    local,
+    riccati,
+)
 from driftjax.sim.rollout import SETTLE
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Place
@@ -32,6 +43,16 @@ class Pieces(NamedTuple):
     num_blocks: int
     dt: float
 
+    def part(self, keep: np.ndarray) -> "Pieces":
+        """Only the pieces with the numbers `keep`."""
+        names, block = np.unique(self.block[keep], return_inverse=True)
+        return Pieces(pick(self.track, keep), self.run[keep], block.reshape(len(keep), -1), len(names), self.dt)
+
+
+def pick(tree, which):
+    """Entries `which` along the first axis of every array."""
+    return jax.tree.map(lambda a: a[which], tree)
+
 
 def filled(values: np.ndarray) -> np.ndarray:
     """`values` (n,) with gaps filled linearly; zeros where nothing was measured at all."""
@@ -40,32 +61,41 @@ def filled(values: np.ndarray) -> np.ndarray:
     return np.interp(at, at[good], values[good]) if good.any() else np.zeros_like(values)
 
 
-def places(vehicle: VehicleConfig, run: Run) -> Place:
-    """Time, heading, share of the lap and sliding work along a run (n,)."""
-    nominal = vehicle.build()
+def lap_length(runs: tuple[Run, ...]) -> list[float]:
+    """Length of the lap that `s` counts in each run [m]: a run that begins `s` anew tells it, for others it is the
+    range of all runs together."""
+    each = [filled(run.extra["s"]) if "s" in run.extra else np.zeros(1) for run in runs]
+    whole = max(s.max() for s in each) - min(s.min() for s in each)
+    again = lambda s: len(s) > 1 and np.diff(s).min() < -0.5 * np.ptp(s) < 0
+    return [float(np.ptp(s) if again(s) else whole) or 1.0 for s in each]
+
+
+def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
+    """Time, heading, share of the lap of length `lap` [m] and sliding work along a run (n,)."""
     V, beta, r = filled(run.V), filled(run.beta), filled(run.r)
     psi = filled(run.extra["psi"]) if "psi" in run.extra else np.cumsum(r) * run.dt
     s = filled(run.extra["s"]) if "s" in run.extra else np.zeros_like(V)
-    length = np.ptp(s) or 1.0
-    heat = np.asarray(heat_rate(nominal, State(*map(jnp.asarray, (V, beta, r)))))
-    columns = (run.t - run.t[0], psi, (s - s.min()) / length, np.cumsum(heat) * run.dt)
+    heat = np.asarray(heat_rate(vehicle.build(), State(*map(jnp.asarray, (V, beta, r)))))
+    columns = run.t - run.t[0], psi, s / lap, np.cumsum(heat) * run.dt
     return Place(*map(jnp.asarray, columns))
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     """Runs cut where they are longer than a piece; before its first command a run counts as driven with it held."""
     dt, rows, blocks, number = runs[0].dt, [], [], []
-    for i, run in enumerate(runs):
-        for k in range(0, len(run.t), PIECE):
-            rows.append(_piece_of(vehicle, run, k))
-            blocks.append([(i, int((k + j) * dt // BLOCK)) for j in range(PIECE)])
+    for i, (run, lap) in enumerate(zip(runs, lap_length(runs), strict=True)):
+        n, place = len(run.t), places(vehicle, run, lap)
+        for k in range(0, n, PIECE):
+            rows.append(_piece_of(run, place, k))
+            sample = np.minimum(k + np.arange(PIECE), n - 1)  # padding belongs to the run's last block
+            blocks.append([(i, int(j * dt // BLOCK)) for j in sample])
             number.append(i)
     names = {name: at for at, name in enumerate(sorted({one for row in blocks for one in row}))}
     block = np.array([[names[b] for b in row] for row in blocks])
-    return Pieces(jax.tree.map(lambda *a: np.stack(a), *rows), np.array(number), block, len(names), dt)
+    return Pieces(jax.tree.map(lambda *a: jnp.stack(a), *rows), np.array(number), block, len(names), dt)
 
 
-def _piece_of(vehicle: VehicleConfig, run: Run, k: int) -> Track:
+def _piece_of(run: Run, place: Place, k: int) -> Track:
     """The piece of `run` that begins at sample `k`."""
     measured, w = np.stack([run.V, run.beta, run.r], axis=1), round(SETTLE / run.dt)
     lead = lambda values: np.concatenate([np.repeat(values[:1], w, axis=0), values])
@@ -76,35 +106,24 @@ def _piece_of(vehicle: VehicleConfig, run: Run, k: int) -> Track:
     seen = np.concatenate([np.isfinite(part), np.zeros((short, 3), bool)])
     start = [np.median(filled(column)[k : k + 3]) for column in measured.T]
     commands, V = lead(np.stack([run.delta, run.Fxr], axis=1))[window], lead(filled(run.V))[window]
-    place = Place(*(jnp.asarray(pad(column[here])) for column in places(vehicle, run)))
     y = np.where(seen, pad(part), 0.0)
-    arrays = (pad(commands), pad(V), place, y, seen.astype(float), np.array(start))
-    return Track(*jax.tree.map(jnp.asarray, arrays))
+    there = Place(*(jnp.asarray(pad(np.asarray(column)[here])) for column in place))
+    return Track(*jax.tree.map(jnp.asarray, (pad(commands), pad(V), there, y, seen.astype(float), np.array(start))))
 
 
-@eqx.filter_jit
-def _follow(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
-    return follow_run(model, theta, run, gains, dt)
-
-
-@eqx.filter_jit
-def _local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> tuple[Array, Steps]:
-    return local(model, theta, path, place, dt)
-
-
-@eqx.filter_jit
-def _chain(steps: Steps, gains: Gains, seen: Array, dt: float) -> Array:
-    return chain(steps, gains, seen, dt)
-
-
-@eqx.filter_jit
-def _by_commands(model: Universal, theta: Array, run: Track, dt: float) -> Array:
-    return by_commands(model, theta, run, dt)
+_follow, _local = eqx.filter_jit(follow_run), eqx.filter_jit(local)
+_chain, _by_commands = eqx.filter_jit(chain), eqx.filter_jit(by_commands)
 
 
 @eqx.filter_jit
 def _riccati(A: Array, seen: Array, noise: Array, dt: float) -> Gains:
     return riccati(A, seen, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt)
+
+
+def each_piece(function, num: int, *trees):
+    """`function` of each piece of `trees` (leading axis), stacked; piece by piece, so that one program serves all."""
+    found = [function(*pick(trees, i)) for i in range(num)]
+    return jax.tree.map(lambda *a: jnp.stack(a), *found)
 
 
 class Followed(NamedTuple):
@@ -118,42 +137,41 @@ def held(data: Pieces) -> Gains:
     """A fixed gain that holds any car to the data, before any noise is known."""
     num = len(data.run)
     L = jnp.zeros((num, PIECE, 6, 3)).at[..., :3, :].set(HOLD * jnp.eye(3))
-    return Gains(L, jnp.zeros((num, PIECE, 3, 3)), jnp.zeros(num), jnp.zeros(num))
+    nothing = jnp.zeros(num)
+    return Gains(L, jnp.zeros((num, PIECE, 3, 3)), nothing, jnp.zeros((num, PIECE, 6, 6)), nothing)
 
 
 def gains(model: Universal, data: Pieces, noise: np.ndarray, first: Gains) -> Gains:
     """Gains along the path of the nominal car, that of `first` and then their own; `noise` (7,) as `Noise.row`."""
     theta, found = jnp.zeros(len(model.theta)), first
     for _ in range(2):
-        path = follow(model, data, theta, found)
-        A = _each_sample(model, theta, path, data)[1].A[..., :3, :3]
-        each = [_riccati(A[i], jnp.asarray(data.track.seen[i]), jnp.asarray(noise), data.dt) for i in range(len(A))]
-        found = jax.tree.map(lambda *a: jnp.stack(a), *each)
+        A = transitions(model, data, theta, follow(model, data, theta, found))
+        riccati_of = lambda A, seen: _riccati(A, seen, jnp.asarray(noise), data.dt)
+        found = each_piece(riccati_of, len(data.run), A, data.track.seen)
     return found
 
 
-def _piece(tree, i: int):
-    return jax.tree.map(lambda a: jnp.asarray(a[i]), tree)
+def transitions(model: Universal, data: Pieces, theta: Array, path: Path) -> Array:
+    """Derivatives (P, T, 3, 3) of the state after each step by that before it."""
+    return _each_sample(model, theta, path, data).A[..., :3, :3]
 
 
 def follow(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
     """The observer along every piece."""
-    theta, num = jnp.asarray(theta), len(data.run)
-    each = [_follow(model, theta, _piece(data.track, i), _piece(gains, i), data.dt) for i in range(num)]
-    return jax.tree.map(lambda *a: jnp.stack(a), *each)
+    one = lambda run, gains: _follow(model, jnp.asarray(theta), run, gains, data.dt)
+    return each_piece(one, len(data.run), data.track, gains)
 
 
-def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> tuple[Array, Steps]:
+def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Local:
     """Derivatives of every step, leading axes (P, T), some samples in each call."""
     lead = path.e.shape[:2]
     num = lead[0] * lead[1]
-    flat = jax.tree.map(lambda a: jnp.asarray(a).reshape(num, *a.shape[2:]), (path, data.track.place))
+    flat = jax.tree.map(lambda a: a.reshape(num, *a.shape[2:]), (path, data.track.place))
     rows = [np.minimum(np.arange(k, k + SAMPLES), num - 1) for k in range(0, num, SAMPLES)]
-    pick = lambda which: jax.tree.map(lambda a: a[which], flat)
     parts = []
     for which in rows:
-        samples, places = pick(which)
-        parts.append(_local(model, theta, samples, places, data.dt))
+        samples, there = pick(flat, which)
+        parts.append(_local(model, theta, samples, there, data.dt))
     return jax.tree.map(lambda *a: jnp.concatenate(a)[:num].reshape(*lead, *a[0].shape[1:]), *parts)
 
 
@@ -162,18 +180,26 @@ def whiten(gains: Gains, e: Array) -> Array:
     return jnp.einsum("ptij,ptj...->pti...", gains.white, e)
 
 
-def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path) -> Steps:
-    """Derivatives of every step along `path`, those through the commands included."""
+def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, asked: np.ndarray) -> Steps:
+    """Derivatives of every step along `path`, those through the commands included; nothing but zeros for parameters
+    that are not `asked` for (K,), so that any part of the catalogue runs in the same programs."""
     where = jnp.asarray(theta)
-    B, steps = _each_sample(model, where, path, data)
-    by_u = [_by_commands(model, where, _piece(data.track, i), data.dt) for i in range(len(data.run))]
-    return steps._replace(C=steps.C + B @ jnp.stack(by_u))
+    one = _each_sample(model, where, path, data)
+    by_u, first = each_piece(lambda run: _by_commands(model, where, run, data.dt), len(data.run), data.track)
+    only = jnp.asarray(asked, float)
+    return Steps(one.A, only * (one.by_theta + one.by_u @ by_u), one.D, only * one.F, one.slip, only * first)
 
 
-def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains) -> Followed:
-    """Whitened innovations and their derivatives by every parameter."""
+def differentiate(
+    model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, asked: np.ndarray
+) -> tuple[Followed, Path, Steps]:
+    """Whitened innovations and their derivatives by the parameters `asked` for (K,), and what they come from."""
     path = follow(model, data, theta, gains)
-    steps = derivatives(model, data, theta, path)
-    seen = jnp.asarray(data.track.seen)
-    each = [_chain(_piece(steps, i), _piece(gains, i), seen[i], data.dt) for i in range(len(data.run))]
-    return Followed(whiten(gains, path.e), -whiten(gains, jnp.stack(each)))
+    steps = derivatives(model, data, theta, path, asked)
+    return Followed(whiten(gains, path.e), chained(steps, data, gains)), path, steps
+
+
+def chained(steps: Steps, data: Pieces, gains: Gains) -> Array:
+    """Derivatives (P, T, 3, K) of the whitened predictions."""
+    one = lambda steps, gains, seen: _chain(steps, gains, seen, data.dt)
+    return -whiten(gains, each_piece(one, len(data.run), steps, gains, data.track.seen))

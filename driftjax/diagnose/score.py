@@ -8,6 +8,7 @@ Miller 2008).
 from typing import NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.runs import Followed
@@ -23,12 +24,17 @@ class Scores(NamedTuple):
     blocks: np.ndarray  # (C, K) score of each block
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
-    p_value: float  # that chance gives the largest |T|
+    chance: np.ndarray  # (DRAWS,) largest |T| that random signs gave, in ascending order
+
+    @property
+    def p_value(self) -> float:
+        """Probability that chance gives the largest |T|."""
+        return float((1 + np.sum(self.chance >= np.abs(self.T).max(initial=0.0))) / (DRAWS + 1))
 
 
-def block_sums(task: Problem, at: Followed) -> tuple[np.ndarray, np.ndarray]:
-    """Information (K, K) and scores by block (C, K)."""
-    e, J = np.asarray(at.e), np.asarray(at.J)
+def sums_by_block(task: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Information (K, K) and scores by block (C, K) of innovations (P, T, 3) and derivatives (P, T, 3, K)."""
+    e, J = np.asarray(e), np.asarray(J)
     H = np.einsum("ptij,ptik->jk", J, J, optimize=True)
     blocks = np.zeros((task.data.num_blocks, J.shape[-1]))
     np.add.at(blocks, task.data.block, np.einsum("ptik,pti->ptk", J, e))
@@ -46,24 +52,32 @@ def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, ...], seed: int) -> Scores:
     """Tests of all effects outside `members` at the fit that `at` belongs to."""
-    H, blocks = block_sums(task, at)
+    H, blocks = sums_by_block(task, at.e, at.J)
     columns = task.columns(members)
     P = partial_out(H, columns)
     effective, information = blocks @ P, P.T @ H @ P
-    own = np.diag(information) > CONDITION * np.maximum(np.diag(H), 1e-300)
-    own &= np.diag(H) > 0
+    own = np.diag(information) > CONDITION * np.diag(H)
     own[columns] = False
-    U, spread = effective.sum(axis=0), np.sqrt((effective**2).sum(axis=0))
+    U = effective.sum(axis=0)
     allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
-    T = np.where(own & allowed, U / np.where(own, spread, 1.0), 0.0)
-    one_sided = own & (task.lower >= theta)
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(blocks)))
-    drawn = (signs @ effective)[:, own] / spread[own]
-    drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
-    largest = drawn.max(axis=1, initial=0.0)
-    p_value = (1 + np.sum(largest >= np.abs(T).max(initial=0.0))) / (DRAWS + 1)
+    T = np.where(allowed, studentised(effective, own), 0.0)
+    chance = largest_by_chance(effective, own, task.lower >= theta, seed)
     gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
-    return Scores(H, blocks, T, gains, float(p_value))
+    return Scores(H, blocks, T, gains, chance)
+
+
+def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Sum of the scores (C, K) over the root of their sum of squares; 0 but for those that are their `own`."""
+    spread = np.sqrt((effective**2).sum(axis=0))
+    return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
+
+
+def largest_by_chance(effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int) -> np.ndarray:
+    """Largest |T| (DRAWS,) when blocks have random signs, ascending; `one_sided` scores count where positive."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
+    drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
+    drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
+    return np.sort(drawn.max(axis=1, initial=0.0))
 
 
 def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:
@@ -76,12 +90,12 @@ def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: in
     return float(U[columns] @ np.linalg.solve(part + 1e-9 * np.trace(part) * np.eye(len(part)), U[columns]))
 
 
-def covariance(task: Problem, at: Followed, columns: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters `columns`, robust to dependence within blocks, never below the model's own.
+def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
 
-    Sandwich with the correction C / (C - k) of few clusters (Cameron and Miller 2015, Eq. 12).
+    It is robust to dependence within blocks, never below the model's own: sandwich with the correction C / (C - k) of
+    few clusters (Cameron and Miller 2015, Eq. 12).
     """
-    H, blocks = block_sums(task, at)
     inverse = np.linalg.inv(H[np.ix_(columns, columns)])
     U = blocks[:, columns]
     C = len(U)

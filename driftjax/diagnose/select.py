@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from driftjax.core import BadInput
 from driftjax.diagnose.fit import Fit, Problem, around, priced, refine
 from driftjax.diagnose.runs import Followed
 from driftjax.diagnose.score import Scores, scores
@@ -13,14 +14,6 @@ MOST = 4  # effects that one diagnosis may name
 REFITS = 6  # candidates refitted at each step
 WORTH = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
 MATERIAL = 0.08  # size below which an effect is left out, in typical sizes
-
-
-class Step(NamedTuple):
-    """One hypothesis on the way."""
-
-    members: tuple[int, ...]
-    fit: Fit
-    p_value: float  # of the test that let the last member in
 
 
 class Selection(NamedTuple):
@@ -39,14 +32,14 @@ def price(task: Problem, fit: Fit, members: tuple[int, ...]) -> float:
     return fit.cost + WORTH * len(task.columns(members))
 
 
-def best_of(task: Problem, fit: Fit, members: tuple[int, ...], gain: np.ndarray) -> tuple[tuple, Fit]:
+def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gain: np.ndarray) -> tuple[tuple, Fit]:
     """`members` with one more, the one whose refit has the least price; themselves where none earns its keep.
 
-    Candidates by the `gain` (E,) they promise; after one step all but the best three are given up.
+    Candidates by the `gain` (E,) they promise at the fit, linearised in `at`; after one step all but the best three
+    are given up.
     """
     worth = gain - WORTH * np.array([len(task.columns((i,))) for i in range(len(gain))])
     order = [int(i) for i in np.argsort(-worth)[:REFITS] if gain[i] > 0.2 * gain.max()]
-    at = around(task, fit)
     grown = [(*members, one) for one in order if one not in members]
     trials = [(refine(task, fit, task.columns(new), at, num=1), new) for new in grown]
     trials.sort(key=lambda item: price(task, *item))
@@ -58,10 +51,12 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], gain: np.ndarray)
 def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
     """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each."""
     members: tuple[int, ...] = ()
+    if not np.isfinite(start.cost):
+        raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
     fit, p_values = start, dict[int, float]()
     at, left = tested(task, fit, members, seed)
     while len(members) < MOST and left.p_value < LEVEL:
-        grown, trial = best_of(task, fit, members, left.gain)
+        grown, trial = best_of(task, fit, members, at, left.gain)
         new, trial = prune(task, *swap(task, grown, trial))
         if price(task, trial, new) >= price(task, fit, members):
             break
@@ -88,8 +83,8 @@ def swap(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, 
     """Each earlier member in turn gives way to the outsider that suits its place best, where that lowers the price."""
     for old in members[:-1]:
         rest, base = without(task, fit, members, old)
-        _, left = tested(task, base, rest, 0)
-        new, trial = best_of(task, base, rest, left.gain)
+        at, left = tested(task, base, rest, 0)
+        new, trial = best_of(task, base, rest, at, left.gain)
         if price(task, trial, new) < price(task, fit, members) - 1.0:
             members, fit = new, trial
     return members, fit

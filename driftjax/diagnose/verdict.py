@@ -6,13 +6,15 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnose.evidence import Cause
-from driftjax.diagnose.fit import Problem, normal
-from driftjax.diagnose.select import LEVEL, Selection
+from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.select import Selection
+from driftjax.diagnose.unknown import Unexplained
 
 SURE = 0.95  # probability from which one name stands alone
 SHORTEST = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 BLIND = 0.5  # share of effects that must be detectable before finding nothing means anything
+VARIES = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 
 
 class Verdict(StrEnum):
@@ -32,38 +34,33 @@ class Judgement(NamedTuple):
     sentence: str
 
 
-def detectable(task: Problem, found: Selection) -> float:
-    """Share of one-parameter effects whose typical size these data would show."""
-    H, _ = normal(found.at)
-    single = [int(c[0]) for c in (task.columns((i,)) for i in range(len(task.effects))) if len(c) == 1]
-    return float(np.mean(np.sqrt(np.diag(H)[single]) > DETECTABLE))
+def shown(task: Problem, H: np.ndarray) -> float:
+    """Share of the one-parameter effects in question whose typical size data with the information H (K, K) show."""
+    single = np.bincount(task.owner)[task.owner] == 1
+    return float(np.mean(np.sqrt(np.diag(H)[single & task.asked]) > DETECTABLE))
 
 
-def judge(task: Problem, found: Selection, named: list[Cause], duration: float) -> Judgement:
+def judge(task: Problem, found: Selection, named: list[Cause], left: Unexplained, duration: float) -> Judgement:
     """The verdict on a search and what to say of it."""
-    left = found.scores.p_value
-    if not named and left >= LEVEL:
-        share = detectable(task, found)
+    varying = [task.effects[cause.effect].name for cause in named if cause.invariance < VARIES]
+    if left.found or varying:
+        return Judgement(Verdict.UNKNOWN, _unknown(task, named, left, varying))
+    if not named:
+        share = shown(task, found.scores.H)
         if share < BLIND:
             text = f"These {duration:.0f} s hardly excite the car: only {100 * share:.0f} % of the effects would show."
             return Judgement(Verdict.DATA_INSUFFICIENT, text + " Record drifts and cornering with changing drive.")
         return Judgement(Verdict.NOTHING, f"Nothing is missing that {duration:.0f} s of these data could show.")
-    if left < LEVEL:
-        return Judgement(Verdict.UNKNOWN, _unknown(task, found, named, left))
-    parts = [phrase(task, cause) for cause in named]
     verdict = Verdict.NAMED if all(cause.probability >= SURE for cause in named) else Verdict.SET
-    return Judgement(verdict, " ".join(parts))
+    return Judgement(verdict, " ".join(phrase(task, cause) for cause in named))
 
 
 def phrase(task: Problem, cause: Cause) -> str:
     """One cause in words: what, how much, how sure, and what it may be instead."""
     effect = task.effects[cause.effect]
     scale = np.asarray(task.model.scale)[task.columns((cause.effect,))]
-    values = [
-        f"{p.name} = {x * s:.3g} ± {w * s:.2g} {p.unit}".replace(" 1", "") if p.unit == "1"
-        else f"{p.name} = {x * s:.3g} ± {w * s:.2g} {p.unit}"
-        for p, x, w, s in zip(effect.parameters, cause.theta, cause.half_width, scale, strict=True)
-    ]  # fmt: skip
+    rows = zip(effect.parameters, cause.theta, cause.half_width, scale, strict=True)
+    values = [f"{p.name} = {x * s:.3g} ± {w * s:.2g}{p.suffix}" for p, x, w, s in rows]
     text = f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
     text += f"P = {cause.probability:.2f})."
     if cause.probability < SURE and cause.rivals:
@@ -72,10 +69,12 @@ def phrase(task: Problem, cause: Cause) -> str:
     return text
 
 
-def _unknown(task: Problem, found: Selection, named: list[Cause], p_value: float) -> str:
-    text = f"Something is missing that no effect of the catalogue explains (p = {p_value:.3f})"
+def _unknown(task: Problem, named: list[Cause], left: Unexplained, varying: list[str]) -> str:
+    if not left.found:
+        return f"Something is missing that {', '.join(varying)} only stands for: its size differs from run to run."
+    text = f"Something is missing that no effect of the catalogue explains (p = {left.p_value:.3f})"
     if named:
         text += ", beside " + ", ".join(task.effects[cause.effect].name for cause in named)
-    worst = np.sqrt(np.asarray((found.at.e**2).mean(axis=(0, 1))))
-    channel = ("V", "beta", "r")[int(np.argmax(worst))]
-    return text + f"; it shows most in {channel}."
+    term, drivers = left.term, list(left.drivers)[:2]
+    text += f"; it goes most with {' and '.join(drivers)}, such as {term.value:.2g} ± {term.half_width:.1g} {term.unit}"
+    return text + f" times {term.function} in the rate of {term.channel}."

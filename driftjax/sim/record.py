@@ -19,7 +19,7 @@ from driftjax.vehicle.effect.flow import Place, heat_rate
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
 
-FILTER = 0.02  # time constant of the driver's filter on what is measured, over sqrt(L / g) x 5 [-]
+FILTER = 0.1  # time constant of the driver's filter on what is measured, over sqrt(L / g) [-]
 
 
 class Manoeuvre(NamedTuple):
@@ -59,6 +59,7 @@ class _Now(NamedTuple):
     command: Array
     push: Array
     distance: Array
+    rate: State  # of the state
 
 
 def limits(vehicle: VehicleConfig, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,7 +77,7 @@ def record(
     h = dt / substeps
     lower, upper, rate = limits(vehicle, dt)
     nominal = vehicle.build()
-    smooth = 1 - jnp.exp(-dt / (FILTER * 5 * ((vehicle.a + vehicle.b) / 9.81) ** 0.5))
+    smooth = 1 - jnp.exp(-dt / (FILTER * plant.base.unit_time))
     first = State(*manoeuvre.x_ref[0])
     u0 = jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
@@ -87,7 +88,9 @@ def record(
     zero = jnp.zeros(())
     place = Place(zero, zero, zero, zero)
     felt = settled(plant, first, jax.tree.map(lambda a: a[-1], held), place)
-    start = _Now(first, felt, memory, place, jnp.zeros(2), manoeuvre.x_ref[0], u0, jnp.zeros(3), zero)
+    start = _Now(
+        first, felt, memory, place, jnp.zeros(2), manoeuvre.x_ref[0], u0, jnp.zeros(3), zero, State(zero, zero, zero)
+    )
 
     def fine(now: _Now, u: Control) -> _Now:
         memory, reached = plant.act(now.memory, u, now.x.V, h)
@@ -99,14 +102,12 @@ def record(
             now.place.heat + h * heat_rate(nominal, now.x),
         )  # fmt: skip
         position = now.position + h * now.x.V * jnp.stack([jnp.cos(course), jnp.sin(course)])
-        return now._replace(x=x, felt=felt, memory=memory, place=place, position=position, distance=distance)
+        rate = jax.tree.map(lambda a, b: (b - a) / h, now.x, x)
+        return _Now(x, felt, memory, place, position, now.seen, now.command, now.push, distance, rate)
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row
-        memory, reached = plant.act(now.memory, Control(now.command[0], now.command[1]), now.x.V, h)
-        after, _ = advance(plant, now.x, now.felt, reached, now.place, jnp.asarray(h), State(*now.push), heun_step)
-        told = plant.sense(now.x, jax.tree.map(lambda a, b: (b - a) / h, now.x, after))
-        y = jnp.stack(told) + noise
+        y = jnp.stack(plant.sense(now.x, now.rate)) + noise
         seen = now.seen + smooth * (y - now.seen)
         command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - rate, now.command + rate)
         command = jnp.clip(command, lower, upper)

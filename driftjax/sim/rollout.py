@@ -116,10 +116,12 @@ def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "2"], pl
     return jnp.concatenate([x0, felt.slip, felt.ay[None]])
 
 
-def move(model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array) -> Float[Array, "6"]:
-    """State and what is felt one step later, under `u` acting."""
+def move(
+    model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array, push: State | None = None
+) -> Float[Array, "6"]:
+    """State and what is felt one step later, under `u` acting; `push` is added to the rates."""
     x, felt = State(z[0], z[1], z[2]), Felt(z[3:5], z[5])
-    x, felt = advance(model, x, felt, Control(u[0], u[1]), place, dt)
+    x, felt = advance(model, x, felt, Control(u[0], u[1]), place, dt, push)
     return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]])
 
 

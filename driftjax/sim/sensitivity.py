@@ -6,7 +6,6 @@ had backwards at each stage of the Runge-Kutta step, and only small products run
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,20 +48,19 @@ def move_with_derivatives(
     K = len(model.theta)
     every = jnp.eye(8 + K)
     direct, state, felt, inputs = every[8:], Dual(z[:3], every[:3]), Dual(z[3:], every[3:6]), Dual(u, every[6:8])
-    with_theta = lambda theta: eqx.tree_at(lambda m: m.theta, model, theta)
 
     def force(v, theta):
-        flow = with_theta(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
+        flow = model.at(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
         return jnp.stack([*rates(flow), flow.ay])
 
     def behind(v, theta):
-        car, x, u = with_theta(theta), _state(v), _control(v[6:])
+        car, x, u = model.at(theta), _state(v), _control(v[6:])
         at = follow(car, x, u, _state(v[8:]), v[11])
         aux, end = lagged(car, Felt(v[3:5], v[5]), at, dt)
         return jnp.concatenate([aux.slip, aux.ay[None], end.slip, end.ay[None]])
 
     def reach(v, theta):
-        end = felt_at(with_theta(theta), _state(v), _control(v[3:]), Felt(v[5:7], v[7]))
+        end = felt_at(model.at(theta), _state(v), _control(v[3:]), Felt(v[5:7], v[7]))
         return jnp.concatenate([v[:3], end.slip, end.ay[None]])
 
     nothing = Dual(jnp.zeros(3), jnp.zeros((3, 8 + K)))

@@ -27,11 +27,15 @@ class Universal(eqx.Module):
             at += len(effect.parameters)
         return found
 
-    def _through(self, station: Station, record):
+    def at(self, theta: Float[Array, " K"]) -> "Universal":
+        """The same car with other parameters, in typical sizes."""
+        return eqx.tree_at(lambda car: car.theta, self, theta)
+
+    def _through(self, station: Station, record, *context):
         values = self.values()
         for effect in self.effects:
             if effect.station == station:
-                record = effect.apply(record, values[effect.name])
+                record = effect.apply(record, *context, values[effect.name])
         return record
 
     @property
@@ -65,11 +69,7 @@ class Universal(eqx.Module):
 
     def sense(self, x: State, dx: State) -> State:
         """What the sensors tell of `x`, noise apart; `dx` its rate."""
-        values = self.values()
-        for effect in self.effects:
-            if effect.station == "sensor":
-                x = effect.apply(x, dx, values[effect.name])
-        return x
+        return self._through("sensor", x, dx)
 
 
 def base_car(vehicle: VehicleConfig) -> Car:

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.control.manoeuvre import MANOEUVRES, RICH, size
+from driftjax.control.campaign import spun, typical
+from driftjax.control.manoeuvre import MANOEUVRES, RICH
 from driftjax.data import Run
 from driftjax.diagnose.noise import Noise
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import effects_named
-from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal
 
 NAMES = (
@@ -39,9 +39,8 @@ def catalogue() -> Universal:
 @functools.cache
 def truth() -> Noise:
     """Noise of good sensors, and rates disturbed as a real car's are."""
-    unit = size(sedan())
-    disturbance = np.array([0.0092 * G, 0.0084 / unit.time, 0.028 / unit.time**2])
-    return Noise(np.array([0.05, 0.0087, 0.0087]), disturbance, 0.3)
+    conditions = typical(sedan())
+    return Noise(np.asarray(conditions.sigma), np.asarray(conditions.disturbance), float(conditions.correlation))
 
 
 def hidden(**found: float) -> np.ndarray:
@@ -51,7 +50,7 @@ def hidden(**found: float) -> np.ndarray:
 
 @eqx.filter_jit
 def _drive(model: Universal, theta, manoeuvres: Manoeuvre, conditions: Conditions, keys):
-    plant = eqx.tree_at(lambda m: m.theta, model, theta)
+    plant = model.at(theta)
     return jax.vmap(lambda m, key: record(plant, sedan(), m, conditions, key, DT))(manoeuvres, keys)
 
 
@@ -71,9 +70,9 @@ def recorded(theta: np.ndarray, seed: int, noise_seed: int) -> tuple[Run, ...]:
     found = jax.tree.map(np.asarray, _drive(catalogue(), jnp.asarray(theta), manoeuvres, conditions, keys))
     runs = []
     for i, name in enumerate(RICH):
-        V, beta = found.x[i, :, 0], found.x[i, :, 1]
-        if np.isfinite(found.y[i]).all() and abs(beta).max() < 1.2 and V.min() > 0.3 * size(sedan()).speed:
-            place = {"psi": found.place.psi[i], "s": found.place.s[i]}
-            (V, beta, r), (delta, Fxr) = found.y[i].T, found.command[i].T
+        one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
+        if not spun(sedan(), one):
+            place = {"psi": one.place.psi, "s": one.place.s}
+            (V, beta, r), (delta, Fxr) = one.y.T, one.command.T
             runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, place))
     return tuple(runs)

@@ -6,6 +6,7 @@ The cases of a failed run come back with `DRIFTJAX_SEED` set to the printed seed
 import functools
 import os
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.diagnose.fit import Problem, priced, problem
 from driftjax.diagnose.runs import Followed, Pieces
-from driftjax.diagnose.score import covariance, partial_out, scores
+from driftjax.diagnose.score import covariance, partial_out, scores, sums_by_block
 from driftjax.diagnose.select import search
 
 CLEAR = ("friction_rear", "stiffness_front", "drive_gain", "yaw_inertia", "steer_offset", "steer_lag", "gyro_bias")
@@ -45,7 +46,7 @@ def test_a_hidden_effect_is_named_and_measured(case):
     task, found = diagnosed(hidden(**{name: size}), rng)
     assert [ORDER[i] for i in found.members] == [name]
     columns = task.columns(found.members)
-    deviation = float(np.sqrt(covariance(task, found.at, columns)[0, 0]))
+    deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
     assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
     assert deviation < 0.25  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
@@ -63,8 +64,9 @@ def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
     block = np.repeat(np.arange(blocks), LENGTH)[None]
     data = Pieces(None, np.zeros(1, int), block, blocks, 0.01)  # type: ignore[arg-type]
     model = SimpleNamespace(effects=EFFECTS[:SIZE])
-    nothing = None
-    return Problem(model, data, lower, np.full(SIZE, 4.0), np.arange(SIZE), nothing, nothing)  # type: ignore[arg-type]
+    nothing: Any = None
+    known = np.arange(SIZE), frozenset[str](), np.ones(SIZE, bool)
+    return Problem(model, data, lower, np.full(SIZE, 4.0), *known, nothing, nothing)  # type: ignore[arg-type]
 
 
 def noise(rng, blocks=BLOCKS) -> Followed:
@@ -137,7 +139,7 @@ def test_covariance_of_independent_data_is_the_inverse_information():
     at, columns = noise(rng, 300), np.array([0, 1, 2])
     J = np.asarray(at.J).reshape(-1, SIZE)[:, columns]
     expected = np.linalg.inv(J.T @ J)
-    found = covariance(task, at, columns)
+    found = covariance(*sums_by_block(task, at.e, at.J), columns)
     np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=0.25)
     correlation = lambda c: c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
     np.testing.assert_allclose(correlation(found), correlation(expected), atol=1e-9)
@@ -147,5 +149,5 @@ def test_covariance_grows_where_samples_of_a_block_say_the_same():
     rng, task, columns = np.random.default_rng(14), made_up(blocks=300), np.array([0, 1])
     e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in noise(rng, 300))
     flat = J.reshape(-1, SIZE)[:, columns]
-    found = covariance(task, Followed(e, J), columns)  # type: ignore[arg-type]
+    found = covariance(*sums_by_block(task, e, J), columns)
     np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)

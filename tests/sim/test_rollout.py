@@ -29,7 +29,7 @@ def car_with(car="sedan", **found) -> Universal:
     """The car with these effects of one parameter each, SI."""
     model = universal(load_vehicle(car), effects_named(tuple(found)))
     values = jnp.array([float(found[effect.name]) for effect in model.effects])
-    return eqx.tree_at(lambda m: m.theta, model, values / model.scale)
+    return model.at(values / model.scale)
 
 
 def without_grip(model: Universal) -> Universal:
@@ -56,13 +56,13 @@ def bent() -> Universal:
     lower = np.array([parameter.lower for effect in model.effects for parameter in effect.parameters])
     rng = np.random.default_rng(6)
     sign = np.where(lower == 0, 1.0, rng.choice([-1.0, 1.0], len(lower)))
-    return eqx.tree_at(lambda m: m.theta, model, jnp.asarray(sign * rng.uniform(0.4, 1.2, len(lower))))
+    return model.at(jnp.asarray(sign * rng.uniform(0.4, 1.2, len(lower))))
 
 
 @pytest.mark.parametrize("combined_slip", [0.0, 1.0])
 def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
     vehicle = replace(load_vehicle("sedan"), combined_slip=combined_slip)
-    model, nominal = eqx.tree_at(lambda m: m.theta, bent(), jnp.zeros_like(bent().theta)), vehicle.build()
+    model, nominal = bent().at(jnp.zeros_like(bent().theta)), vehicle.build()
     model = eqx.tree_at(lambda m: m.base, model, universal(vehicle, ()).base)
     z, u, place = rich()
     found = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT))))(z, u, place)
@@ -172,7 +172,7 @@ def test_derivatives_of_a_step_are_those_of_forward_mode():
 
     def both(z, u, place):
         def f(z, u, theta):
-            return move(eqx.tree_at(lambda m: m.theta, model, theta), z, u, place, jnp.asarray(DT))
+            return move(model.at(theta), z, u, place, jnp.asarray(DT))
 
         by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2))(z, u, model.theta), axis=1)
         return f(z, u, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT))

@@ -68,7 +68,7 @@ def outputs(model, x, u, place, dx):
 @eqx.filter_jit
 def along(model, thetas, data):
     """Outputs (K, D) at each row of `thetas` and their derivative by the parameter of that row."""
-    at = lambda theta: outputs(eqx.tree_at(lambda m: m.theta, model, theta), *data)
+    at = lambda theta: outputs(model.at(theta), *data)
     return jax.vmap(lambda theta, d: jax.jvp(at, (theta,), (d,)))(thetas, jnp.eye(len(model.theta)))
 
 
@@ -77,7 +77,7 @@ def backward(model, thetas, data):
     """Gradients of the summed outputs by parameters, states and commands, in reverse mode, for each row."""
 
     def total(theta, x, u):
-        return jnp.sum(outputs(eqx.tree_at(lambda m: m.theta, model, theta), x, u, *data[2:]))
+        return jnp.sum(outputs(model.at(theta), x, u, *data[2:]))
 
     return jax.lax.map(lambda theta: jax.grad(total, argnums=(0, 1, 2))(theta, *data[:2]), thetas)
 
@@ -114,7 +114,7 @@ def car_with(car="sedan", **found) -> Universal:
     """The car with these effects at these values, SI."""
     model = universal(load_vehicle(car), tuple(effect for name, effect in EFFECTS.items() if name in found))
     values = np.concatenate([np.atleast_1d(found[effect.name]) for effect in model.effects])
-    return eqx.tree_at(lambda m: m.theta, model, jnp.asarray(values) / model.scale)
+    return model.at(jnp.asarray(values) / model.scale)
 
 
 def state(V=10.0, beta=0.0, r=0.0):

@@ -48,6 +48,11 @@ class Parameter:
     upper: float = 4.0
     """Largest value, in typical sizes."""
 
+    @property
+    def suffix(self) -> str:
+        """Unit as it follows a number in text; nothing for a pure number."""
+        return "" if self.unit == "1" else f" {self.unit}"
+
     def scale(self, vehicle: VehicleConfig) -> float:
         """Typical size on this car, SI."""
         return self.typical * reference(vehicle, self.of)

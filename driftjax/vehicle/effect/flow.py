@@ -41,6 +41,11 @@ class Car(NamedTuple):
         return jnp.sqrt(G * self.wheelbase)
 
     @property
+    def unit_time(self) -> Array:
+        """sqrt(L / g) [s]."""
+        return jnp.sqrt(self.wheelbase / G)
+
+    @property
     def nominal(self) -> SingleTrack:
         """The single track with this car's size and mass; its tyre is the front one."""
         return SingleTrack(self.m, self.Iz, self.a, self.b, SimplifiedPacejka(self.muf, self.Bf, self.Cf))
