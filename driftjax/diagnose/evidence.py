@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from driftjax.diagnose.fit import Problem
-from driftjax.diagnose.score import covariance, partial_out
+from driftjax.diagnose.score import covariance, information, partial_out
 from driftjax.diagnose.select import WORTH, Selection, price, tested, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of
@@ -56,7 +56,7 @@ def invariance(task: Problem, found: Selection) -> dict[int, float]:
     if len(runs) < 2:
         return dict.fromkeys(found.members, 1.0)
     e, J = np.asarray(found.at.e), np.asarray(found.at.J)[..., columns]
-    H = np.array([np.einsum("ptij,ptik->jk", *2 * (J[task.data.run == run],), optimize=True) for run in runs])
+    H = np.array([information(J[task.data.run == run]) for run in runs])
     U = np.array([np.einsum("ptij,pti->j", J[task.data.run == run], e[task.data.run == run]) for run in runs])
     total, blocks = H.sum(axis=0), found.scores.blocks[:, columns]
     least = dict.fromkeys(found.members, 1.0)
@@ -64,10 +64,10 @@ def invariance(task: Problem, found: Selection) -> dict[int, float]:
         other = np.arange(len(columns)) != k
         w = np.zeros(len(columns))
         w[k], w[other] = 1.0, -np.linalg.solve(total[np.ix_(other, other)], total[other, k])
-        information, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
-        excess = max(np.sum((blocks @ w) ** 2) / information.sum(), 1.0)
-        known = information > SHARE * information.sum()
-        Q = np.sum(score[known] ** 2 / information[known]) - score[known].sum() ** 2 / information[known].sum()
+        size, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
+        excess = max(np.sum((blocks @ w) ** 2) / size.sum(), 1.0)
+        known = size > SHARE * size.sum()
+        Q = np.sum(score[known] ** 2 / size[known]) - score[known].sum() ** 2 / size[known].sum()
         member = int(task.owner[column])
         least[member] = min(least[member], float(chi2.sf(Q / excess, max(known.sum() - 1, 1))))
     return least

@@ -14,7 +14,7 @@ from driftjax.control.manoeuvre import MANOEUVRES
 from driftjax.diagnose.evidence import Cause
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.runs import differentiate, gains, held, pieces
-from driftjax.diagnose.score import partial_out, sums_by_block
+from driftjax.diagnose.score import information, partial_out
 from driftjax.diagnose.select import Selection
 from driftjax.diagnose.verdict import Judgement, Verdict, shown
 from driftjax.vehicle import VehicleConfig
@@ -48,7 +48,7 @@ def propose(
     if not runs:
         return None
     value = lambda H: _least_sure(task, found, named, H) if named else shown(task, found.scores.H + H)
-    added = information(vehicle, task, found, runs)
+    added = added_by(vehicle, task, found, runs)
     zero = np.zeros_like(found.scores.H)
     now, each = value(zero), {run.name.rsplit("-", 1)[0]: value(H) for run, H in zip(runs, added, strict=True)}
     best = max(each, key=lambda name: each[name])
@@ -57,13 +57,12 @@ def propose(
     return Proposal(best, DURATION, now, each[best], each, text)
 
 
-def information(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> list[np.ndarray]:
+def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> list[np.ndarray]:
     """Information (K, K) that each of `runs` would add, around the fit."""
     data = pieces(vehicle, runs)
     own = gains(task.model, data, task.noise.row(), held(data))
     at = differentiate(task.model, data, found.fit.theta, own, task.asked)[0]
-    alone = lambda i: task._replace(data=data.part(data.run == i))
-    return [sums_by_block(alone(i), at.e[data.run == i], at.J[data.run == i])[0] for i in range(len(runs))]
+    return [information(at.J[data.run == i]) for i in range(len(runs))]
 
 
 def _least_sure(task: Problem, found: Selection, named: list[Cause], added: np.ndarray) -> float:

@@ -32,13 +32,18 @@ class Scores(NamedTuple):
         return float((1 + np.sum(self.chance >= np.abs(self.T).max(initial=0.0))) / (DRAWS + 1))
 
 
+def information(J: ArrayLike) -> np.ndarray:
+    """Information (K, K) of derivatives (P, T, 3, K)."""
+    J = np.asarray(J)
+    return np.einsum("ptij,ptik->jk", J, J, optimize=True)
+
+
 def sums_by_block(task: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Information (K, K) and scores by block (C, K) of innovations (P, T, 3) and derivatives (P, T, 3, K)."""
     e, J = np.asarray(e), np.asarray(J)
-    H = np.einsum("ptij,ptik->jk", J, J, optimize=True)
     blocks = np.zeros((task.data.num_blocks, J.shape[-1]))
     np.add.at(blocks, task.data.block, np.einsum("ptik,pti->ptk", J, e))
-    return H, blocks
+    return information(J), blocks
 
 
 def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
