@@ -70,12 +70,11 @@ def test_side_by_side_is_as_one_by_one(monkeypatch):
     names, t = ("drift", "slalom", "coast_down"), np.arange(100) / 100
     drives = [MANOEUVRES[name](SEDAN, np.random.default_rng(i), t) for i, name in enumerate(names)]
     stack = lambda some: jax.tree.map(lambda *a: jnp.stack(a), *some)
-    run = jax.jit(lambda some, seeds: driven(SEDAN, jnp.array([-0.5, 1.0]), stack(some), typical(SEDAN), seeds, 0.01))
-    together = run(drives, jnp.arange(3))
+    one = lambda drive, seed: driven(SEDAN, jnp.array([-0.5, 1.0]), drive, typical(SEDAN), seed, 0.01)
+    together, run = jax.jit(jax.vmap(one))(stack(drives), jnp.arange(3)), jax.jit(one)
     for i, drive in enumerate(drives):
-        lone = run([drive], jnp.array([i]))
-        for a, b in zip(jax.tree.leaves(lone), jax.tree.leaves(together), strict=True):
-            np.testing.assert_allclose(a[0], b[i], rtol=1e-9, atol=1e-9)
+        for a, b in zip(jax.tree.leaves(run(drive, jnp.array(i))), jax.tree.leaves(together), strict=True):
+            np.testing.assert_allclose(a, b[i], rtol=1e-9, atol=1e-9)
 
 
 def test_dropouts_and_outliers_have_their_shares():

@@ -8,10 +8,12 @@ import tyro
 import yaml
 
 from driftjax.cli.console import base_car, default_out, progress, typed, within
+from driftjax.cli.simulate import drive_again
 from driftjax.core import write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, extended, gain_json, to_json
+from driftjax.diagnose.verdict import Judgement
 from driftjax.vehicle import VehicleConfig
 
 STEPS = ("noise and nominal car", "naming", "gain", "done")
@@ -30,6 +32,9 @@ class Diagnose:
     """Friction ellipse of the nominal car, 0 none (as published), 1 a circle; left out: the vehicle's own [-]."""
     columns: str | None = None
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
+    drive: Path | None = None
+    """truth.yaml of a simulated car: the manoeuvre proposed is driven on it, and the diagnosis made again with that run
+    in the folder `next`."""
     out: Path | None = None
     """Output folder; runs/diagnose-CAR-TIME where left out."""
 
@@ -42,10 +47,22 @@ def run(argv: list[str]) -> int:
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "options": dataclasses.asdict(asked.options)}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
-    return within(folder, lambda: work(vehicle, log, asked.options, folder))
+
+    def both() -> int:
+        found = work(vehicle, log, asked.options, folder)
+        if asked.drive and isinstance(found, Diagnosis) and found.proposal:
+            more = folder.path / "next.csv"
+            drive_again(asked.drive, found.proposal.manoeuvre, more)
+            again = RunFolder.create(
+                folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
+            )
+            work(vehicle, read_log((*asked.logs, more)), asked.options, again)
+        return 0
+
+    return within(folder, both)
 
 
-def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder) -> int:
+def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder) -> Diagnosis | Judgement:
     """The diagnosis into `folder` and onto the screen."""
     for note in log.notes:
         print(f"note: {note}")
@@ -60,10 +77,12 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
         content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
     folder.write_json("diagnosis", content)
     print(f"\n{judgement.verdict}: {judgement.sentence}\n")
+    if isinstance(found, Diagnosis) and found.proposal:
+        print(found.proposal.sentence + "\n")
     if isinstance(found, Diagnosis):
         print(gain_table(found))
     print(f"diagnosis: {folder.path}")
-    return 0
+    return found
 
 
 def _bare(sentence: str, verdict: str, log: Log, config: DiagnoseConfig) -> dict[str, Any]:

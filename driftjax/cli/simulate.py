@@ -118,7 +118,23 @@ def described(truth: Truth, typed_in: Simulate) -> dict:
     """What truth.yaml holds, SI."""
     options = typed_in.options
     return {
-        "vehicle": str(typed_in.vehicle), "combined_slip": typed_in.combined_slip, "seed": options.seed,
+        "vehicle": str(typed_in.vehicle), "combined_slip": typed_in.combined_slip,
         "effects": truth.effects, "noise": truth.noise, "process_noise": truth.process_noise,
-        "dropouts": options.dropouts, "outliers": options.outliers, "left_out": list(truth.left_out),
+        "seed": options.seed, "campaign": to_dict(options), "left_out": list(truth.left_out),
     }  # fmt: skip
+
+
+def drive_again(truth: Path, manoeuvre: str, path: Path) -> None:
+    """One more run, of `manoeuvre`, on the car that `truth` describes, into a log at `path`; with a seed of its own."""
+    told = read_yaml(truth)
+    missing = [key for key in ("vehicle", "combined_slip", "effects", "campaign") if key not in told]
+    if missing:
+        raise BadInput(f"{truth}: key '{missing[0]}' is missing; give the truth.yaml that `driftjax simulate` wrote.")
+    vehicle = base_car(Path(told["vehicle"]), told["combined_slip"])
+    words = [f"{name}.{key}={value!r}" for name, values in told["effects"].items() for key, value in values.items()]
+    before = from_dict(Campaign, told["campaign"], str(truth))
+    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + 2**20)
+    runs, _ = record_runs(vehicle, strengths(vehicle, tuple(words)), campaign)
+    if not runs:
+        raise BadInput(f"{truth}: the car spun or came to a stop in every draw of '{manoeuvre}'.")
+    write_log(path, runs)

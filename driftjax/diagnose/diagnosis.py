@@ -13,6 +13,7 @@ from driftjax.data.columns import MEASURED
 from driftjax.diagnose.evidence import Cause, causes
 from driftjax.diagnose.fit import Fit, Problem, priced, problem, refine
 from driftjax.diagnose.gain import Errors, floor, open_loop, skill
+from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
 from driftjax.diagnose.select import Selection, search
 from driftjax.diagnose.unknown import Unexplained, unexplained
@@ -105,7 +106,8 @@ def nominal(task: Problem) -> Fit:
 
 
 def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
-    """Open-loop errors on the runs held out of the nominal car, the re-tuned one and the extended one, with skills."""
+    """Open-loop errors on the runs held out of the nominal car, the re-tuned one, the extended one, and both ends with
+    a GP on what they lack; with skills."""
     use, held = split(len(names), config.held_out)
     if not len(held):
         return None
@@ -116,6 +118,8 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     tuned = refine(train, found.nominal, columns[task.asked[columns]])
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
     errors = {name: open_loop(test, theta) for name, theta in thetas.items()}
+    for name, base in (("gp", "nominal"), ("extended_gp", "extended")):
+        errors[name] = open_loop(test, thetas[base], learnt(train, thetas[base], config.seed))
     least = floor(test, found.fit.theta)
     skills = {name: skill(errors["nominal"], one, least, config.seed) for name, one in errors.items()}
     del skills["nominal"]

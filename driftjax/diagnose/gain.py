@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from driftjax.core import Control, State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track, expected
 from driftjax.diagnose.runs import PIECE, each_piece, follow, transitions
+from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
+from driftjax.vehicle.universal import Universal
 
 HORIZONS = (0.5, 1.0, 2.0)  # beside one step [s]
 SKILL = 1.0  # horizon at which the share of the error removed is measured [s]
@@ -33,8 +36,13 @@ class Errors(NamedTuple):
 
 
 @eqx.filter_jit
-def _ahead(model, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float) -> Array:
-    """Predictions (starts, num, 3) of what sensors tell 1..num steps after samples `starts` at states `z` (T, 6)."""
+def ahead(
+    model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float, residual: GP | None = None
+) -> Array:
+    """Predictions (starts, num, 3) of what sensors tell 1..num steps after samples `starts` at states `z` (T, 6).
+
+    A `residual` is added to the rates.
+    """
     model = model.at(theta)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
     step = jnp.asarray(dt)
@@ -42,7 +50,9 @@ def _ahead(model, theta: Array, run: Track, z: Array, starts: Array, num: int, d
     def one(k):
         def on(z, j):
             row = jnp.minimum(k + j, len(run.y) - 1)
-            after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step)
+            at = features(State(*z[:3]), Control(*u[row]))
+            push = None if residual is None else State(*residual.bounded_mean(at))
+            after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
             return after, told(model, after[:3], (after[:3] - z[:3]) / step)
 
         return jax.lax.scan(on, z[k], jnp.arange(num))[1]
@@ -71,12 +81,13 @@ def gathered(task: Problem, squares: np.ndarray) -> Errors:
     return Errors(chosen.reshape(-1, len(steps), 3), horizons, task.data.block[:, starts].reshape(-1))
 
 
-def open_loop(task: Problem, theta: np.ndarray) -> Errors:
-    """Errors of the model `theta`, each prediction from where its own observer stands."""
+def open_loop(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Errors:
+    """Errors of the model `theta` with a `residual` rate, each prediction from where its own observer stands."""
     data, (_, steps, starts) = task.data, plan(task)
-    ahead = lambda run, z: _ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), steps[-1], data.dt)
+    where, first = jnp.asarray(theta), jnp.asarray(starts)
+    one = lambda run, z: ahead(task.model, where, run, z, first, steps[-1], data.dt, residual)
     path = follow(task.model, data, theta, task.gains)
-    found = np.asarray(each_piece(ahead, len(data.run), data.track, path.z))
+    found = np.asarray(each_piece(one, len(data.run), data.track, path.z))
     after = np.minimum(starts[:, None] + np.arange(1, steps[-1] + 1), PIECE - 1)
     return gathered(task, (found - np.asarray(data.track.y)[:, after]) ** 2)
 
