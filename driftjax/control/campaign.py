@@ -29,7 +29,8 @@ class Campaign:
     """What is driven, and how it is measured and disturbed."""
 
     manoeuvres: tuple[str, ...] = RICH
-    """Manoeuvres, one run each: drift, steady_drift, grip_sine, slalom, step_steer, throttle_steps, coast_down."""
+    """Manoeuvres, one run each: drift, steady_drift, grip_sine, slalom, step_steer, throttle_steps, coast_down,
+    laps."""
     duration: float = 10.0
     """Length of a run [s]."""
     rate: float = 100.0

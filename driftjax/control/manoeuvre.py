@@ -12,6 +12,7 @@ from driftjax.core import RESULTS, BadInput
 from driftjax.core.programs import call
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
 from driftjax.sim.record import Manoeuvre
+from driftjax.vehicle.effect import reference
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import G, SingleTrack
 
@@ -29,8 +30,7 @@ class Size(NamedTuple):
 
 def size(vehicle: VehicleConfig) -> Size:
     """Units of this car."""
-    length = vehicle.a + vehicle.b
-    return Size(length, (length / G) ** 0.5, (length * G) ** 0.5, vehicle.m * G)
+    return Size(*(reference(vehicle, of) for of in ("length", "time", "speed", "force")))
 
 
 def multisine(rng: np.random.Generator, t: np.ndarray, slowest: float, fastest: float, num: int = 5) -> np.ndarray:
@@ -126,6 +126,27 @@ def coast_down(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) 
     return _cruise(vehicle, np.full(len(t), speed), 0 * t, 0 * t, hold=False)
 
 
+def laps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
+    """Lap after lap of an oval with grip, slower in its two turns; steered by its curvature, the path is not held."""
+    unit, turn = size(vehicle), rng.choice([-1.0, 1.0])
+    R, straight = unit.length * rng.uniform(8, 12), unit.length * rng.uniform(10, 16)
+    half, slow = straight + np.pi * R, np.sqrt(0.45 * vehicle.mu * G * R)
+    along, speed, dt = 0.0, np.zeros(len(t)), t[1] - t[0]
+    curvature = np.zeros(len(t))
+    for i in range(len(t)):  # the straight comes first, the turn after it; twice a lap
+        there = along % half
+        speed[i] = slow * (1 + 0.25 * np.sin(np.pi * min(there / straight, 1.0)) ** 2)
+        curvature[i] = (
+            turn / R * np.clip((there - straight) / unit.length, 0, 1) * np.clip((half - there) / unit.length, 0, 1)
+        )
+        along += speed[i] * dt
+    x = np.stack([speed, np.zeros(len(t)), speed * curvature], axis=1)
+    steer = np.arctan((vehicle.a + vehicle.b) * curvature) * 1.1  # tyres slip
+    K = np.array([[0.0, 0.0, 0.2 * unit.time], [0.5 * vehicle.m / unit.time, 0.0, 0.0]])
+    u = np.stack([steer, vehicle.m * np.gradient(speed, t)], axis=1)
+    return Manoeuvre(*map(jnp.asarray, (x, u, K, 2 * half)))
+
+
 MANOEUVRES: dict[str, Callable[[VehicleConfig, np.random.Generator, np.ndarray], Manoeuvre]] = {
     "drift": drift,
     "steady_drift": steady_drift,
@@ -134,5 +155,6 @@ MANOEUVRES: dict[str, Callable[[VehicleConfig, np.random.Generator, np.ndarray],
     "step_steer": step_steer,
     "throttle_steps": throttle_steps,
     "coast_down": coast_down,
+    "laps": laps,
 }
 RICH = ("drift", "drift", "drift", "drift", "grip_sine", "throttle_steps")  # the standard 60 s
