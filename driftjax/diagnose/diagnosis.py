@@ -10,7 +10,7 @@ import numpy as np
 from driftjax.core import require
 from driftjax.data import Log, Run
 from driftjax.diagnose.evidence import Cause, causes
-from driftjax.diagnose.fit import Problem, around, priced, problem, refine
+from driftjax.diagnose.fit import Problem, around, elsewhere, priced, problem, refine
 from driftjax.diagnose.gain import Errors, open_loop, rmse, skill
 from driftjax.diagnose.select import Selection, search
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
@@ -61,23 +61,30 @@ def split(runs: tuple[Run, ...], every: int) -> tuple[tuple[Run, ...], tuple[Run
     return tuple(run for run in runs if run not in held), held
 
 
-def catalogue(runs: tuple[Run, ...], without: tuple[str, ...]) -> tuple[Effect, ...]:
-    """Effects that these runs could tell: those whose columns every run has."""
+def barred(effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...]) -> tuple[str, ...]:
+    """Effects that are left out, and those that these runs cannot tell for want of a column."""
     has = set.intersection(*(set(run.extra) for run in runs))
-    return tuple(e for e in EFFECTS.values() if e.name not in without and set(e.needs) <= has)
+    return tuple(e.name for e in effects if e.name in without or not set(e.needs) <= has)
 
 
 def diagnose(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, report: Callable[[str], None] = lambda text: None
+    vehicle: VehicleConfig,
+    log: Log,
+    config: DiagnoseConfig,
+    report: Callable[[str], None] = lambda text: None,
+    effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Diagnosis | Judgement:
-    """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any."""
+    """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
+
+    `effects` is the catalogue to choose from: another one is another model to compile.
+    """
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
     use, held = split(log.runs, config.held_out)
     report("noise and nominal car")
-    task = problem(vehicle, catalogue(log.runs, config.without), use)
+    task = problem(vehicle, effects, use, barred(effects, log.runs, config.without))
     report("naming")
     found = search(task, priced(task, np.zeros(len(task.lower))), config.seed)
     named = causes(task, found)
@@ -91,7 +98,7 @@ def measure(vehicle: VehicleConfig, task: Problem, found: Selection, held: tuple
     """Open-loop errors on the runs held out of the nominal car, the re-tuned one and the extended one, with skills."""
     if not held:
         return {}, {}
-    test = problem(vehicle, task.effects, held)._replace(noise=task.noise)
+    test = elsewhere(task, vehicle, held)
     names = [effect.name for effect in task.effects]
     columns = task.columns(tuple(names.index(name) for name in RETUNED if name in names))
     nominal = np.zeros(len(task.lower))

@@ -28,6 +28,7 @@ class Problem(NamedTuple):
     owner: np.ndarray  # (K,) index of the effect that a parameter belongs to
     noise: Noise
     gains: Gains
+    asked: np.ndarray  # (K,) whether a parameter may explain anything: not those of effects that are barred
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -46,8 +47,13 @@ class Fit(NamedTuple):
     cost: float  # sum of squares of whitened innovations, prior included
 
 
-def problem(vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...]) -> Problem:
-    """Everything that questions need, the noise estimated from the data."""
+def problem(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], barred: tuple[str, ...] = ()
+) -> Problem:
+    """Everything that questions need, the noise estimated from the data.
+
+    Effects `barred` explain nothing, as if the catalogue did not hold them, but the model stays the one compiled.
+    """
     model, data = universal(vehicle, effects), pieces(vehicle, runs)
     seen = jnp.asarray(data.track.seen)
     sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
@@ -55,16 +61,26 @@ def problem(vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run
     theta = np.zeros(len(model.theta))
     fixed = held(data)
     path = follow(model, data, theta, fixed)
-    noise = estimate(derivatives(model, data, theta, path), path.e, fixed, seen, start, data.dt)
-    parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
-    lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner = np.array([i for i, _ in parameters])
-    return Problem(model, data, lower, upper, owner, noise, gains(model, data, noise.row(), fixed))
+    owner = np.array([i for i, effect in enumerate(effects) for _ in effect.parameters])
+    asked = np.array([effects[i].name not in barred for i in owner])
+    steps = derivatives(model, data, theta, path)
+    steps = steps._replace(C=steps.C * asked, F=steps.F * asked)
+    noise = estimate(steps, path.e, fixed, seen, start, data.dt)
+    parameters = [p for effect in effects for p in effect.parameters]
+    lower, upper = (np.array([getattr(p, side) for p in parameters], float) for side in ("lower", "upper"))
+    return Problem(model, data, lower, upper, owner, noise, gains(model, data, noise.row(), fixed), asked)
+
+
+def elsewhere(task: Problem, vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Problem:
+    """The same questions asked of other runs, under the same noise."""
+    data = pieces(vehicle, runs)
+    return task._replace(data=data, gains=gains(task.model, data, task.noise.row(), held(data)))
 
 
 def around(task: Problem, fit: Fit) -> Followed:
     """Whitened innovations and their derivatives at `fit`."""
-    return differentiate(task.model, task.data, fit.theta, task.gains)
+    at = differentiate(task.model, task.data, fit.theta, task.gains)
+    return at._replace(J=at.J * task.asked)
 
 
 def priced(task: Problem, theta: np.ndarray) -> Fit:

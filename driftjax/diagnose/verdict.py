@@ -35,7 +35,8 @@ class Judgement(NamedTuple):
 def detectable(task: Problem, found: Selection) -> float:
     """Share of one-parameter effects whose typical size these data would show."""
     H, _ = normal(found.at)
-    single = [int(c[0]) for c in (task.columns((i,)) for i in range(len(task.effects))) if len(c) == 1]
+    each = [task.columns((i,)) for i in range(len(task.effects))]
+    single = [int(c[0]) for c in each if len(c) == 1 and task.asked[c[0]]]
     return float(np.mean(np.sqrt(np.diag(H)[single]) > DETECTABLE))
 
 

@@ -64,7 +64,7 @@ def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
     data = Pieces(None, np.zeros(1, int), block, blocks, 0.01)  # type: ignore[arg-type]
     model = SimpleNamespace(effects=EFFECTS[:SIZE])
     nothing = None
-    return Problem(model, data, lower, np.full(SIZE, 4.0), np.arange(SIZE), nothing, nothing)  # type: ignore[arg-type]
+    return Problem(model, data, lower, np.full(SIZE, 4.0), np.arange(SIZE), nothing, nothing, np.ones(SIZE, bool))  # type: ignore
 
 
 def noise(rng, blocks=BLOCKS) -> Followed:
