@@ -47,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     if verb not in VERBS:
         return _told(f"there is no verb '{verb}'; choose one of {', '.join(VERBS)}.", 2)
-    _set_up_jax()
+    set_up_jax()
     from driftjax.core import BadInput
 
     try:
@@ -71,7 +71,7 @@ def _told(sentence: str, code: int, verb: str = "") -> int:
     return code
 
 
-def _set_up_jax() -> None:
+def set_up_jax() -> None:
     """Double precision, and a compilation cache that outlives the process; before anything else is imported."""
     # XLA's CPU client with two or more threads can deadlock on LAPACK calls in one program (seen with jaxlib 0.10.2);
     # one thread is as fast for batches of laps. Set NPROC to override.

@@ -19,7 +19,7 @@ from driftjax.diagnose.select import Selection, search
 from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
 from driftjax.vehicle import VehicleConfig
-from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.effect import EFFECTS, Effect
 
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
 
@@ -77,18 +77,23 @@ def split(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def diagnose(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, report: Callable[[str], None] = lambda text: None
+    vehicle: VehicleConfig,
+    log: Log,
+    config: DiagnoseConfig,
+    report: Callable[[str], None] = lambda text: None,
+    effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Diagnosis | Judgement:
     """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
 
-    Causes are named from all runs. The gain is that of what is named and fitted without the runs held out.
+    Causes are named from all runs. The gain is that of what is named and fitted without the runs held out. `effects`
+    is the catalogue to choose from: another one is another model to compile.
     """
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
     report("noise and nominal car")
-    task = problem(vehicle, tuple(EFFECTS.values()), log.runs, config.without)
+    task = problem(vehicle, effects, log.runs, config.without)
     report("naming")
     found = search(task, nominal(task), config.seed)
     named = causes(task, found)
@@ -114,7 +119,7 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     train, test = task.part(use), task.part(held)
     found = search(train, nominal(train), config.seed)
     effects = [effect.name for effect in task.effects]
-    columns = task.columns(tuple(effects.index(name) for name in RETUNED))
+    columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
     tuned = refine(train, found.nominal, columns[task.asked[columns]])
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
     errors = {name: open_loop(test, theta) for name, theta in thetas.items()}

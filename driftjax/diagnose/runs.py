@@ -133,10 +133,10 @@ class Followed(NamedTuple):
     J: Array  # (P, T, 3, K)
 
 
-def held(data: Pieces) -> Gains:
-    """A fixed gain that holds any car to the data, before any noise is known."""
+def held(data: Pieces, share: float = HOLD) -> Gains:
+    """A fixed gain that holds any car to the data, before any noise is known: it believes `share` of an innovation."""
     num = len(data.run)
-    L = jnp.zeros((num, PIECE, 6, 3)).at[..., :3, :].set(HOLD * jnp.eye(3))
+    L = jnp.zeros((num, PIECE, 6, 3)).at[..., :3, :].set(share * jnp.eye(3))
     nothing = jnp.zeros(num)
     return Gains(L, jnp.zeros((num, PIECE, 3, 3)), nothing, jnp.zeros((num, PIECE, 6, 6)), nothing)
 

@@ -59,7 +59,7 @@ def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
     rate = lambda value: jnp.diff(value, axis=1, prepend=value[:, :1]) / task.data.dt * car.unit_time
     turns = [(k, 2 * np.pi * k * place.s) for k in (1, 2)]
     found = {
-        "constant": {"1": jnp.ones_like(V)},
+        "1": {"1": jnp.ones_like(V)},
         "V": {"V/sqrt(gL)": V, "V^2/(gL)": V**2},
         "beta": both("beta", x[1]),
         "r": both("r sqrt(L/g)", r),
@@ -68,8 +68,8 @@ def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
         "alpha_f": both("alpha_f", front),
         "alpha_r": both("alpha_r", rear),
         "ay": both("V r/g", V * r),
-        "delta rate": {"sqrt(L/g) d delta/dt": rate(u[0])},
-        "Fxr rate": {"sqrt(L/g) d Fxr/dt/(mg)": rate(push)},
+        "delta_rate": {"sqrt(L/g) d delta/dt": rate(u[0])},
+        "Fxr_rate": {"sqrt(L/g) d Fxr/dt/(mg)": rate(push)},
         "t": {"t/(60 s)": place.t / 60.0},
         "heat": {"sliding work": place.heat},
         "psi": {"cos(psi)": jnp.cos(place.psi), "sin(psi)": jnp.sin(place.psi)},
@@ -95,7 +95,7 @@ def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
     chance = largest_by_chance(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
     U, F, own = effective.sum(axis=0)[K:], information[K:, K:], own[K:]
-    drivers = {name: _worth(U, F, np.array([v in ("constant", name) for v in variable]) & own) for name in functions}
+    drivers = {name: _worth(U, F, np.array([v in ("1", name) for v in variable]) & own) for name in functions}
     best = int(np.argmax(np.where(own, U**2 / np.where(own, np.diag(F), 1.0), 0.0)))
     channel = MEASURED[best % len(MEASURED)]
     size, unit = _unit(task.model)[best % len(MEASURED)], UNITS[best % len(MEASURED)]
