@@ -14,6 +14,7 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput
 from driftjax.data import RunFolder
+from driftjax.vehicle import VehicleConfig, notes
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -66,6 +67,12 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
         words = " ".join(str(error).split())[:300]
         print(f"driftjax: failed ({type(error).__name__}: {words}); see error.txt; {kept}", file=sys.stderr)
         return 1
+
+
+def tell(vehicle: VehicleConfig) -> None:
+    """Print which effects of an extended car are not in the car that is planned and controlled with."""
+    for note in notes(vehicle):
+        print(f"note: {note}", flush=True)
 
 
 @contextmanager

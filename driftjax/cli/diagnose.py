@@ -8,7 +8,7 @@ import tyro
 import yaml
 
 from driftjax.cli.console import default_out, progress, typed, within
-from driftjax.core import write_atomically
+from driftjax.core import BadInput, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, extended, gain_json, to_json
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -37,6 +37,8 @@ def run(argv: list[str]) -> int:
     """Read, name, measure, tell."""
     asked = typed(Diagnose, argv, "driftjax diagnose")
     vehicle = load_vehicle(asked.vehicle)
+    if vehicle.effects:
+        raise BadInput(f"{asked.vehicle}: key 'effects': a diagnosis starts from a nominal car; leave the effects out.")
     if asked.combined_slip is not None:
         vehicle = dataclasses.replace(vehicle, combined_slip=asked.combined_slip)
     log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
