@@ -63,10 +63,10 @@ def dense(gp, Y, J, points, d):
 @pytest.mark.parametrize("d", range(D))
 def test_mean_variance_and_likelihood_equal_those_of_the_conditioned_prior(data, d):
     Z, Y, basis = data
-    gp, points = built(*data), smooth(20, seed=1)[0]
+    gp, points = built(*data), jnp.asarray(smooth(20, seed=1)[0])
     J = basis[:, d, : K - d]  # of the second output two columns say all
     J = J / np.linalg.norm(J, axis=0)
-    mean, variance, value = dense(gp, Y, J, points, d)
+    mean, variance, value = dense(gp, Y, J, np.asarray(points), d)
     scale = float(gp.output_scale[d])
     np.testing.assert_allclose(jax.vmap(gp.mean)(points)[:, d], scale * mean, rtol=1e-6, atol=1e-8 * scale)
     np.testing.assert_allclose(
@@ -91,12 +91,12 @@ def test_the_mean_at_the_data_is_orthogonal_to_what_known_causes_can_do(data):
 def test_what_known_causes_can_say_is_left_to_them_and_found_elsewhere(data):
     Z, Y, basis = data
     caused = basis @ np.array([0.5, 2e-3, 300.0])
-    mask = np.ones(N, bool)
+    mask = jnp.ones(N, bool)
     assert np.abs(unclaimed(jnp.asarray(caused), jnp.asarray(basis), mask)).max() < 1e-9 * np.abs(caused).max()
     with_causes, without = (jax.vmap(built(Z, y, basis).mean)(jnp.asarray(Z)) for y in (Y + caused, Y))
     np.testing.assert_allclose(with_causes, without, rtol=1e-6, atol=1e-7 * np.abs(caused).max())
     other = basis_at(smooth(30, seed=2)[0])
-    found = claimed(jnp.asarray(caused), jnp.asarray(basis), jnp.asarray(mask), jnp.asarray(other))
+    found = claimed(jnp.asarray(caused), jnp.asarray(basis), mask, jnp.asarray(other))
     np.testing.assert_allclose(found, other @ np.array([0.5, 2e-3, 300.0]), rtol=1e-6, atol=1e-9)
 
 

@@ -1,6 +1,7 @@
 """Learning with an extended car: what its named effects could do is not taken from them."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,14 +12,13 @@ from driftjax.core import Control, State
 from driftjax.learn.config import GPConfig
 from driftjax.learn.model import empty, learn
 from driftjax.learn.residual import claims
-from driftjax.vehicle import build_car, load_vehicle
+from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import FoundParameter
 
 FOUND = (FoundParameter("load_transfer_long", "h", 0.3), FoundParameter("rolling_resistance", "f", 0.015))
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
-CAR = build_car(dataclasses.replace(SEDAN, effects=FOUND))
-CLAIM = claims(CAR)
-assert CLAIM is not None
+CAR: Any = build_car(dataclasses.replace(SEDAN, effects=FOUND))
+CLAIM: Any = claims(CAR)
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 1500.0])
 LAGS = jnp.asarray([0.05, 0.1])
@@ -39,7 +39,7 @@ def other(Z):
 
 
 def test_the_nominal_car_claims_nothing():
-    assert claims(SEDAN.build()) is None
+    assert claims(SEDAN.build()) is None and isinstance(CAR, Extended)
 
 
 def test_claims_are_how_rates_change_with_the_parameters():
