@@ -53,6 +53,7 @@ def run(argv: list[str]) -> int:
         raise BadInput(f"flags: {error}") from None
     own = tuple(f"{one.name}={one.value!r}" for one in vehicle.effects)
     theta = strengths(vehicle, own + typed_in.effects)
+    vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theta holds them now: one program serves all
     out = typed_in.out or default_out("simulate", vehicle.name)
     for name in FILES:
         if (out / name).exists():
