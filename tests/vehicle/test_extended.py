@@ -104,7 +104,7 @@ def test_what_is_not_in_the_car_is_told_and_lags_are_kept():
 def test_slip_angles_and_peaks_are_those_of_the_extended_car():
     vehicle, (x, u) = with_effects(steer_offset=0.02, stiffness_front=0.1), batch("sedan")
     car, nominal = build_car(vehicle), vehicle.build()
-    front, rear = eqx.filter_jit(jax.vmap(car.slip_angles))(x, u)
+    front, rear = eqx.filter_jit(lambda car, x, u: jax.vmap(car.slip_angles)(x, u))(car, x, u)
     alpha_f, alpha_r = jax.vmap(nominal.slip_angles)(x, u)
     np.testing.assert_allclose(front, alpha_f - 0.02, atol=1e-12)
     np.testing.assert_allclose(rear, alpha_r, atol=1e-12)
