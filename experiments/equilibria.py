@@ -19,8 +19,16 @@ from jax import Array
 from matplotlib.figure import Figure
 
 from driftjax.core import RESULTS, Control, State, require
-from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, preference, solve_at
-from driftjax.vehicle import SingleTrack, load_vehicle
+from driftjax.equilibrium import (
+    Branch,
+    Equilibrium,
+    SpeedYaw,
+    decoupled_roots,
+    follow_effects,
+    preference,
+    solve_at,
+)
+from driftjax.vehicle import AnyCar, SingleTrack, build_car, load_vehicle
 from driftjax.vehicle.single_track import G
 
 SHOWN = (Branch.GRIP, Branch.COUNTERSTEER, Branch.FRONT_SATURATED)
@@ -33,10 +41,10 @@ TITLES = {
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """Map of the nominal car's steady states in left turns; right turns mirror them."""
+    """Map of a car's steady states in left turns; the nominal car's in right turns mirror them."""
 
     vehicle: str = "sedan"
-    """Car: a shipped name (sedan, rc) or the path of a vehicle YAML."""
+    """Car: a shipped name (sedan, rc) or the path of a vehicle YAML, of an extended car too."""
     V_min: float = 0.0
     """Lowest speed [m/s]; 0 takes that of 3 wheelbases radius at the friction limit."""
     V_max: float = 0.0
@@ -58,14 +66,20 @@ class Config:
 
 
 @eqx.filter_jit
-def solve_map(car: SingleTrack, V: Array, r: Array) -> Equilibrium:
-    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding."""
+def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
+    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding.
+
+    Those of an extended car are followed from those of its nominal car; states that only it has are not found.
+    """
+    nominal = car if isinstance(car, SingleTrack) else car.nominal
 
     def at(V: Array, r: Array) -> Equilibrium:
-        roots = decoupled_roots(car, V, r)
+        roots = decoupled_roots(nominal, V, r)
 
         def confirm(x: State, u: Control, kind: Array, exists: Array) -> Equilibrium:
-            out = solve_at(car, car, V, r, (x, u), branch=kind)
+            out = solve_at(nominal, nominal, V, r, (x, u), branch=kind)
+            if not isinstance(car, SingleTrack):
+                out = follow_effects(car, SpeedYaw(V, r), out, branch=kind)
             result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
             return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
 
@@ -74,7 +88,7 @@ def solve_map(car: SingleTrack, V: Array, r: Array) -> Equilibrium:
     return jax.vmap(at)(V, r)
 
 
-def grid(cfg: Config, car: SingleTrack) -> tuple[np.ndarray, np.ndarray]:
+def grid(cfg: Config, car: AnyCar) -> tuple[np.ndarray, np.ndarray]:
     """Speeds [m/s] and V r / (mu g) [-] of the map."""
     limit, wheelbase = float(car.tyre.mu) * G, float(car.a + car.b)
     low = cfg.V_min or (3 * wheelbase * limit) ** 0.5
@@ -84,7 +98,7 @@ def grid(cfg: Config, car: SingleTrack) -> tuple[np.ndarray, np.ndarray]:
 def main(cfg: Config, out: Path) -> dict[str, float]:
     """Write map and table to `out`; returns counts and the worst residual."""
     vehicle = load_vehicle(cfg.vehicle)
-    car = vehicle.build()
+    car = build_car(vehicle)
     speeds, ratios = grid(cfg, car)
     limit = float(car.tyre.mu) * G
     V, ratio = (axis.ravel() for axis in np.meshgrid(speeds, ratios))
@@ -92,7 +106,8 @@ def main(cfg: Config, out: Path) -> dict[str, float]:
     out.mkdir(parents=True, exist_ok=True)
     found = np.asarray(points.result == RESULTS.successful)
     write_table(out / "equilibria.csv", points, found)
-    figure = draw(points, found, speeds, ratios, f"{vehicle.name}: steady states of the nominal car")
+    words = "the nominal car" if isinstance(car, SingleTrack) else f"the car with {', '.join(car.names)}"
+    figure = draw(points, found, speeds, ratios, f"{vehicle.name}: steady states of {words}")
     figure.savefig(out / "equilibria.png", dpi=130)
     plt.close(figure)
     kind = np.asarray(points.kind)

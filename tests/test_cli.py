@@ -87,6 +87,12 @@ BAD = {
     "negative mass": (lambda: ["learn", "--vehicle", vehicle(m=-1835.0)], "key 'm' is -1835.0"),
     "negative mass, plan": (lambda: ["plan", "--vehicle", vehicle(m=-1835.0)], "key 'm' is -1835.0"),
     "negative mass, equilibria": (lambda: ["equilibria", "--vehicle", vehicle(m=-1.0)], "key 'm' is -1.0"),
+    "unknown effect": (lambda: ["learn", "--vehicle", vehicle(effects={"magic": {"p": 1}})], "effect 'magic': no such"),
+    "unknown effect, plan": (lambda: ["plan", "--vehicle", vehicle(effects={"magic": {"p": 1}})], "'magic': no such"),
+    "effect out of bounds, equilibria": (
+        lambda: ["equilibria", "--vehicle", vehicle(effects={"friction": {"p": 2.0}})],
+        "friction.p is 2.0; the value lies in",
+    ),
     "zero horizon": (lambda: ["learn", "--mpc.horizon", "0"], "key 'horizon' is 0"),
     "zero horizon, YAML": (lambda: ["learn", "--config", written("c.yaml", "mpc: {horizon: 0}\n")], "'horizon' is 0"),
     "no plants": (lambda: ["learn", "--plants", "0"], "key 'plants' is 0"),

@@ -126,6 +126,16 @@ def test_the_log_reads_back_repeats_and_hides_the_truth(capsys):
     assert main(["runs", "--root", "."]) == 0 and "simulate" in capsys.readouterr().out
 
 
+def test_an_extended_car_is_simulated_with_its_effects_and_ellipse():
+    nominal = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance")}
+    found = {"friction": {"p": 0.05}, "gyro_bias": {"p": {"value": 0.01, "ci95_half": 0.002}}}
+    Path("extended.yaml").write_text(yaml.safe_dump({"nominal": nominal, "effects": found}))
+    flags = [*FLAGS, "--vehicle", "extended.yaml", "--effects", "friction.p=-0.05"]
+    assert main([*flags, "--out", "e"]) == 0
+    truth = yaml.safe_load(Path("e/truth.yaml").read_text())
+    assert truth["effects"] == {"friction": {"p": -0.05}, "gyro_bias": {"p": 0.01}} and truth["combined_slip"] == 1.0
+
+
 BAD = {
     "--effects frction=1": "effect 'frction': no such effect",
     "--effects friction.q=1": "has no parameter 'q'; it has p.",

@@ -1,7 +1,6 @@
 """What the verbs share: flags over files, work inside a run folder, progress."""
 
 import argparse
-import dataclasses
 import sys
 import time
 import traceback
@@ -15,7 +14,7 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput
 from driftjax.data import RunFolder
-from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle import VehicleConfig, notes
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -36,15 +35,6 @@ def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) ->
         if default is None:
             return tyro.cli(cls, args=argv, prog=prog)
         return tyro.cli(cls, args=argv, prog=prog, default=default)
-    except BadInput as error:
-        raise BadInput(f"flags: {error}") from None
-
-
-def base_car(name: Path, combined_slip: float | None) -> VehicleConfig:
-    """The vehicle `name`, with another friction ellipse where one is given."""
-    vehicle = load_vehicle(name)
-    try:
-        return vehicle if combined_slip is None else dataclasses.replace(vehicle, combined_slip=combined_slip)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
 
@@ -77,6 +67,12 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
         words = " ".join(str(error).split())[:300]
         print(f"driftjax: failed ({type(error).__name__}: {words}); see error.txt; {kept}", file=sys.stderr)
         return 1
+
+
+def tell(vehicle: VehicleConfig) -> None:
+    """Print which effects of an extended car are not in the car that is planned and controlled with."""
+    for note in notes(vehicle):
+        print(f"note: {note}", flush=True)
 
 
 @contextmanager

@@ -7,14 +7,14 @@ from typing import Annotated, Any
 import tyro
 import yaml
 
-from driftjax.cli.console import base_car, default_out, progress, typed, within
+from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
-from driftjax.core import write_atomically
+from driftjax.core import BadInput, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, extended, gain_json, to_json
 from driftjax.diagnose.verdict import Judgement
-from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle import VehicleConfig, load_vehicle
 
 STEPS = ("noise and nominal car", "naming", "gain", "done")
 
@@ -42,7 +42,11 @@ class Diagnose:
 def run(argv: list[str]) -> int:
     """Read, name, measure, tell."""
     asked = typed(Diagnose, argv, "driftjax diagnose")
-    vehicle = base_car(asked.vehicle, asked.combined_slip)
+    vehicle = load_vehicle(asked.vehicle)
+    if asked.combined_slip is not None:
+        vehicle = vehicle.with_slip(asked.combined_slip)
+    if vehicle.effects:
+        raise BadInput(f"{asked.vehicle}: key 'effects': a diagnosis starts from a nominal car; leave the effects out.")
     log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "options": dataclasses.asdict(asked.options)}

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, typed, within
+from driftjax.cli.console import default_out, tell, typed, within
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.vehicle import load_vehicle
@@ -29,6 +29,7 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(typed_in.options.vehicle)
     out = typed_in.out or default_out("equilibria", vehicle.name)
     folder = RunFolder.create(out, to_dict(typed_in.options), "equilibria")
+    tell(vehicle)
     return within(folder, lambda: work(typed_in.options, folder))
 
 

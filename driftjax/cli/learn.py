@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, merged, peek, progress, typed, within
+from driftjax.cli.console import default_out, merged, peek, progress, tell, typed, within
 from driftjax.core import BadInput, from_dict, num_workers, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
@@ -84,6 +84,7 @@ def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     from driftjax.report import table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
+    tell(load_vehicle(config.vehicle))
     with progress() as report:
         num = num_workers(config.num_lanes) if workers is None else workers
         results = learn(config, folder, report, num if num > 1 else 0)

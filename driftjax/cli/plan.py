@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, peek, typed, within
+from driftjax.cli.console import default_out, peek, tell, typed, within
 from driftjax.core import RESULTS, from_dict, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder, plan_dataset, write_plan_csv
@@ -24,7 +24,7 @@ class Plan:
 
     options: Annotated[PlanConfig, tyro.conf.arg(name="")]
     vehicle: Path
-    """Nominal car: a shipped name or a vehicle YAML."""
+    """Car: a shipped name or a vehicle YAML, such as the extended.yaml of a diagnosis."""
     track: Path
     """Track: a shipped name, a track YAML or a CSV of x,y,w_right,w_left."""
     car: str = "sedan"
@@ -44,6 +44,7 @@ def run(argv: list[str]) -> int:
     check_width(track, vehicle.width, str(typed_in.track))
     options = {"vehicle": str(typed_in.vehicle), "track": str(typed_in.track)} | to_dict(typed_in.options)
     folder = RunFolder.create(typed_in.out or default_out("plan", typed_in.car), options, "plan")
+    tell(vehicle)
     print(f"planning {vehicle.name} on {typed_in.track}", flush=True)
     return within(folder, lambda: work(vehicle, track, typed_in.options, folder))
 

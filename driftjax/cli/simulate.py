@@ -10,12 +10,12 @@ import numpy as np
 import tyro
 import yaml
 
-from driftjax.cli.console import base_car, default_out, peek, typed, within
+from driftjax.cli.console import default_out, peek, typed, within
 from driftjax.control.campaign import Campaign, Truth, record_runs
 from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder, write_log
-from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS, effects_named
 
 OWN = ("vehicle", "combined_slip", "effects")  # keys beside those of Campaign
@@ -29,11 +29,13 @@ class Simulate:
     options: Annotated[Campaign, tyro.conf.arg(name="")] = Campaign()
     vehicle: Path = Path("sedan")
     """Base car: a shipped name or a vehicle YAML."""
-    combined_slip: float = 1.0
-    """Of the base car: 1 a friction circle; 0, as published, holds no drift within its force limits [-]."""
+    combined_slip: float | None = None
+    """Of the base car: 1 a friction circle; 0, as published, holds no drift within its force limits. Left out: 1, but
+    an extended car keeps the one that its effects were found with [-]."""
     effects: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """An effect of the catalogue: NAME.PARAMETER=VALUE in SI units, such as load_transfer_long.h=0.5, or NAME=2 for
-    all its parameters at 2 typical sizes. One per flag, added to those of the file; the last one counts."""
+    all its parameters at 2 typical sizes. One per flag, added to those of the file and of an extended car; the last
+    one counts."""
     config: Path | None = None
     """YAML file of options, where they differ from the defaults."""
     out: Path | None = None
@@ -44,8 +46,14 @@ def run(argv: list[str]) -> int:
     """Drive, write."""
     early, _ = peek(argv, "config")
     typed_in = typed(Simulate, argv, "driftjax simulate", defaults(early["config"]))
-    vehicle = base_car(typed_in.vehicle, typed_in.combined_slip)
-    theta = strengths(vehicle, typed_in.effects)
+    vehicle = load_vehicle(typed_in.vehicle)
+    try:
+        vehicle = vehicle.with_slip(typed_in.combined_slip)
+    except BadInput as error:
+        raise BadInput(f"flags: {error}") from None
+    own = tuple(f"{one.name}={one.value!r}" for one in vehicle.effects)
+    theta = strengths(vehicle, own + typed_in.effects)
+    vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theta holds them now: one program serves all
     out = typed_in.out or default_out("simulate", vehicle.name)
     for name in FILES:
         if (out / name).exists():
@@ -80,7 +88,7 @@ def strengths(vehicle: VehicleConfig, words: tuple[str, ...]) -> np.ndarray:
         for i, (owner, parameter) in enumerate(each):
             if owner == name and (not which or parameter.name == which):
                 scale = parameter.scale(vehicle) if which else 1.0
-                lower, upper = parameter.lower * scale, parameter.upper * scale
+                lower, upper = parameter.bounds(vehicle) if which else (parameter.lower, parameter.upper)
                 if not lower <= value <= upper:
                     unit = parameter.suffix if which else " typical sizes"
                     raise BadInput(f"effect '{word}': the value lies in {lower:.4g}..{upper:.4g}{unit}.")
@@ -101,7 +109,7 @@ def _number(text: str, word: str) -> float:
 def work(vehicle: VehicleConfig, theta: np.ndarray, typed_in: Simulate, folder: RunFolder) -> int:
     """Log and truth into `folder`; 1 where no run is left."""
     runs, truth = record_runs(vehicle, theta, typed_in.options)
-    text = yaml.safe_dump(described(truth, typed_in), sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(described(truth, vehicle, typed_in), sort_keys=False, allow_unicode=True)
     write_atomically(folder.path / "truth.yaml", lambda p: p.write_text(text, encoding="utf-8"))
     for name in truth.left_out:
         print(f"{name}: the car spun or came to a stop in every draw; the run was left out.")
@@ -114,11 +122,11 @@ def work(vehicle: VehicleConfig, theta: np.ndarray, typed_in: Simulate, folder: 
     return 0
 
 
-def described(truth: Truth, typed_in: Simulate) -> dict:
+def described(truth: Truth, vehicle: VehicleConfig, typed_in: Simulate) -> dict:
     """What truth.yaml holds, SI."""
     options = typed_in.options
     return {
-        "vehicle": str(typed_in.vehicle), "combined_slip": typed_in.combined_slip,
+        "vehicle": str(typed_in.vehicle), "combined_slip": vehicle.combined_slip,
         "effects": truth.effects, "noise": truth.noise, "process_noise": truth.process_noise,
         "seed": options.seed, "campaign": to_dict(options), "left_out": list(truth.left_out),
     }  # fmt: skip
@@ -130,7 +138,8 @@ def drive_again(truth: Path, manoeuvre: str, path: Path) -> None:
     missing = [key for key in ("vehicle", "combined_slip", "effects", "campaign") if key not in told]
     if missing:
         raise BadInput(f"{truth}: key '{missing[0]}' is missing; give the truth.yaml that `driftjax simulate` wrote.")
-    vehicle = base_car(Path(told["vehicle"]), told["combined_slip"])
+    vehicle = load_vehicle(told["vehicle"]).with_slip(told["combined_slip"])
+    vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theirs are among those told
     words = [f"{name}.{key}={value!r}" for name, values in told["effects"].items() for key, value in values.items()]
     before = from_dict(Campaign, told["campaign"], str(truth))
     campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + 2**20)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_step
 from driftjax.solve import AbstractOCP, Options, Plan, solve
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import Residual, SingleTrack, VehicleConfig
+from driftjax.vehicle import AnyCar, Residual, VehicleConfig, build_car
 
 INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is finite there
 
@@ -78,7 +78,7 @@ class DriftOCP(AbstractOCP):
     act through the learnt lags; with lags of 0, as in the paper, they act at once.
     """
 
-    nominal: SingleTrack
+    nominal: AnyCar
     residual: Residual
     horizon: int = eqx.field(static=True)
     dt: Array = eqx.field(converter=as_float)
@@ -153,7 +153,7 @@ class DriftOCP(AbstractOCP):
         change = (u - x[5:7]) * self.u_scale
         y = x[:3] * self.x_scale[:3]
         alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), Control(*(self._acting(x, u) * self.u_scale)))
-        beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
+        beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.peaks[0], 0.0)
         return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
     def terminal(self, x: Array, p: Reference) -> Array:
@@ -179,15 +179,15 @@ def drift_ocp(
     weights: Weights,
     vehicle: VehicleConfig,
     residual: Residual,
-    nominal: SingleTrack | None = None,
+    nominal: AnyCar | None = None,
 ) -> DriftOCP:
-    """The problem of one car; `nominal` defaults to the car that `vehicle` describes."""
+    """The problem of one car; `nominal` defaults to the car that `vehicle` describes, named effects included."""
     weight = vehicle.m * 9.81
     speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
     length = vehicle.a + vehicle.b
     x_scale = jnp.array([speed, 1.0, speed / 5 / length, length, 1.0, 1.0, weight, 1.0, weight])
     return DriftOCP(
-        nominal=vehicle.build() if nominal is None else nominal,
+        nominal=build_car(vehicle) if nominal is None else nominal,
         residual=residual,
         horizon=config.horizon,
         dt=config.dt,

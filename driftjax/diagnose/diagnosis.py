@@ -15,6 +15,7 @@ from driftjax.diagnose.fit import Fit, Problem, priced, problem, refine
 from driftjax.diagnose.gain import Errors, floor, open_loop, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
+from driftjax.diagnose.score import covariance
 from driftjax.diagnose.select import Selection, search
 from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
@@ -198,11 +199,24 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
 
 
 def extended(found: Diagnosis) -> dict[str, Any]:
-    """The extended car as a mapping for `extended.yaml`: the nominal one and its named effects, with half-widths."""
-    effects = {}
-    scale = np.asarray(found.task.model.scale)
-    for cause in found.causes:
-        effect, columns = found.task.effects[cause.effect], found.task.columns((cause.effect,))
+    """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads.
+
+    The nominal car; its named effects with half-widths; and the covariance of all their parameters, SI, whose rows go
+    through effects and parameters in the catalogue's order, as `parameters` says beside it.
+    """
+    task, effects, names = found.task, {}, []
+    scale = np.asarray(task.model.scale)
+    for cause in sorted(found.causes, key=lambda cause: cause.effect):
+        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
         values = zip(effect.parameters, cause.theta * scale[columns], cause.half_width * scale[columns], strict=True)
         effects[effect.name] = {p.name: {"value": float(x), "ci95_half": float(w)} for p, x, w in values}
-    return {"nominal": dataclasses.asdict(found.vehicle), "effects": effects}
+        names += [f"{effect.name}.{p.name}" for p in effect.parameters]
+    nominal = dataclasses.asdict(found.vehicle)
+    car = {"nominal": {key: nominal[key] for key in nominal if key not in ("effects", "covariance")}}
+    if not names:
+        return car | {"effects": {}}
+    columns = task.columns(found.found.members)
+    matrix = covariance(found.found.scores.H, found.found.scores.blocks, columns) * np.outer(
+        scale[columns], scale[columns]
+    )
+    return car | {"effects": effects, "covariance": {"parameters": names, "matrix": matrix.tolist()}}

@@ -1,4 +1,4 @@
-"""Which kind of steady state a point of the nominal car is."""
+"""Which kind of steady state a point of a car is."""
 
 from enum import IntEnum
 
@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State
-from driftjax.vehicle import SingleTrack
+from driftjax.vehicle import AnyCar
 
 
 class Branch(IntEnum):
@@ -18,11 +18,11 @@ class Branch(IntEnum):
     FRONT_SATURATED = 3  # a drift with the front axle beyond the peak too
 
 
-def classify(nominal: SingleTrack, x: State, u: Control) -> Array:
-    """`Branch` of one point as an integer, judged by the slip angles of the nominal car."""
+def classify(nominal: AnyCar, x: State, u: Control) -> Array:
+    """`Branch` of one point as an integer, judged by the slip angles of the car."""
     alpha_f, alpha_r = nominal.slip_angles(x, u)
-    peak = nominal.tyre.alpha_peak
-    front_grips, rear_grips = jnp.abs(alpha_f) < peak, jnp.abs(alpha_r) < peak
+    front, rear = nominal.peaks
+    front_grips, rear_grips = jnp.abs(alpha_f) < front, jnp.abs(alpha_r) < rear
     drift = (x.beta * x.r < 0) & ~rear_grips
     slide = jnp.where(front_grips, Branch.COUNTERSTEER, Branch.FRONT_SATURATED)
     grip = jnp.where(front_grips & rear_grips, Branch.GRIP, Branch.OTHER)

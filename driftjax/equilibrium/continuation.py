@@ -1,4 +1,4 @@
-"""From the nominal car to the corrected one: the learnt residual is switched on gradually."""
+"""From the nominal car to a better one: a learnt residual, or named effects, are switched on gradually."""
 
 from collections.abc import Callable
 
@@ -8,9 +8,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import RESULTS, Control, State
-from driftjax.equilibrium.solve import ANY, Equilibrium, Fixed, solve
-from driftjax.vehicle import Corrected, SingleTrack
+from driftjax.equilibrium.solve import ANY, Equilibrium, Fixed, Model, SlipRadius, SpeedYaw, solve, solve_nominal
+from driftjax.vehicle import AnyCar, Corrected, Extended, SingleTrack
 from driftjax.vehicle.single_track import G
+
+NUM_STAGES = 8
+LARGEST_JUMP = 0.25  # of an unknown from stage to stage, above which a root is not the continued one
 
 
 class Scaled(eqx.Module):
@@ -25,49 +28,80 @@ class Scaled(eqx.Module):
 
 
 def continuation(
-    nominal: SingleTrack,
+    nominal: AnyCar,
     residual: Callable[[Array], Array],
     fixed: Fixed,
     guess: tuple[State, Control],
     *,
     branch: Array | int = ANY,
-    num_stages: int = 8,
-    largest_jump: float = 0.25,
 ) -> Equilibrium:
     """Steady state of `nominal + residual`, followed from the root of `nominal` at `guess` through f + eta d.
 
     Stops at the first stage that fails and says so: `eta` is how far it came, `result` why. `off_branch` also
     means a jump: a stage moved the unknowns (rad, force over weight, speed over sqrt(g R)) by more than
-    `largest_jump`, so that the root is not the continued one. Differentiable at eta = 1 like `solve`.
+    `LARGEST_JUMP`, so that the root is not the continued one. Differentiable at eta = 1 like `solve`.
+    """
+    first = solve(nominal, nominal, fixed, guess, branch=branch)
+    part = lambda eta: (Corrected(nominal, Scaled(residual, eta)), nominal)
+    return _follow(part, (Corrected(nominal, residual), nominal), fixed, first, branch)
+
+
+def follow_effects(car: Extended, fixed: Fixed, first: Equilibrium, *, branch: Array | int = ANY) -> Equilibrium:
+    """Steady state of `car`, followed from `first`, that of its nominal car, as all effects grow; see `continuation`.
+
+    Each stage is judged by its own slip angles and peaks. A branch that the nominal car does not have is not found.
     """
 
+    def part(eta: Array) -> tuple[Model, AnyCar]:
+        at = car.scaled(eta)
+        return at, at
+
+    return _follow(part, (car, car), fixed, first, branch)
+
+
+def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
+    """The steady state of a car on `branch`, from no guess; `no_root` where the published car has none there."""
+    if isinstance(car, SingleTrack):
+        return solve_nominal(car, fixed, branch=branch)
+    return follow_effects(car, fixed, solve_nominal(car.nominal, fixed, branch=branch), branch=branch)
+
+
+def _follow(
+    part: Callable[[Array], tuple[Model, AnyCar]],
+    whole: tuple[Model, AnyCar],
+    fixed: Fixed,
+    first: Equilibrium,
+    branch: Array | int,
+) -> Equilibrium:
+    """`first` followed through `part(eta)`, a model and the car it is judged by, to `whole` at eta = 1."""
+
     def stage(last: Equilibrium, eta: Array):
-        car = Corrected(nominal, Scaled(residual, eta))
-        new = solve(car, nominal, fixed, (last.x, last.u), branch=branch)
+        new = solve(*part(eta), fixed, (last.x, last.u), branch=branch)
         new = eqx.tree_at(lambda e: e.eta, new, eta)
-        new = eqx.tree_at(lambda e: e.result, new, _check(last, new))
+        new = eqx.tree_at(lambda e: e.result, new, _unless_jumped(last, new, fixed, whole[1]))
         running = last.result == RESULTS.successful
         keep = lambda p, q: jnp.where(running, p, q)
         held = jax.tree.map(keep, new, last)
         steps = last.num_steps + jnp.where(running, new.num_steps, 0)
         return eqx.tree_at(lambda e: e.num_steps, held, steps), None
 
-    def _check(last: Equilibrium, new: Equilibrium) -> RESULTS:
-        move = jnp.stack(
-            [
-                fixed.free(new.x) - fixed.free(last.x),
-                new.u.delta - last.u.delta,
-                (new.u.Fxr - last.u.Fxr) / (G * nominal.m),
-            ]
-        )
-        jumped = (new.result == RESULTS.successful) & (jnp.max(jnp.abs(move)) > largest_jump)
-        return RESULTS.where(jumped, RESULTS.off_branch, new.result)  # pyright: ignore[reportArgumentType]
-
-    first = solve(nominal, nominal, fixed, guess, branch=branch)
     first = eqx.tree_at(lambda e: e.eta, first, jnp.zeros_like(first.eta))
-    etas = jnp.linspace(0.0, 1.0, num_stages + 1)[1:]
+    etas = jnp.linspace(0.0, 1.0, NUM_STAGES + 1)[1:]
     followed, _ = jax.lax.scan(stage, jax.lax.stop_gradient(first), etas)
     # Once more at eta = 1, outside the scan and from the root itself, for the implicit gradient.
-    last = solve(Corrected(nominal, residual), nominal, fixed, (followed.x, followed.u), branch=branch)
+    last = solve(*whole, fixed, (followed.x, followed.u), branch=branch)
     done = followed.result == RESULTS.successful
     return jax.tree.map(lambda p, q: jnp.where(done, p, q), last, jax.lax.stop_gradient(followed))
+
+
+def _unless_jumped(last: Equilibrium, new: Equilibrium, fixed: Fixed, car: AnyCar) -> RESULTS:
+    """Result of stage `new`, or that it left the branch where it lies far from `last`."""
+    move = jnp.stack(
+        [
+            fixed.free(new.x) - fixed.free(last.x),
+            new.u.delta - last.u.delta,
+            (new.u.Fxr - last.u.Fxr) / (G * car.m),
+        ]
+    )
+    jumped = (new.result == RESULTS.successful) & (jnp.max(jnp.abs(move)) > LARGEST_JUMP)
+    return RESULTS.where(jumped, RESULTS.off_branch, new.result)  # pyright: ignore[reportArgumentType]

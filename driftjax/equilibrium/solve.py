@@ -11,7 +11,7 @@ from jax import Array
 from driftjax.core import RESULTS, Control, State, as_float
 from driftjax.equilibrium.branch import classify
 from driftjax.equilibrium.decoupled import Roots, decoupled_roots, drift_roots, pick
-from driftjax.vehicle import SingleTrack
+from driftjax.vehicle import AnyCar, SingleTrack
 from driftjax.vehicle.single_track import G
 
 Model = Callable[[State, Control], State]
@@ -88,7 +88,7 @@ class SlipSpeed(eqx.Module):
 Fixed = SpeedYaw | SlipRadius | SlipSpeed
 
 
-def scaled_rates(nominal: SingleTrack, x: State, dx: State) -> Array:
+def scaled_rates(nominal: AnyCar, x: State, dx: State) -> Array:
     """(3,): rates over what the tyres could do, so that one tolerance serves both cars."""
     limit = nominal.tyre.mu * G
     wheelbase = nominal.a + nominal.b
@@ -98,7 +98,7 @@ def scaled_rates(nominal: SingleTrack, x: State, dx: State) -> Array:
 
 def solve(
     model: Model,
-    nominal: SingleTrack,
+    nominal: AnyCar,
     fixed: Fixed,
     guess: tuple[State, Control],
     *,
@@ -155,15 +155,13 @@ def solve_nominal(
     return result.error_if(out, result != RESULTS.successful) if throw else out
 
 
-def solve_at(
-    model: Model, nominal: SingleTrack, V: Array, r: Array, guess: tuple[State, Control], **options
-) -> Equilibrium:
+def solve_at(model: Model, nominal: AnyCar, V: Array, r: Array, guess: tuple[State, Control], **options) -> Equilibrium:
     """Steady state at speed `V` [m/s] and yaw rate `r` [rad/s], the paper's question; see `solve`."""
     return solve(model, nominal, SpeedYaw(V, r), guess, **options)
 
 
 def solve_drift(
-    model: Model, nominal: SingleTrack, beta: Array, R: Array, guess: tuple[State, Control], **options
+    model: Model, nominal: AnyCar, beta: Array, R: Array, guess: tuple[State, Control], **options
 ) -> Equilibrium:
     """Steady state at sideslip `beta` [rad] on radius `R` [m] (positive to the left); see `solve`."""
     return solve(model, nominal, SlipRadius(beta, R), guess, **options)

@@ -9,3 +9,5 @@ from driftjax.gp.model import Hyper as Hyper
 from driftjax.gp.model import condition as condition
 from driftjax.gp.model import scales as scales
 from driftjax.gp.model import zero_gp as zero_gp
+from driftjax.gp.orthogonal import claimed as claimed
+from driftjax.gp.orthogonal import unclaimed as unclaimed

@@ -9,6 +9,7 @@ from driftjax.core import RESULTS
 from driftjax.gp.likelihood import log_marginal_likelihood
 from driftjax.gp.model import GP, Hyper, condition, gram, scales, squares
 from driftjax.gp.optimise import minimise
+from driftjax.gp.orthogonal import directions, unclaimed
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
 LOWER = (0.1, 0.05, 1e-3)
@@ -36,19 +37,27 @@ def _hyper(x: Array) -> Hyper:
     return Hyper(x[..., :-2], x[..., -2], x[..., -1])
 
 
-def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array) -> Array:
-    """Log marginal likelihood of ONE output from `squares(X)` and scaled targets `y` (M,), 0 where masked."""
+def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array, Q: Array | None = None) -> Array:
+    """Log marginal likelihood of ONE output from `squares(X)` and scaled targets `y` (M,), 0 where masked.
+
+    With the directions `Q` (M, k) of known causes it is that of what they leave, P y = y, under the orthogonal GP: the
+    determinant of its covariance in the other directions is that of K + noise P over that of Q'KQ.
+    """
     n = jnp.sum(mask).astype(y.dtype)
-    return log_marginal_likelihood(gram(kernel, hyper, pairs, mask), y, n)
+    if Q is None:
+        return log_marginal_likelihood(gram(kernel, hyper, pairs, mask), y, n)
+    K, present = gram(kernel, hyper, pairs, mask, Q), jnp.sum(Q**2, axis=0)  # columns of Q are of length 1 or 0
+    held = jnp.linalg.cholesky(Q.T @ K @ Q + jnp.diag(1 - present))
+    return log_marginal_likelihood(K, y, n - jnp.sum(present)) + jnp.sum(jnp.log(jnp.diagonal(held)))
 
 
-def _subset(Z: Array, Y: Array, mask: Array, size: int, key: Array) -> tuple[Array, Array, Array]:
-    """At most `size` random rows, data first."""
-    if Z.shape[0] <= size:
-        return Z, Y, mask
+def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array, ...]:
+    """At most `size` random rows of `mask` and `columns`, data first."""
+    if mask.shape[0] <= size:
+        return mask, *columns
     score = jnp.where(mask, jax.random.uniform(key, mask.shape), -1.0)
     rows = jax.lax.top_k(score, size)[1]
-    return Z[rows], Y[rows], mask[rows]
+    return mask[rows], *(column[rows] for column in columns)
 
 
 def _starts(D: int, nf: int, num_restarts: int, previous: GP | None, key: Array) -> Array:
@@ -74,37 +83,44 @@ def fit(
     kernel: str = "se",
     shortest: float = LOWER[0],
     previous: GP | None = None,
+    basis: Array | None = None,
     key: Array,
 ) -> FitResult:
     """GP of inputs `Z` (M, nf) and targets `Y` (M, D) in rows where `mask`; all M rows are conditioned on.
 
     Hyper-parameters maximise the marginal likelihood of at most `num_fit` random rows; a start at `previous`
     (fitted earlier, same shapes) saves iterations. `shortest` bounds the length scales from below, in standard
-    deviations of the inputs: what varies faster is then left to the noise. `result` is `non_finite` where every
-    start failed.
+    deviations of the inputs: what varies faster is then left to the noise. `basis` (M, D, k) holds the directions of
+    known causes, to which the GP is orthogonal at its data. `result` is `non_finite` where every start failed.
     """
     key_rows, key_starts = jax.random.split(key)
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
+    if basis is not None:
+        Y = unclaimed(Y, basis, mask)
     scale, output_scale = scales(Z, Y, mask)
-    X, T, used = _subset(Z / scale, Y / output_scale, mask, num_fit, key_rows)
+    columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
+    used, X, T, *part = _subset(mask, num_fit, key_rows, *columns)
+    held = [directions(J, used) for J in part]  # of these rows, to which T is made orthogonal
+    T = unclaimed(T, part[0], used) if part else T
     pairs = squares(X)
     nf, D = Z.shape[1], Y.shape[1]
     rows = jnp.maximum(jnp.sum(used), 1)
 
     low = _vector((shortest, *LOWER[1:]), nf)  # minimise starts inside the bounds
 
-    def objective(x: Array, y: Array) -> Array:
-        return -likelihood(kernel, _hyper(x), pairs, y, used) / rows  # per row, so that one tolerance serves all sizes
+    def objective(x: Array, *data: Array) -> Array:
+        y, *Q = data
+        return -likelihood(kernel, _hyper(x), pairs, y, used, *Q) / rows  # per row: one tolerance serves all sizes
 
-    def start(x: Array, y: Array):
-        return minimise(objective, x, low, _vector(UPPER, nf), y, max_iterations=max_iterations)
+    def start(x: Array, *data: Array):
+        return minimise(objective, x, low, _vector(UPPER, nf), *data, max_iterations=max_iterations)
 
-    def output(starts: Array, y: Array):
-        ends = jax.vmap(start, in_axes=(0, None))(starts, y)
+    def output(starts: Array, *data: Array):
+        ends = jax.vmap(lambda x: start(x, *data))(starts)
         best = jnp.argmin(jnp.where(jnp.isfinite(ends.value), ends.value, jnp.inf))
         return jax.tree.map(lambda leaf: leaf[best], ends)
 
-    best = jax.vmap(output)(_starts(D, nf, num_restarts, previous, key_starts), T.T)
-    gp = condition(Z, Y, mask, _hyper(best.x), scale, output_scale, kernel)
+    best = jax.vmap(output)(_starts(D, nf, num_restarts, previous, key_starts), T.T, *held)
+    gp = condition(Z, Y, mask, _hyper(best.x), scale, output_scale, kernel, basis)
     return FitResult(gp, -best.value * rows, best.error, best.num_steps, best.result)

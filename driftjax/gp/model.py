@@ -7,6 +7,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
+from driftjax.gp.orthogonal import directions, unclaimed
 
 FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
@@ -42,22 +43,25 @@ def squares(X: Array) -> Array:
     return jax.vmap(lambda x: (x[:, None] - x[None, :]) ** 2)(X.T)
 
 
-def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array) -> Array:
+def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array, Q: Array | None = None) -> Array:
     """K + noise of ONE output from `squares(X)`; a masked row is one of the identity, which is exact.
 
-    The squares do not depend on the hyper-parameters, so that many starts and outputs share them.
+    The squares do not depend on the hyper-parameters, so that many starts and outputs share them. In the directions
+    `Q` (M, k) the GP is held at 0, which is known without noise: see `orthogonal`.
     """
     q = jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
     jitter = JITTER * jnp.finfo(q.dtype).eps * amplitude
     K = jnp.where(mask[:, None] & mask[None, :], amplitude * KERNELS[kernel](q), 0.0)
-    return K + jnp.diag(jnp.where(mask, noise + jitter, 1.0))
+    K = K + jnp.diag(jnp.where(mask, noise + jitter, 1.0))
+    return K if Q is None else K - noise * (Q @ Q.T)
 
 
 class GP(eqx.Module):
     """Exact GP, one per output, zero prior mean (Wu et al. 2025, Sec. III-B; Rasmussen and Williams 2006).
 
-    Everything goes in and comes out in the raw units of the data. Rows with a false `mask` do not exist.
+    Everything goes in and comes out in the raw units of the data. Rows with a false `mask` do not exist. Where known
+    causes have a basis, P below is the projector of `orthogonal`; else it is the identity.
     """
 
     kernel: str = eqx.field(static=True)  # name in `KERNELS`
@@ -68,8 +72,8 @@ class GP(eqx.Module):
     output_scale: Array  # (D,)
     lower: Array  # (D,) smallest target seen, at most 0
     upper: Array  # (D,) largest target seen, at least 0
-    alpha: Array  # (D, M) = (K + noise)^-1 y, scaled
-    L: Array  # (D, M, M) Cholesky factor of K + noise, scaled
+    alpha: Array  # (D, M) = (K + noise P)^-1 P y, scaled
+    L: Array  # (D, M, M) Cholesky factor of K + noise P, scaled
 
     def correlations(self, z: Array) -> Array:
         """(D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
@@ -169,18 +173,33 @@ def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     return scale, jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 1.0)
 
 
-def condition(Z: Array, Y: Array, mask: Array, hyper: Hyper, scale: Array, output_scale: Array, kernel: str) -> GP:
-    """GP that has seen `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters."""
+def condition(
+    Z: Array,
+    Y: Array,
+    mask: Array,
+    hyper: Hyper,
+    scale: Array,
+    output_scale: Array,
+    kernel: str,
+    basis: Array | None = None,
+) -> GP:
+    """GP that has seen `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters.
+
+    At these data it is orthogonal to `basis` (M, D, k), the directions of known causes; see `orthogonal`.
+    """
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
+    if basis is not None:
+        Y = unclaimed(Y, basis, mask)
 
     pairs = squares(Z / scale)
 
-    def factor(hyper: Hyper, y: Array) -> tuple[Array, Array]:
-        L = jnp.linalg.cholesky(gram(kernel, hyper, pairs, mask))
+    def factor(hyper: Hyper, y: Array, *Q: Array) -> tuple[Array, Array]:
+        L = jnp.linalg.cholesky(gram(kernel, hyper, pairs, mask, *Q))
         return L, cho_solve((L, True), y)
 
-    L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T)
+    held = () if basis is None else (directions(basis, mask),)
+    L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T, *held)
     lower, upper = jnp.min(Y, axis=0, initial=0.0), jnp.max(Y, axis=0, initial=0.0)
     return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)
 

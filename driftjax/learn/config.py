@@ -29,6 +29,8 @@ class GPConfig:
     """Shortest length scale, in standard deviations of an input: what varies faster over a lap is taken for noise."""
     kernel: Literal["se", "matern52"] = "se"
     """Kernel: squared exponential or Matern-5/2, one length scale per input."""
+    orthogonal: bool = True
+    """Of an extended car: whether the GP leaves to the named effects what a change of their parameters could do."""
 
     def __post_init__(self) -> None:
         require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
@@ -70,7 +72,7 @@ class LearnConfig:
     car: str = "sedan"
     """Name of the car whose shipped settings are the defaults: sedan or rc."""
     vehicle: Path = Path("sedan")
-    """Nominal car: a shipped name or a vehicle YAML."""
+    """Nominal car: a shipped name or a vehicle YAML, such as the extended.yaml of a diagnosis."""
     track: Path = Path("sedan_corner")
     """Track: a shipped name, a track YAML or a CSV of x,y,w_right,w_left."""
     plan: Path = Path("sedan")
@@ -95,9 +97,10 @@ class LearnConfig:
     """Relative change of the mean lateral error below which GP laps have converged."""
     compare: bool = True
     """Also drive the other rows of the paper's table: pure pursuit, LQR, the paper's cost, single-layer GPR-MPC."""
-    combined_slip: float = 1.0
+    combined_slip: float | None = None
     """Friction ellipse of the nominal car in MPC, GP data and references: 0 is the published car, 1 a circle. The
-    published car spins on plants that do not have more friction than it."""
+    published car spins on plants that do not have more friction than it. Left out: 1, but an extended car keeps the
+    one that its effects were found with."""
     drift_beta: float = 0.436332
     """Sideslip of the drift equilibrium that is aimed at, magnitude [rad]."""
     mpc: MPCConfig = field(default_factory=MPCConfig)

@@ -11,7 +11,7 @@ from driftjax.explore import select, v_sets
 from driftjax.learn.config import ExploreConfig
 from driftjax.learn.scenario import Scenario
 from driftjax.sim import Trace
-from driftjax.vehicle import Residual, SingleTrack
+from driftjax.vehicle import AnyCar, Residual
 
 POINTS = 40  # of a speed curve over the drift section
 
@@ -34,7 +34,7 @@ class Drifts(eqx.Module):
     sideslip it has one. So E(V_ep, .) is solved at the sideslip aimed at, from the nominal drift.
     """
 
-    nominal: SingleTrack
+    nominal: AnyCar
     beta: Array
     x_eq: State
     u_eq: Control

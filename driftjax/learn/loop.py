@@ -13,12 +13,12 @@ from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
 from driftjax.learn.reference import Planned, entry_table, step_table
-from driftjax.learn.residual import estimate_lags, rows, samples
+from driftjax.learn.residual import claims, estimate_lags, rows, samples
 from driftjax.learn.scenario import Scenario, entry_problems
 from driftjax.learn.stage import Stage
 from driftjax.sim import Trace, keep_where
 from driftjax.solve import Options
-from driftjax.vehicle import Residual, SingleTrack
+from driftjax.vehicle import AnyCar, Residual
 
 # The entry problem has four times the MPC's horizon and starts from the plan, which its car cannot drive.
 ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
@@ -45,21 +45,21 @@ class Progress(eqx.Module):
 
 def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     """Progress before the first lap."""
-    memory = scenario.over_lanes(empty(scenario.config.gp))
+    memory = scenario.over_lanes(empty(scenario.config.gp, scenario.lags))
     table = scenario.over_lanes(scenario.table)
     far = jnp.full(scenario.num_lanes, jnp.inf)
     no = jnp.asarray(False)
     return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, no)
 
 
-def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: SingleTrack, dt: float, config: GPConfig):
+def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: AnyCar, dt: float, config: GPConfig):
     """Memories of lanes given as (memory before, lap, its reference, keys)."""
-    step = as_float(dt)
+    step, claim = as_float(dt), claims(nominal) if config.orthogonal else None
 
     def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
         lap = samples(trace, table)
         lags = estimate_lags(nominal, lap, step)
-        return learn(memory, *rows(nominal, lap, step, lags), lags, config, key)
+        return learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
 
     return eqx.filter_vmap(one)(*lanes)
 

@@ -1,13 +1,17 @@
 """The learnt residual of one lane: a dictionary of informative rows, the GP on it, and how far to trust it."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.gp import GP, condition, fit, scales, select_dictionary, zero_gp
+from driftjax.gp import GP, claimed, condition, fit, scales, select_dictionary, unclaimed, zero_gp
 from driftjax.learn.config import GPConfig
 from driftjax.vehicle import Residual, no_residual
+
+Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
 
 BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
 
@@ -22,27 +26,36 @@ class Memory(eqx.Module):
     held_out: Array  # (3,) error on held-out rows over that of no model, 1 without data
 
 
-def empty(config: GPConfig) -> Memory:
-    """Memory of a lane that has not driven."""
+def empty(config: GPConfig, lags: Array | None = None) -> Memory:
+    """Memory of a lane that has not driven; `lags` (2,) of its actuators may be known all the same [s]."""
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), no_residual(gp), jnp.ones(3))
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), no_residual(gp, lags), jnp.ones(3))
 
 
-def learn(memory: Memory, Z: Array, Y: Array, mask: Array, lags: Array, config: GPConfig, key: Array) -> Memory:
+def learn(
+    memory: Memory,
+    Z: Array,
+    Y: Array,
+    mask: Array,
+    lags: Array,
+    config: GPConfig,
+    key: Array,
+    claim: Claim | None = None,
+) -> Memory:
     """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
 
     The gate of an output is the share of its squared error that the GP takes from rows it was not conditioned on;
-    an output that does not gain there is switched off.
+    an output that does not gain there is switched off. What known causes could say by `claim` the GP leaves to them.
     """
     Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
     mask = jnp.concatenate([memory.mask, mask])
     kept = select_dictionary(Z, Y, mask, config.size, kernel=config.kernel)
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
-        kernel=config.kernel, shortest=config.shortest, key=key,
+        kernel=config.kernel, shortest=config.shortest, basis=None if claim is None else claim(kept[0]), key=key,
     )  # fmt: skip
-    held_out = held_out_error(found.gp, Z, Y, mask, config)
+    held_out = held_out_error(found.gp, Z, Y, mask, config, claim)
     gate = jnp.clip(1 - held_out**2, 0.0, 1.0)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, memory.residual.lags)
@@ -50,12 +63,19 @@ def learn(memory: Memory, Z: Array, Y: Array, mask: Array, lags: Array, config: 
     return Memory(*kept, residual, held_out)
 
 
-def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig) -> Array:
+def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, claim: Claim | None = None) -> Array:
     """(3,): root mean square error on every second block of rows of a GP conditioned on the other blocks, over the
-    root mean square of the targets."""
+    root mean square of the targets; of these only what known causes leave, whose share the other blocks say."""
     fold = (jnp.arange(len(mask)) // BLOCK) % 2 == 0
     train = select_dictionary(Z, Y, mask & fold, config.size, kernel=config.kernel)
-    half = condition(*train, gp.hyper, *scales(*train), config.kernel)
+    if claim is None:
+        half = condition(*train, gp.hyper, *scales(*train), config.kernel)
+    else:
+        inputs, targets, kept = train
+        basis = claim(inputs)
+        Y = Y - claimed(targets, basis, kept, claim(Z))
+        scale = scales(inputs, unclaimed(targets, basis, kept), kept)
+        half = condition(*train, gp.hyper, *scale, config.kernel, basis)
     test = (mask & ~fold)[:, None]
     error = jnp.where(test, jax.vmap(half.bounded_mean)(Z) - Y, 0.0)
     total = jnp.sum(jnp.where(test, Y, 0.0) ** 2, axis=0)

@@ -1,5 +1,6 @@
 """From a driven lap to what the model got wrong: rows (z, d) for the GP."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.sim import Trace
-from driftjax.vehicle import SingleTrack
+from driftjax.vehicle import AnyCar, SingleTrack
 
 WINDOW = 5  # samples of the local parabola; centred, so that it delays nothing
 # Savitzky and Golay 1964: value at the middle of the least-squares parabola through five even samples
@@ -28,7 +29,7 @@ def smooth(values: Float[Array, " T"]) -> Float[Array, " T"]:
     return jnp.concatenate([values[:2], middle, values[-2:]])
 
 
-def residual_rate(nominal: SingleTrack, x: State, u: Control, after: State, dt: Array) -> Float[Array, "3"]:
+def residual_rate(nominal: AnyCar, x: State, u: Control, after: State, dt: Array) -> Float[Array, "3"]:
     """Constant rate d for which one RK4 step of f + d leads from `x` to `after` [SI per second].
 
     It is the definition of d inside the MPC too, so data and prediction agree at any step length.
@@ -80,7 +81,7 @@ def samples(trace: Trace, table: ReferenceTable) -> Samples:
     return Samples(before, after, jax.tree.map(lambda a: a[:-1], trace.command), mask)
 
 
-def rows(nominal: SingleTrack, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+def rows(nominal: AnyCar, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:
     """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data.
 
     Only measurements and commands are used. The inputs hold the commands as `reached` through the `lags` of steering
@@ -94,7 +95,19 @@ def rows(nominal: SingleTrack, lap: Samples, dt: Array, lags: Float[Array, "2"])
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask
 
 
-def estimate_lags(nominal: SingleTrack, lap: Samples, dt: Array) -> Float[Array, "2"]:
+def claims(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
+    """How the rates at inputs of the GP change with the parameters of the named effects; None of the nominal car."""
+    if isinstance(car, SingleTrack):
+        return None
+
+    def at(z: Array) -> Array:
+        x, u = State(z[0], z[1], z[2]), Control(z[3], z[4])
+        return jax.jacfwd(lambda theta: jnp.stack(car.at(theta)(x, u)))(car.theta)
+
+    return jax.vmap(at)
+
+
+def estimate_lags(nominal: AnyCar, lap: Samples, dt: Array) -> Float[Array, "2"]:
     """Time constants [s] of steering and drive that leave the least of the residual unexplained in one lap.
 
     Every pair on a grid is tried: least sum of log variances left by a linear function of the inputs, which is the

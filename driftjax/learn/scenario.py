@@ -13,7 +13,7 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Blocks, Control, State
-from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
+from driftjax.equilibrium import Branch, SlipRadius, solve_steady
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
@@ -21,12 +21,14 @@ from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.solve import Options
 from driftjax.track import Track, load_track
 from driftjax.vehicle import (
+    AnyCar,
     DoubleTrack,
     Residual,
-    SingleTrack,
     VehicleConfig,
+    build_car,
     load_plant,
     load_vehicle,
+    named_lags,
     sample_plants,
     stack_plants,
 )
@@ -47,7 +49,8 @@ class Scenario:
 
     config: LearnConfig
     vehicle: VehicleConfig
-    nominal: SingleTrack
+    nominal: AnyCar  # what is known before the first lap: the nominal car, with the effects that were named
+    lags: Array  # (2,) of steering and drive that were named, 0 where none was [s]
     track: Track
     plan: Plan
     table: ReferenceTable  # the plan as reference
@@ -74,7 +77,7 @@ class Scenario:
 
 def build(config: LearnConfig, blocks: Blocks) -> Scenario:
     """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit."""
-    vehicle = dataclasses.replace(load_vehicle(config.vehicle), combined_slip=config.combined_slip)
+    vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip)
     track = load_track(config.track)
     lap = plan(track, vehicle, load_plan_config(config.plan))
     if not bool(lap.result == RESULTS.successful):
@@ -85,8 +88,8 @@ def build(config: LearnConfig, blocks: Blocks) -> Scenario:
     if not lap.drift_intervals():
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
-    nominal, where = vehicle.build(), corner(table, config.drift_beta)
-    steady = solve_nominal(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
+    nominal, where = build_car(vehicle), corner(table, config.drift_beta)
+    steady = solve_steady(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
     if not bool(steady.result == RESULTS.successful):
         raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
     plants = [load_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
@@ -99,9 +102,10 @@ def build(config: LearnConfig, blocks: Blocks) -> Scenario:
     noise = jax.random.key(config.seed)
     keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, _, index in each]
     return Scenario(
-        config, vehicle, nominal, track, lap, table, where, steady.x, steady.u, tuple(lane for lane, _, _ in each),
-        stack_plants([p for _, p, _ in each]), jnp.stack(keys), load_sensors(config.sensors),
-        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
+        config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u,
+        tuple(lane for lane, _, _ in each), stack_plants([p for _, p, _ in each]), jnp.stack(keys),
+        load_sensors(config.sensors), entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt),
+        blocks,
     )  # fmt: skip
 
 

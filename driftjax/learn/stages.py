@@ -51,7 +51,7 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
         return _explore(scenario, progress, number)
     if kind == "gpr":
         return None if bool(progress.converged) else _gpr(scenario, progress, number)
-    untaught = scenario.over_lanes(empty(scenario.config.gp).residual)
+    untaught = scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
     plan = scenario.over_lanes(scenario.table)
     if kind in ("pursuit", "lqr"):
         stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)

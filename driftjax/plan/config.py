@@ -114,14 +114,15 @@ class PlanConfig:
         require(ordered, "keys 'drift_from' and 'drift_to' must lie in 0..1, with room between them for two ramps.")
 
     def planned(self, vehicle: VehicleConfig) -> VehicleConfig:
-        """The car as the planner may use it."""
+        """The car as the planner may use it; a friction ellipse that was named is known and stays as it is."""
         brake = self.brake_share * vehicle.Fxr_min
+        known = any(one.effect == "combined_slip" for one in vehicle.effects)
         return dataclasses.replace(
             vehicle,
             mu=self.friction_share * vehicle.mu,
             Fxr_min=brake,
             delta_max=self.steer_share * vehicle.delta_max,
-            combined_slip=max(self.combined_slip, vehicle.combined_slip),
+            combined_slip=vehicle.combined_slip if known else max(self.combined_slip, vehicle.combined_slip),
         )
 
 

@@ -18,7 +18,7 @@ from driftjax.plan.stages import guesses, stages
 from driftjax.solve import Options
 from driftjax.solve import Plan as Solution
 from driftjax.track import Track, check_width, resample
-from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle import VehicleConfig, build_car
 
 BARRIER = 0.03  # first barrier parameter: the guesses lie inside most bounds
 VIOLATED = 1e-4  # violation from which an unconverged plan is called infeasible [-]
@@ -73,7 +73,7 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     kappa = np.abs(np.asarray(stage.kappa))
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
     e0 = float(np.mean(np.asarray(stage.e_max - stage.e_min))) / 2
-    nominal = vehicle.build()
+    nominal = build_car(vehicle)
     model = nominal if model is None else model
     fair = jnp.inf if config.V_fair is None else config.V_fair
     prices = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
@@ -162,7 +162,7 @@ def plan(
 
     Starts rolling straight on the centre line with the entry speed; a closed track is planned with a run-up and a
     run-out, which are cut off. Corners tighter than `drift_radius` are taken sideways where `config.drift`.
-    `model` replaces the vehicle's nominal car, for instance by a corrected one. `result` says whether the plan
+    `model` replaces the vehicle's own, for instance by a corrected one. `result` says whether the plan
     may be trusted; raises `BadInput` where the car does not fit the track.
     """
     check_width(track, vehicle.width, "track")

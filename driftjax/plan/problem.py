@@ -10,7 +10,7 @@ from jax import Array
 from driftjax.core import Control, State, as_float
 from driftjax.solve import AbstractOCP
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import SingleTrack
+from driftjax.vehicle import AnyCar
 
 SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
 
@@ -61,7 +61,7 @@ class MinimumTime(AbstractOCP):
     rate_weight: Array = eqx.field(converter=as_float)  # [-]
     course_weight: Array = eqx.field(converter=as_float)  # [-]
     front_slip: Array = eqx.field(converter=as_float)  # price of front slip beyond the peak [-]
-    nominal: SingleTrack  # whose front slip angle is priced
+    nominal: AnyCar  # whose front slip angle is priced
     V_fair: Array = eqx.field(converter=as_float)  # progress that hardly earns more time [m/s]
 
     @property
@@ -114,7 +114,7 @@ class MinimumTime(AbstractOCP):
         """Front slip angle beyond the tyre's peak [rad]."""
         V, beta, r, _, _, delta, Fxr = x * self.scale
         alpha_f, _ = self.nominal.slip_angles(State(V, beta, r), Control(delta, Fxr))
-        return jnp.maximum(jnp.abs(alpha_f) - self.nominal.tyre.alpha_peak, 0.0)
+        return jnp.maximum(jnp.abs(alpha_f) - self.nominal.peaks[0], 0.0)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
         """Gaps of a stage, in scaled units."""

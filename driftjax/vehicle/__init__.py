@@ -6,8 +6,13 @@ from driftjax.vehicle.corrected import no_residual as no_residual
 from driftjax.vehicle.double_track import DoubleTrack as DoubleTrack
 from driftjax.vehicle.double_track import Motion as Motion
 from driftjax.vehicle.double_track import PlantState as PlantState
+from driftjax.vehicle.extended import AnyCar as AnyCar
+from driftjax.vehicle.extended import Extended as Extended
+from driftjax.vehicle.extended import build_car as build_car
+from driftjax.vehicle.extended import named_lags as named_lags
+from driftjax.vehicle.extended import notes as notes
+from driftjax.vehicle.load import load_vehicle as load_vehicle
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
-from driftjax.vehicle.parameters import load_vehicle as load_vehicle
 from driftjax.vehicle.plant_config import PlantConfig as PlantConfig
 from driftjax.vehicle.plants import load_plant as load_plant
 from driftjax.vehicle.plants import sample_plants as sample_plants

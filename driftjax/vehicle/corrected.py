@@ -46,6 +46,9 @@ class Corrected(eqx.Module):
         return State(dx.V + d[0], dx.beta + d[1], dx.r + d[2])
 
 
-def no_residual(like: GP) -> Residual:
-    """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles)."""
-    return Residual(like, jnp.zeros(3), jnp.zeros(2))
+def no_residual(like: GP, lags: Float[Array, "2"] | None = None) -> Residual:
+    """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles).
+
+    `lags` of its actuators [s] may be known beforehand; none where left out.
+    """
+    return Residual(like, jnp.zeros(3), jnp.zeros(2) if lags is None else lags)

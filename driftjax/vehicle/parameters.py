@@ -1,16 +1,31 @@
-"""What a vehicle YAML file may hold, checked, and the nominal car built from it."""
+"""Parameters of a car, checked, and the nominal car built from them."""
 
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
-from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.core import require
 from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.single_track import SingleTrack
 
 
 @dataclass(frozen=True)
+class FoundParameter:
+    """One parameter of an effect that a diagnosis named, SI."""
+
+    effect: str
+    parameter: str
+    value: float
+    ci95_half: float | None = None
+    """Half-width of its 95 % interval; None where the file gives none."""
+
+    @property
+    def name(self) -> str:
+        """`effect.parameter`, as on the command line of `driftjax simulate`."""
+        return f"{self.effect}.{self.parameter}"
+
+
+@dataclass(frozen=True)
 class VehicleConfig:
-    """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables I and II)."""
+    """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables I and II), and named effects."""
 
     name: str
     """Name of the car, for titles and file names."""
@@ -45,6 +60,10 @@ class VehicleConfig:
 
     combined_slip: float = 0.0
     """How much the drive force takes from the rear lateral force: 0 as published, 1 a friction circle [-]."""
+    effects: tuple[FoundParameter, ...] = ()
+    """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
+    covariance: tuple[tuple[float, ...], ...] = ()
+    """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
 
     def __post_init__(self) -> None:
         require(0 <= self.combined_slip <= 1.5, f"key 'combined_slip' is {self.combined_slip}; it lies in 0..1.5.")
@@ -57,12 +76,15 @@ class VehicleConfig:
         require(self.delta_max < 1.5, f"key 'delta_max' is {self.delta_max}; give radians below 1.5.")
 
     def build(self) -> SingleTrack:
-        """The nominal car."""
+        """The nominal car, without the effects that were named: those are in `build_car`."""
         tyre = SimplifiedPacejka(self.mu, self.B, self.C)
         return SingleTrack(self.m, self.Iz, self.a, self.b, tyre, self.combined_slip)
 
+    def with_slip(self, combined_slip: float | None) -> "VehicleConfig":
+        """This car with another friction ellipse; None is a friction circle, but leaves an extended car as it is.
 
-def load_vehicle(name: str | Path) -> VehicleConfig:
-    """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`)."""
-    path = find_config("vehicle", name)
-    return from_dict(VehicleConfig, read_yaml(path), str(path))
+        What a diagnosis named is the difference to the nominal car that it was given, ellipse included.
+        """
+        if combined_slip is None:
+            return self if self.effects else replace(self, combined_slip=1.0)
+        return replace(self, combined_slip=combined_slip)

@@ -41,6 +41,12 @@ class SingleTrack(eqx.Module):
         """Static load of the rear axle [N]."""
         return self.m * G * self.a / (self.a + self.b)
 
+    @property
+    def peaks(self) -> tuple[Array, Array]:
+        """Slip angle at which the front and the rear tyre give most [rad]."""
+        peak = self.tyre.alpha_peak
+        return peak, peak
+
     def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
         """Front and rear slip angle [rad] (Eq. 3, with atan2, so that V = 0 stays finite)."""
         vx, vy = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)

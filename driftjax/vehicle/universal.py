@@ -9,6 +9,7 @@ from driftjax.core import Control, State
 from driftjax.vehicle.effect.base import Effect, Station
 from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, accelerate, axle_forces, enter, rates
 from driftjax.vehicle.parameters import VehicleConfig
+from driftjax.vehicle.single_track import SingleTrack
 
 
 class Universal(eqx.Module):
@@ -72,16 +73,16 @@ class Universal(eqx.Module):
         return self._through("sensor", x, dx)
 
 
-def base_car(vehicle: VehicleConfig) -> Car:
+def base_car(nominal: SingleTrack) -> Car:
     """The nominal car as `Car`."""
-    one = lambda value: jnp.asarray(value, float)
+    tyre, zero = nominal.tyre, jnp.zeros_like(nominal.m)
     return Car(
-        *map(one, (vehicle.m, vehicle.Iz, vehicle.a, vehicle.b, vehicle.mu, vehicle.mu, vehicle.B, vehicle.B)),
-        *map(one, (vehicle.C, vehicle.C, vehicle.combined_slip**2, 0.0, 0.0)),
-    )
+        nominal.m, nominal.Iz, nominal.a, nominal.b, tyre.mu, tyre.mu, tyre.B, tyre.B, tyre.C, tyre.C,
+        nominal.combined_slip**2, zero, zero,
+    )  # fmt: skip
 
 
 def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...]) -> Universal:
     """The car with these effects, all neutral."""
     scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
-    return Universal(base_car(vehicle), effects, jnp.asarray(scale), jnp.zeros(len(scale)))
+    return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)))

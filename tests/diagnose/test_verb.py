@@ -14,6 +14,7 @@ from diagnose.recorded import hidden, recorded
 from driftjax.cli import main
 from driftjax.data import Run, write_log
 from driftjax.diagnose.diagnosis import diagnose
+from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import EFFECTS
 
 
@@ -49,9 +50,15 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     assert gain["skill"]["extended"] > gain["skill"]["retuned"]
     car = yaml.safe_load(Path("found/extended.yaml").read_text())
     assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(found["value"])
+    vehicle = load_vehicle("found/extended.yaml")
+    assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
+    half = vehicle.effects[0].ci95_half
+    assert half is not None and 1.9 < half / vehicle.covariance[0][0] ** 0.5 < 2.3  # a quantile of Student's t
     out = capsys.readouterr().out
     assert "NAMED: The steering lags behind its command" in out and "extended" in out
     assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
+    assert main(["diagnose", "log.csv", "--vehicle", "found/extended.yaml", "--out", "again"]) == 2
+    assert "key 'effects'" in capsys.readouterr().err.splitlines()[-1] and not Path("again").exists()
 
 
 def test_two_seconds_of_data_say_nothing(capsys):

@@ -57,6 +57,11 @@ class Parameter:
         """Typical size on this car, SI."""
         return self.typical * reference(vehicle, self.of)
 
+    def bounds(self, vehicle: VehicleConfig) -> tuple[float, float]:
+        """Smallest and largest value on this car, SI."""
+        scale = self.scale(vehicle)
+        return self.lower * scale, self.upper * scale
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -84,5 +89,7 @@ class Effect:
     """Whether it shows in kinematic parity (sensors and road), not only in the forces (physics of the car)."""
     needs: tuple[str, ...] = ()
     """Log columns without which it cannot be told: `psi` or `s`."""
+    transient: bool = False
+    """Whether it acts by what went before, beyond the state and the memory of a command: rates at rest are nominal."""
     start: Callable[[float], Any] = lambda dt: ()
     """Memory of a command effect at rest."""

@@ -25,4 +25,5 @@ EFFECT = Effect(
     apply=apply,
     source="Farroni et al. 2014",
     sentence="the tyres lose grip as they heat up and wear",
+    transient=True,
 )

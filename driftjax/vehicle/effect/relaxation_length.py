@@ -17,4 +17,5 @@ EFFECT = Effect(
     apply=apply,
     source="Pacejka 2012, Ch. 7",
     sentence="the tyres need some distance to build up their side force",
+    transient=True,
 )

@@ -20,4 +20,5 @@ EFFECT = Effect(
     apply=apply,
     source="Milliken and Milliken 1995, Ch. 18",
     sentence="the body takes time to roll, so that the grip follows a turn late",
+    transient=True,
 )

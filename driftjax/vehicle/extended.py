@@ -1,0 +1,137 @@
+"""The car to plan, control and learn with: the nominal one with what a diagnosis found missing in it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State
+from driftjax.tyre import SimplifiedPacejka
+from driftjax.vehicle.effect import EFFECTS, effects_named
+from driftjax.vehicle.effect.base import Effect
+from driftjax.vehicle.effect.flow import Aux, Flow, Place, rates
+from driftjax.vehicle.parameters import VehicleConfig
+from driftjax.vehicle.single_track import SingleTrack
+from driftjax.vehicle.universal import Universal, base_car
+
+LAGS = ("steer_lag", "drive_lag")  # effects that are states of the MPC, with the time constant as only parameter
+STEP = 1.0  # time step given to command effects without memory, which do not look at it [s]
+
+
+class Extended(eqx.Module):
+    """The nominal car with named effects in steady use, in place of a `SingleTrack`; calling it gives the rates.
+
+    It is the `Universal` car with these effects only, where tyres and body have settled and no place is special.
+    What a command effect makes of the command is part of it: `u` is the command, past its lags.
+    """
+
+    nominal: SingleTrack
+    names: tuple[str, ...] = eqx.field(static=True)  # of the effects; names, so that a compiled program can be kept
+    scale: Float[Array, " K"]  # typical size of each parameter, SI
+    theta: Float[Array, " K"]  # parameters in typical sizes, in the catalogue's order
+
+    @property
+    def m(self) -> Array:
+        """Mass of the nominal car [kg], as the unit of forces."""
+        return self.nominal.m
+
+    @property
+    def Iz(self) -> Array:
+        """Yaw inertia of the nominal car [kg m^2], as the unit of moments."""
+        return self.nominal.Iz
+
+    @property
+    def a(self) -> Array:
+        """Nominal centre of mass to front axle [m], as the unit of lengths."""
+        return self.nominal.a
+
+    @property
+    def b(self) -> Array:
+        """Nominal centre of mass to rear axle [m]."""
+        return self.nominal.b
+
+    @property
+    def tyre(self) -> SimplifiedPacejka:
+        """Tyre of the nominal car, as the unit of friction."""
+        return self.nominal.tyre
+
+    @property
+    def universal(self) -> Universal:
+        """The whole pipeline of this car."""
+        return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
+
+    def at(self, theta: Float[Array, " K"]) -> "Extended":
+        """This car with other parameters."""
+        return Extended(self.nominal, self.names, self.scale, theta)
+
+    def scaled(self, share: Array) -> "Extended":
+        """From the nominal car at 0 to this one at 1."""
+        return self.at(share * self.theta)
+
+    def flow(self, x: State, u: Control) -> Flow:
+        """Everything about one instant, from slip to forces."""
+        model, zero = self.universal, jnp.zeros_like(x.V)
+        _, acting = model.act(model.start(STEP), u, x.V, STEP)
+        return model.flow(x, acting, Place(zero, zero, zero, zero), Aux(jnp.stack([zero, zero]), zero))
+
+    def __call__(self, x: State, u: Control) -> State:
+        """Time derivative of `x`."""
+        return rates(self.flow(x, u))
+
+    def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
+        """Front and rear slip angle [rad]."""
+        flow = self.flow(x, u)
+        return flow.alpha_f, flow.alpha_r
+
+    @property
+    def peaks(self) -> tuple[Array, Array]:
+        """Slip angle at which the front and the rear tyre give most [rad]."""
+        car = self.universal.car
+        front, rear = SimplifiedPacejka(car.muf, car.Bf, car.Cf), SimplifiedPacejka(car.mur, car.Br, car.Cr)
+        return front.alpha_peak, rear.alpha_peak
+
+
+AnyCar = SingleTrack | Extended
+
+
+def build_car(vehicle: VehicleConfig) -> AnyCar:
+    """The car that `vehicle` describes: the nominal one as it is, or with those named effects that `missing` has in."""
+    values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
+    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not missing(EFFECTS[name]))
+    if not names:
+        return vehicle.build()
+    each = [(effect.name, p) for effect in effects_named(names) for p in effect.parameters]
+    scale = jnp.asarray([p.scale(vehicle) for _, p in each])
+    theta = jnp.asarray([values[name, p.name] for name, p in each]) / scale
+    return Extended(vehicle.build(), names, scale, theta)
+
+
+def named_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
+    """Time constants of steering and drive that were named, 0 where none was [s]."""
+    found = {one.effect: one.value for one in vehicle.effects}
+    return jnp.asarray([found.get(name, 0.0) for name in LAGS])
+
+
+def missing(effect: Effect) -> str:
+    """Why `effect` is not part of the car in steady use; empty where it is."""
+    if effect.station == "sensor":
+        return "it belongs to the sensors"
+    if effect.kinematic or effect.needs:
+        return "it belongs to the road or the weather of the measurement"
+    if effect.name in LAGS:
+        return "plans and steady states know no lags; the MPC of `driftjax learn` starts from it"
+    remembers = effect.station == "command" and bool(jax.tree.leaves(effect.start(STEP)))
+    if remembers or effect.transient:
+        return "it acts by what went before, which no function of the present state can say"
+    return ""
+
+
+def notes(vehicle: VehicleConfig) -> list[str]:
+    """One sentence for each named effect that planner, equilibria and MPC do not have in their car."""
+    named = [effect for effect in EFFECTS.values() if effect.name in _named(vehicle)]
+    return [f"{effect.name} is not in the car: {missing(effect)}." for effect in named if missing(effect)]
+
+
+def _named(vehicle: VehicleConfig) -> set[str]:
+    return {one.effect for one in vehicle.effects}

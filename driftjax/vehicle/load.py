@@ -1,0 +1,101 @@
+"""Reading a vehicle YAML: a nominal car, and the effects that a diagnosis named."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+from driftjax.core import BadInput, find_config, from_dict, read_yaml
+from driftjax.vehicle.effect import Parameter, effects_named
+from driftjax.vehicle.parameters import FoundParameter, VehicleConfig
+
+ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
+SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
+
+
+def load_vehicle(name: str | Path) -> VehicleConfig:
+    """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`).
+
+    Keys are the parameters of the nominal car, at the top or below `nominal`, and for an extended car `effects`
+    (effect -> parameter -> value in SI, or {value, ci95_half}) and `covariance` ({parameters: [effect.parameter],
+    matrix}), as `driftjax diagnose` writes them into extended.yaml.
+    """
+    path = find_config("vehicle", name)
+    content = read_yaml(path)
+    effects, covariance = content.pop("effects", {}), content.pop("covariance", None)
+    nominal = content.pop("nominal") if "nominal" in content else None
+    if nominal is not None and content:
+        raise BadInput(f"{path}: unknown key '{next(iter(content))}'; beside 'nominal' go 'effects' and 'covariance'.")
+    nominal = content if nominal is None else _mapping(nominal, f"{path}: key 'nominal'")
+    for key in ("effects", "covariance"):
+        if key in nominal:
+            raise BadInput(f"{path}: key 'nominal' holds '{key}'; move it out of 'nominal'.")
+    vehicle = from_dict(VehicleConfig, nominal, str(path))
+    where = f"{path}: key 'effects'"
+    found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
+    matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
+    return dataclasses.replace(vehicle, effects=found, covariance=matrix)
+
+
+def _mapping(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
+    return value
+
+
+def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[FoundParameter, ...]:
+    """Every parameter of the effects `written`, in the catalogue's order."""
+    try:
+        effects = effects_named(tuple(map(str, written)))
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from None
+    found = []
+    for effect in effects:
+        values, names = _mapping(written[effect.name], f"{where}: {effect.name}"), [p.name for p in effect.parameters]
+        for name in values:
+            if name not in names:
+                raise BadInput(f"{where}: {effect.name} has no parameter '{name}'; it has {', '.join(names)}.")
+        for p in effect.parameters:
+            if p.name not in values:
+                raise BadInput(f"{where}: {effect.name} lacks '{p.name}'; add it, 0 is neutral.")
+            at = f"{where}: {effect.name}.{p.name}"
+            found.append(FoundParameter(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
+    return tuple(found)
+
+
+def _value(written: Any, parameter: Parameter, vehicle: VehicleConfig, where: str) -> tuple[float, float | None]:
+    """Value and half-width of its interval, from a number or {value, ci95_half}."""
+    parts = written if isinstance(written, dict) else {"value": written}
+    if "value" not in parts or parts.keys() - {"value", "ci95_half"}:
+        raise BadInput(f"{where} holds {', '.join(map(str, parts))}; it takes 'value' and, if known, 'ci95_half'.")
+    value, half = (None if parts.get(key) is None else _number(parts[key], where) for key in ("value", "ci95_half"))
+    lower, upper = parameter.bounds(vehicle)
+    if value is None or not lower * (1 + ROUNDING) <= value <= upper * (1 + ROUNDING):
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        raise BadInput(f"{where} is {value}; the value lies in {lower:.4g}..{upper:.4g}{unit}.")
+    return value, half
+
+
+def _number(written: Any, where: str) -> float:
+    if isinstance(written, bool) or not isinstance(written, int | float) or not math.isfinite(written):
+        raise BadInput(f"{where} is {written!r}; it needs a number.")
+    return float(written)
+
+
+def _covariance(written: Any, found: tuple[FoundParameter, ...], where: str) -> tuple[tuple[float, ...], ...]:
+    """The matrix, checked against the parameters `found`."""
+    parts, names = _mapping(written, where), [one.name for one in found]
+    if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
+        raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
+    rows = parts["matrix"]
+    square = isinstance(rows, list) and all(isinstance(row, list) and len(row) == len(rows) for row in rows)
+    if not square or len(rows) != len(names):
+        raise BadInput(f"{where}: 'matrix' needs {len(names)} rows of {len(names)} numbers.")
+    matrix = tuple(tuple(_number(value, f"{where}: 'matrix'") for value in row) for row in rows)
+    spread = [math.sqrt(max(matrix[i][i], 0.0)) for i in range(len(matrix))]
+    for i, row in enumerate(matrix):
+        for j, value in enumerate(row):
+            size = spread[i] * spread[j]
+            if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
+                raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
+    return matrix

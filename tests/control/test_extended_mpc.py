@@ -1,0 +1,89 @@
+"""The drift MPC and the LQR of an extended car: they converge and hold the drift that is the extended car's."""
+
+import dataclasses
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.control.lqr import lqr
+from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp, solve_mpc
+from driftjax.core import RESULTS, Control, State, rk4_step
+from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve_steady
+from driftjax.gp import zero_gp
+from driftjax.solve import Options
+from driftjax.vehicle import build_car, load_vehicle, named_lags, no_residual
+from driftjax.vehicle.parameters import FoundParameter
+
+FOUND = (FoundParameter("load_transfer_long", "h", 0.4), FoundParameter("steer_offset", "p", 0.02),
+         FoundParameter("steer_lag", "tau", 0.06))  # fmt: skip
+CAR = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=FOUND)
+CONFIG = MPCConfig(horizon=12)
+
+
+@cache
+def steady() -> Equilibrium:
+    fixed = SlipRadius(-0.45, 9.0)
+    return eqx.filter_jit(lambda: solve_steady(build_car(CAR), fixed, branch=Branch.COUNTERSTEER))()
+
+
+@cache
+def ocp() -> DriftOCP:
+    residual = no_residual(zero_gp(4, 5, 3), named_lags(CAR))
+    return drift_ocp(CONFIG, Weights(front_slip=1000.0), CAR, residual)
+
+
+def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
+    x, u = steady().x, steady().u
+    assert steady().result == RESULTS.successful
+    N, level = CONFIG.horizon, jnp.stack([*x, jnp.zeros(()), jnp.zeros(())])
+    reference = Reference(*(jnp.full(N + 1, value) for value in (*x, 0.0, -x.beta, x.r / x.V)))
+    level = level.at[4].set(-x.beta)
+    before, rng = jnp.stack(u), np.random.default_rng(0)
+    starts = level + 0.2 * rng.uniform(-1, 1, (8, 5)) * np.array([1.0, 0.15, 0.25, 0.0, 0.0])
+
+    def one(start):
+        X, U = jnp.tile(level, (N + 1, 1)), jnp.tile(before, (N, 1))
+        return solve_mpc(ocp(), start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
+
+    found = eqx.filter_jit(jax.vmap(one))(starts)
+    assert bool(jnp.all(found.plan.result == RESULTS.successful))
+    assert int(jnp.max(found.plan.num_steps)) <= 30
+    rest = eqx.filter_jit(one)(level)  # from the steady state itself there is nothing to do
+    np.testing.assert_allclose(
+        rest.U / jnp.array([1.0, 1e4]), before * jnp.ones((N, 1)) / jnp.array([1.0, 1e4]), atol=1e-3
+    )
+
+
+def test_the_derivatives_given_to_the_solver_are_those_of_a_step():
+    o, p = ocp(), Reference(*(jnp.asarray(v) for v in (0.0, 0.0, 0.0, 0.0, 0.0, 0.1)))
+    x = jnp.stack([*steady().x, *jnp.array([0.1, 0.4]), *steady().u, *steady().u]) / o.x_scale
+    u = x[5:7] * 1.05
+
+    def compared(x, u):
+        both = jnp.concatenate([x, u])
+        step = lambda v: o.step(v[:9], v[9:], p)
+        costate = jnp.linspace(-1.0, 1.0, 9)
+        A, B = o.jacobian(x, u, p)
+        return (
+            jnp.concatenate([A, B], axis=1) - jax.jacfwd(step)(both),
+            o.curvature(x, u, costate, p) - jax.hessian(lambda v: costate[:5] @ step(v)[:5])(both),
+        )
+
+    for difference in eqx.filter_jit(compared)(x, u):
+        np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+
+
+def test_the_lqr_of_the_extended_car_holds_its_drift():
+    car, (x, u), dt = build_car(CAR), (steady().x, steady().u), jnp.asarray(0.05)
+    gain = eqx.filter_jit(lqr)(car, x, u, jnp.array([1.0, 700.0, 500.0]), jnp.array([10.0, 1e-9]), dt)
+
+    def step(y, _):
+        v = gain(State(*y), x, u)
+        return jnp.stack(rk4_step(lambda w: car(w, Control(v.delta, v.Fxr)), State(*y), dt)), None
+
+    start = jnp.stack(x) + jnp.array([0.05, 0.01, -0.01])
+    end = jax.jit(lambda y: jax.lax.scan(step, y, length=200)[0])(start)
+    np.testing.assert_allclose(end, jnp.stack(x), atol=1e-4)

@@ -1,0 +1,83 @@
+"""Steady states of extended cars: zero rates, the right side of the nominal ones, gradients, and a map."""
+
+import csv
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from driftjax.core import RESULTS, Control, State
+from driftjax.equilibrium import Branch, SlipRadius, solve_nominal, solve_steady
+from driftjax.vehicle import Extended, build_car, load_vehicle
+from driftjax.vehicle.parameters import FoundParameter
+from experiments.equilibria import Config, main
+
+FIXED = SlipRadius(-0.45, 15.0)
+steady = eqx.filter_jit(lambda car: solve_steady(car, FIXED, branch=Branch.COUNTERSTEER))
+
+
+def extended(**values) -> Extended:
+    """The sedan with a friction circle and one-parameter effects, SI."""
+    found = tuple(FoundParameter(name.rsplit("_", 1)[0], name.rsplit("_", 1)[1], v) for name, v in values.items())
+    car = build_car(dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=found))
+    assert isinstance(car, Extended)
+    return car
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"load_transfer_long_h": 0.5}, {"friction_p": -0.1, "steer_offset_p": 0.03}, {"mass_p": 0.1, "aero_drag_c": 1.5}],
+)
+def test_the_extended_car_stands_still_where_it_is_found(values):
+    car = extended(**values)
+    out = steady(car)
+    assert out.result == RESULTS.successful and out.eta == 1 and out.kind == Branch.COUNTERSTEER
+    rates = jnp.stack(car(out.x, out.u))
+    assert jnp.max(jnp.abs(rates)) < 1e-7
+    assert jnp.max(jnp.abs(jnp.stack(car.nominal(out.x, out.u)))) > 1e-2
+
+
+def test_less_friction_drifts_slower_and_an_offset_is_steered_against():
+    nominal = eqx.filter_jit(lambda c: solve_nominal(c, FIXED, branch=Branch.COUNTERSTEER))(
+        dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0).build()
+    )
+    slower = steady(extended(friction_p=-0.1))
+    assert float(slower.x.V) == pytest.approx(float(nominal.x.V) * np.sqrt(0.9), rel=1e-3)
+    turned = steady(extended(steer_offset_p=0.03))
+    np.testing.assert_allclose([turned.u.delta, turned.u.Fxr], [nominal.u.delta - 0.03, nominal.u.Fxr], rtol=1e-6)
+
+
+def test_gradient_by_the_height_of_the_centre_of_mass_equals_central_differences():
+    car, h = extended(load_transfer_long_h=0.3), 1e-4
+    steer = eqx.filter_jit(
+        lambda size: solve_steady(car.at(car.theta * size), FIXED, branch=Branch.COUNTERSTEER).u.delta
+    )
+    one = jnp.asarray(1.0)
+    difference = (steer(one + h) - steer(one - h)) / (2 * h)
+    np.testing.assert_allclose(jax.jit(jax.grad(steer))(one), difference, rtol=1e-5)
+    assert abs(difference) > 1e-3
+
+
+def test_no_nominal_drift_is_not_a_success():
+    out = solve_steady(extended(friction_p=-0.1), SlipRadius(0.45, 15.0), branch=Branch.COUNTERSTEER)
+    assert out.result == RESULTS.no_root
+
+
+def test_the_map_of_an_extended_car_is_true(tmp_path):
+    vehicle = dataclasses.asdict(load_vehicle("rc"))
+    nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}
+    path = tmp_path / "car.yaml"
+    path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"load_transfer_long": {"h": 0.03}}}))
+    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=3, ratio_min=0.8, ratio_max=1.0), tmp_path)
+    with (tmp_path / "equilibria.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == numbers["steady_states"] >= 6 and numbers["worst_residual"] < 1e-9
+    car = build_car(load_vehicle(path))
+    for row in rows:
+        V, beta, r, delta, Fxr = (jnp.asarray(float(row[key])) for key in ("V", "beta", "r", "delta", "Fxr"))
+        assert np.abs(np.array(car(State(V, beta, r), Control(delta, Fxr)))).max() < 1e-6
+    assert {"grip", "countersteer"} <= {row["branch"] for row in rows}
