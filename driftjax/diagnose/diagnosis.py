@@ -216,7 +216,6 @@ def extended(found: Diagnosis) -> dict[str, Any]:
     if not names:
         return car | {"effects": {}}
     columns = task.columns(found.found.members)
-    matrix = covariance(found.found.scores.H, found.found.scores.blocks, columns) * np.outer(
-        scale[columns], scale[columns]
-    )
+    last = found.found.scores
+    matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
     return car | {"effects": effects, "covariance": {"parameters": names, "matrix": matrix.tolist()}}
