@@ -29,7 +29,7 @@ class Track(NamedTuple):
     place: Place  # fields (T,)
     y: Float[Array, "T 3"]  # measured V, beta, r; zero where missing
     seen: Float[Array, "T 3"]  # 1 where measured, 0 where not
-    start: Float[Array, "3"]  # first state
+    start: Float[Array, "3"]  # V, beta, r at first, as measured
 
 
 class Gains(NamedTuple):
@@ -65,8 +65,9 @@ def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "2"]) ->
 def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
     """Commands acting (T, 2), and state with what is felt (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
-    T = len(run.y)
-    return u[-T:], begin(model, run.start, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
+    T, zero = len(run.y), jnp.zeros(3)
+    x = 2 * run.start - told(model, run.start, zero)  # the state of which sensors tell the start, to first order
+    return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
 def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
