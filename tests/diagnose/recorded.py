@@ -24,6 +24,7 @@ NAMES = (
 EFFECTS = effects_named(tuple(NAMES))
 ORDER = [effect.name for effect in EFFECTS]  # one parameter each
 DT, ROWS = 0.01, 600
+ACCELERATION = 0.05  # noise of ax, ay [m/s^2]
 
 
 @functools.cache
@@ -73,7 +74,8 @@ def recorded(theta: np.ndarray, seed: int, noise_seed: int) -> tuple[Run, ...]:
     for i, name in enumerate(RICH):
         V, beta = found.x[i, :, 0], found.x[i, :, 1]
         if np.isfinite(found.y[i]).all() and abs(beta).max() < 1.2 and V.min() > 0.3 * size(sedan()).speed:
-            place = {"psi": found.place.psi[i], "s": found.place.s[i]}
+            ax, ay = found.a[i].T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
+            extra = {"psi": found.place.psi[i], "s": found.place.s[i], "ax": ax, "ay": ay}
             (V, beta, r), (delta, Fxr) = found.y[i].T, found.command[i].T
-            runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, place))
+            runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, extra))
     return tuple(runs)
