@@ -50,6 +50,7 @@ class Path(NamedTuple):
     before: Float[Array, "T 6"]  # and before it
     rate: Float[Array, "T 3"]  # of the state, as the sensors feel it
     u: Float[Array, "T 2"]  # commands acting
+    d: Float[Array, "T 3"]  # disturbances of the rates after the update
 
 
 def driven(seen: Float[Array, "T 3"]) -> Array:
@@ -84,11 +85,11 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
         moved, felt = advance(model, state, felt, Control(u[0], u[1]), place, step, State(d[0], d[1], d[2]))
         ahead = jnp.concatenate([jnp.stack(moved), felt.slip, felt.ay[None]])
         next_one = jnp.where(alive, ahead, z), jnp.where(alive, gains.left * d, d), jnp.where(alive, x, last)
-        return next_one, (e, jnp.where(alive, after, z), z, (z[:3] - last) / step)
+        return next_one, (e, jnp.where(alive, after, z), z, (z[:3] - last) / step, d)
 
     first = z, jnp.zeros(3), z[:3]
-    e, z, predicted, rate = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
-    return Path(e, z, predicted, rate, u)
+    e, z, predicted, rate, d = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
+    return Path(e, z, predicted, rate, u, d)
 
 
 def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:
