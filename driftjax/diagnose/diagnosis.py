@@ -11,8 +11,10 @@ from driftjax.core import require
 from driftjax.data import Log, Run
 from driftjax.diagnose.evidence import Cause, causes
 from driftjax.diagnose.fit import Problem, around, priced, problem, refine
-from driftjax.diagnose.gain import Errors, open_loop, rmse, skill
+from driftjax.diagnose.gain import Errors, errors_of, predict, rmse, skill
+from driftjax.diagnose.runs import gains, held, pieces
 from driftjax.diagnose.select import Selection, search
+from driftjax.diagnose.show import Part, Show, show, show_json
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
@@ -50,6 +52,7 @@ class Diagnosis:
     held: tuple[str, ...]  # names of the runs that the gain was measured on
     errors: dict[str, Errors]  # of the models compared
     skills: dict[str, tuple[float, tuple[float, float]]]
+    show: Show
     config: DiagnoseConfig
 
 
@@ -75,7 +78,7 @@ def diagnose(
     if duration < SHORTEST:
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
-    use, held = split(log.runs, config.held_out)
+    use, kept = split(log.runs, config.held_out)
     report("noise and nominal car")
     task = problem(vehicle, catalogue(log.runs, config.without), use)
     report("naming")
@@ -83,24 +86,33 @@ def diagnose(
     named = causes(task, found)
     judgement = judge(task, found, named, duration)
     report("gain")
-    errors, skills = measure(vehicle, task, found, held, config.seed)
-    return Diagnosis(vehicle, task, found, named, judgement, tuple(run.name for run in held), errors, skills, config)
+    parts = [Part(task, use), *([Part(elsewhere(task, vehicle, kept), kept)] if kept else [])]
+    ahead = {name: predict(parts[-1].task, theta) for name, theta in models(task, found, compared=bool(kept)).items()}
+    errors = {name: errors_of(parts[-1].task, one) for name, one in ahead.items()} if kept else {}
+    skills = {
+        name: skill(errors["nominal"], one, task.noise.sigma, config.seed)
+        for name, one in errors.items() if name != "nominal"
+    }  # fmt: skip
+    report("show")
+    shown = show(vehicle, parts, found, ahead, config.seed)
+    names = tuple(run.name for run in kept)
+    return Diagnosis(vehicle, task, found, named, judgement, names, errors, skills, shown, config)
 
 
-def measure(vehicle: VehicleConfig, task: Problem, found: Selection, held: tuple[Run, ...], seed: int):
-    """Open-loop errors on the runs held out of the nominal car, the re-tuned one and the extended one, with skills."""
-    if not held:
-        return {}, {}
-    test = problem(vehicle, task.effects, held)._replace(noise=task.noise)
-    names = [effect.name for effect in task.effects]
-    columns = task.columns(tuple(names.index(name) for name in RETUNED if name in names))
-    nominal = np.zeros(len(task.lower))
-    tuned = refine(task, found.nominal, columns, around(task, found.nominal))
-    thetas = {"nominal": nominal, "retuned": tuned.theta, "extended": found.fit.theta}
-    errors = {name: open_loop(test, theta) for name, theta in thetas.items()}
-    compared = {name: skill(errors["nominal"], one, task.noise.sigma, seed) for name, one in errors.items()}
-    del compared["nominal"]
-    return errors, compared
+def elsewhere(task: Problem, vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Problem:
+    """The same question put to other `runs`, with the noise that `task` found."""
+    data = pieces(vehicle, runs)
+    return task._replace(data=data, gains=gains(task.model, data, task.noise.row(), held(data)))
+
+
+def models(task: Problem, found: Selection, compared: bool) -> dict[str, np.ndarray]:
+    """Parameters of the nominal car, of the extended one and, where it is `compared`, of the re-tuned one."""
+    thetas = {"nominal": np.zeros(len(task.lower))}
+    if compared:
+        names = [effect.name for effect in task.effects]
+        columns = task.columns(tuple(names.index(name) for name in RETUNED if name in names))
+        thetas["retuned"] = refine(task, found.nominal, columns, around(task, found.nominal)).theta
+    return thetas | {"extended": found.fit.theta}
 
 
 def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
@@ -129,6 +141,7 @@ def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
         "unexplained": {"p_value": found.found.scores.p_value, "channel": None, "drivers": []},
         "gain": gain_json(found),
         "next_manoeuvre": None,
+        "show": show_json(found.show, noise),
         "data": {
             "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
             "noise_sigma": dict(zip(("V", "beta", "r"), map(float, noise.sigma), strict=True)),

@@ -19,6 +19,14 @@ RESAMPLES = 2000
 CHANNELS = ("V", "beta", "r")
 
 
+class Ahead(NamedTuple):
+    """Open-loop predictions of one model: P pieces of runs, S starts in each, N steps ahead."""
+
+    starts: np.ndarray  # (S,) samples at which they start
+    told: np.ndarray  # (P, S, N, 3) what sensors would tell of V, beta, r
+    error: np.ndarray  # (P, S, N, 3) that less the measurement, NaN where there is none or the run is over
+
+
 class Errors(NamedTuple):
     """Squared open-loop errors of one model: starts x horizons x channels, NaN where a prediction left its run."""
 
@@ -45,39 +53,57 @@ def _ahead(model, theta: Array, run: Track, z: Array, starts: Array, num: int, d
     return jax.vmap(one)(starts)
 
 
-def open_loop(task: Problem, theta: np.ndarray) -> Errors:
-    """Errors of the model `theta`, each prediction from where its own observer stands."""
-    data = task.data
-    horizons = (data.dt, *HORIZONS)
-    steps = [max(round(h / data.dt), 1) for h in horizons]
+def predict(task: Problem, theta: np.ndarray) -> Ahead:
+    """Predictions of the model `theta`, each from where its own observer stands, over the longest horizon."""
+    data, num = task.data, max(round(HORIZONS[-1] / task.data.dt), 1)
     starts = np.arange(round(0.5 / data.dt), PIECE - 1, round(APART / data.dt))
+    at = starts[:, None] + 1 + np.arange(num)
+    row = np.minimum(at, PIECE - 1)
     path = follow(task.model, data, theta, task.gains)
-    squares, blocks = [], []
+    told, errors = [], []
     for i in range(len(data.run)):
         run = jax.tree.map(lambda a: jnp.asarray(a[i]), data.track)  # noqa: B023
-        found = _ahead(task.model, jnp.asarray(theta), run, path.z[i], jnp.asarray(starts), steps[-1], data.dt)
-        at = starts[:, None] + np.array(steps)[None, :]
-        inside = np.minimum(at, PIECE - 1)
-        seen = (np.asarray(run.seen)[inside] > 0) & (at < PIECE)[..., None]
-        error = np.asarray(found)[:, np.array(steps) - 1] - np.asarray(run.y)[inside]
-        squares.append(np.where(seen, error**2, np.nan))
-        blocks.append(data.block[i][starts])
-    return Errors(np.concatenate(squares), horizons, np.concatenate(blocks))
+        found = np.asarray(_ahead(task.model, jnp.asarray(theta), run, path.z[i], jnp.asarray(starts), num, data.dt))
+        seen = (np.asarray(run.seen)[row] > 0) & (at < PIECE)[..., None]
+        told.append(found)
+        errors.append(np.where(seen, found - np.asarray(run.y)[row], np.nan))
+    return Ahead(starts, np.stack(told), np.stack(errors))
+
+
+def errors_of(task: Problem, ahead: Ahead) -> Errors:
+    """Errors of `ahead` after one step and the horizons."""
+    horizons = (task.data.dt, *HORIZONS)
+    steps = np.array([max(round(h / task.data.dt), 1) for h in horizons])
+    squares = ahead.error[:, :, steps - 1] ** 2
+    return Errors(squares.reshape(-1, *squares.shape[2:]), horizons, task.data.block[:, ahead.starts].ravel())
+
+
+def open_loop(task: Problem, theta: np.ndarray) -> Errors:
+    """Errors of the model `theta` after one step and the horizons."""
+    return errors_of(task, predict(task, theta))
+
+
+def root_mean(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Root of the mean of `squares` over `axis`, of those that are not NaN; NaN where all are."""
+    num = np.isfinite(squares).sum(axis)
+    return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
 def rmse(errors: Errors, which: np.ndarray | None = None) -> np.ndarray:
     """Root mean square (horizons, channels) over the starts `which`."""
-    squares = errors.squares if which is None else errors.squares[which]
-    return np.sqrt(np.nanmean(squares, axis=0))
+    return root_mean(errors.squares if which is None else errors.squares[which], 0)
 
 
 def skill(before: Errors, after: Errors, sigma: np.ndarray, seed: int = 0) -> tuple[float, tuple[float, float]]:
     """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
 
-    Explainable is what exceeds the measurement noise `sigma` (3,); channels count by their noise.
+    Explainable is what exceeds the measurement noise `sigma` (3,); channels count by their noise. NaN where no run
+    lasts that long.
     """
     at = before.horizons.index(1.0)
     keep = np.isfinite(before.squares[:, at]).all(axis=1) & np.isfinite(after.squares[:, at]).all(axis=1)
+    if not keep.any():
+        return np.nan, (np.nan, np.nan)
     size = lambda errors: np.sum(errors.squares[keep][:, at] / sigma**2 - 1.0, axis=1)
     old, new, names = size(before), size(after), np.unique(before.block[keep], return_inverse=True)[1]
     total = lambda values: np.bincount(names, values, names.max() + 1)

@@ -24,6 +24,7 @@ class Scores(NamedTuple):
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
     p_value: float  # that chance gives the largest |T|
+    threshold: float  # of |T|, which chance passes in one data set of twenty
 
 
 def block_sums(task: Problem, at: Followed) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +64,7 @@ def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, .
     largest = drawn.max(axis=1, initial=0.0)
     p_value = (1 + np.sum(largest >= np.abs(T).max(initial=0.0))) / (DRAWS + 1)
     gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
-    return Scores(H, blocks, T, gains, float(p_value))
+    return Scores(H, blocks, T, gains, float(p_value), float(np.quantile(largest, 0.95)))
 
 
 def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:

@@ -1,0 +1,87 @@
+"""Open-loop predictions of a diagnosis: beside the measurement, and their error over the horizon."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from driftjax.report.style import COMPARED, new_figure
+
+CHANNELS = {
+    "V": ("speed V [m/s]", 1.0),
+    "beta": ("sideslip beta [deg]", 180 / np.pi),
+    "r": ("yaw rate r [deg/s]", 180 / np.pi),
+}
+SHOWN = ("nominal", "extended")
+
+
+def models_of(data: xr.Dataset) -> list[str]:
+    """Models to draw: the extended one only where an effect was named."""
+    return list(SHOWN) if data["named"].values.any() else ["nominal"]
+
+
+def _starts(axis: Axes, times: np.ndarray, predicted: xr.DataArray, factor: float, style: dict) -> None:
+    """Predictions (start, ahead) from every start."""
+    rows = predicted.values * factor
+    gap = np.full((len(rows), 1), np.nan)  # so that one line holds all of them
+    axis.plot(np.hstack([times, gap]).ravel(), np.hstack([rows, gap]).ravel(), **style)
+
+
+def fan(data: xr.Dataset) -> Figure:
+    """Measured channels and what each model predicts from some starts, a column per run."""
+    panels = data["panel"].values
+    figure, axes = new_figure(3, len(panels), (max(4.6 * len(panels), 7.5), 7.2), sharex="col", sharey="row")
+    times = data["start_time"].values[:, None] + data["ahead_time"].values
+    for column, name in enumerate(panels):
+        one = data.isel(panel=column)
+        end = data["sample_time"].values[np.isfinite(one["measured"].values).any(axis=1)].max()
+        for axis, (channel, (label, factor)) in zip(axes[:, column], CHANNELS.items(), strict=True):
+            measured = one["measured"].sel(channel=channel).values * factor
+            axis.plot(data["sample_time"], measured, color="0.72", lw=2.6, label="measured")
+            for model in models_of(data):
+                colour, words = COMPARED[model]
+                style = {"color": colour, "lw": 1.5, "label": f"predicted, {words}"}
+                _starts(axis, times, one["predicted"].sel(model=model, channel=channel), factor, style)
+            axis.plot(data["start_time"], np.interp(data["start_time"], data["sample_time"], measured),
+                      "o", color="black", ms=3, label="start of a prediction")  # fmt: skip
+            if column == 0:
+                axis.set_ylabel(label)
+            axis.set_xlim(0, end)
+            _within(axis, data["measured"].sel(channel=channel).values * factor)
+        axes[0, column].set_title(str(name))
+        axes[-1, column].set_xlabel("time t [s]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(f"Open-loop predictions on {data.attrs['predicted_on']}", fontsize=10.5)
+    figure.align_ylabels()
+    return figure
+
+
+def _within(axis: Axes, measured: np.ndarray) -> None:
+    """Room for predictions as far beyond the measurement as that is wide, so that one that runs off hides nothing."""
+    low, high = np.nanmin(measured), np.nanmax(measured)
+    room = 0.5 * max(high - low, 1e-6)
+    axis.set_ylim(low - room, high + room)
+
+
+def error_over_horizon(data: xr.Dataset) -> Figure:
+    """RMS error of every model over the time ahead, with the noise floor."""
+    figure, axes = new_figure(1, 3, (11.0, 4.0))
+    for axis, (channel, (label, factor)) in zip(axes[0], CHANNELS.items(), strict=True):
+        for model in data["compared"].values:
+            colour, words = COMPARED[str(model)]
+            if model == "extended" and not data["named"].values.any():
+                continue
+            axis.plot(data["horizon"], data["rmse"].sel(compared=model, channel=channel) * factor, color=colour,
+                      label=words)  # fmt: skip
+        floor = data["floor"].sel(channel=channel) * factor
+        axis.plot(data["horizon"], floor, color="black", ls="--", lw=1.2, label="a right model: noise and disturbances")
+        sigma = float(data["sigma"].sel(channel=channel)) * factor
+        axis.axhline(sigma, color="0.5", ls=":", lw=1.2, label="measurement noise")
+        axis.set(xlabel="time ahead [s]", ylabel=f"RMS error of {label}")
+        axis.set_xlim(0, float(data["horizon"][-1]))
+        axis.set_ylim(bottom=0)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    figure.suptitle(f"Open-loop error on {data.attrs['predicted_on']}", fontsize=10.5)
+    return figure
