@@ -20,7 +20,7 @@ FEATURES = ("V", "beta", "r", "delta", "Fxr")
 OUTPUTS = ("dV", "dbeta", "dr")
 INPUTS = ("delta", "Fxr")
 COORDINATES = ("t", "feature", "output", "input", "plant", "controller", "seed")
-LABELS = ("channel", "compared", "model", "panel", "force", "driver", "parameter", "other")  # of a diagnosis
+LABELS = ("channel", "compared", "model", "panel", "force", "driver", "effect", "parameter", "other")  # of a diagnosis
 SHARED = ("t", "feature", "output", "input")  # coordinates that do not differ between stages
 
 _STEP = ("lane", "step")
@@ -142,6 +142,8 @@ DIAGNOSIS: dict[str, Variable] = {
     "bin_error": Variable((*_BIN, "force"), "N", "standard error of that mean, robust to dependence in time"),
     "explained": Variable(("model", "driver", "force"), "1", "share of a force's variance that a driver explains"),
     "parameter": Variable(("parameter",), "1", "parameter of an effect, effect.parameter"),
+    "effect": Variable(("effect",), "1", "effect of the catalogue"),
+    "promise": Variable(("effect",), "1", "fall of the cost that the effect's best linear step promises"),
     "score": Variable(("parameter",), "1", "studentised score of a parameter at the nominal car"),
     "named": Variable(("parameter",), "1", "whether the effect was named"),
     "other": Variable(("other",), "1", "parameter of an effect, effect.parameter"),

@@ -101,8 +101,8 @@ def worst(found: Found, vehicle: VehicleConfig) -> str:
     force = int(np.argmax((systematic if clear else found.rms) / size))
     amount = f"{found.rms[force]:.3g} N RMS ({100 * found.rms[force] / size[force]:.2g} % of mu Fz)"
     if not clear:
-        text = f"No residual force goes with anything looked at (p = {found.p_value:.2f}); the largest is that of "
-        return text + f"{WORDS[FORCES[force]].replace('the ', '', 1)}, {amount}."
+        text = f"No residual force goes with anything looked at (p = {found.p_value:.2f}); the largest is "
+        return text + f"{WORDS[FORCES[force]]}, {amount}."
     name = WORDS[FORCES[force]]
     text = f"{name[0].upper()}{name[1:]} is off most: {amount}"
     by = driver(found, force)

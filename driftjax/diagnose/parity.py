@@ -122,4 +122,4 @@ def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray) -> str:
     if parts:
         text = "The accelerations and the motion disagree, which no car can cause: "
         return text + ", ".join(parts) + "; a sensor or the road is at fault."
-    return "The accelerations and the motion agree within noise: what is wrong is in the forces on the car."
+    return "The accelerations and the motion agree within noise: if anything is wrong, it is in the forces on the car."

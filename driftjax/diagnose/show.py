@@ -69,7 +69,7 @@ def show(
     whole = [predict(part.task, zero) for part in parts[:-1]] + [ahead["nominal"]]
     return Show(
         limits(vehicle), noise, both([errors_of(part.task, one) for part, one in zip(parts, whole, strict=True)]),
-        expected(parts[-1].task, *along["nominal"][-1], ahead["nominal"]), ahead, parts[-1], residual,
+        expected(parts[-1].task, *along["extended"][-1], ahead["nominal"]), ahead, parts[-1], residual,
         parity(vehicle, runs, task.noise.sigma), tested(task, found.nominal, (), seed)[1],
         {name: white(parts, paths) for name, paths in along.items()}, worst(residual["nominal"], vehicle),
     )  # fmt: skip
@@ -83,7 +83,10 @@ def both(parts: Sequence[Errors]) -> Errors:
 
 
 def expected(task: Problem, path: Path, steps: Steps, ahead: Ahead) -> np.ndarray:
-    """RMS error (N, 3) that a right model would have where `ahead` is measured: sensor noise and disturbances."""
+    """RMS error (N, 3) that a right model would have where `ahead` is measured: sensor noise and disturbances.
+
+    To first order around `path`; in an unstable drift this grows beyond what a car can do.
+    """
     seen, num = np.asarray(task.data.track.seen), ahead.error.shape[2]
     variance = floor(path, steps, seen, task.noise, task.data.dt, ahead.starts, num)
     return root_mean(np.where(np.isfinite(ahead.error), variance, np.nan), (0, 1))

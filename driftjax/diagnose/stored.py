@@ -94,6 +94,7 @@ def scored(found: Diagnosis) -> dict[str, np.ndarray]:
     size = np.sqrt(np.maximum(np.diag(H), 0.0))
     cosine = np.divide(np.abs(H), size[:, None] * size, out=np.full(H.shape, np.nan), where=size[:, None] * size > 0)
     return {
+        "effect": np.array([effect.name for effect in task.effects]), "promise": found.show.scores.gain,
         "parameter": names, "other": names, "score": found.show.scores.T,
         "named": np.isin(task.owner, members), "cosine": np.minimum(cosine, 1.0),
     }  # fmt: skip

@@ -17,10 +17,13 @@ TITLES = {
     "fan": ("Predictions beside the measurement", "Predictions start from the observer's state at the dots and then "
             "see commands only."),
     "error_over_horizon": ("Error over the horizon", "Dashed: what a right model would be off by, from sensor noise "
-                           "and the disturbances that no effect explains. Dotted: the sensor noise alone."),
+                           "and the disturbances that no effect explains, to first order: in an unstable drift that "
+                           "grows beyond what a car can do. Dotted: the sensor noise alone."),
     "residual_forces": ("Residual forces", "Disturbances of the rates from all samples before and after, as forces of "
-                        "each axle. Where the data say little they are told smaller than they are."),
-    "scores": ("Scores of all effects", "What the nominal car's errors say of each effect by itself."),
+                        "each axle. Where the data say little they are told smaller than they are. An error of a "
+                        "sensor shows as a force too; kinematic parity tells it from the car's."),
+    "scores": ("Scores of all effects", "What the nominal car's errors say of each effect by itself. Where much is "
+               "wrong many effects pass the test; the one that is named is worth most once refitted."),
     "posterior": ("Named effects and their rivals", ""),
     "confusability": ("Which effects look alike in these data", "Labels of named effects are red."),
     "whiteness": ("Whiteness before and after", "Innovations of a right model are not correlated in time."),

@@ -13,34 +13,39 @@ CELLS = 16  # parameters in the heat map at most
 PLAIN, RIVAL = "#8FA3B0", "#C9B27C"
 
 
-def _best(data: xr.Dataset) -> list[tuple[str, float, bool]]:
-    """Effects with the largest |score| of their parameters and whether they were named, largest first."""
-    found: dict[str, tuple[float, bool]] = {}
-    for name, score, named in zip(*(data[key].values for key in ("parameter", "score", "named")), strict=True):
-        effect = str(name).split(".")[0]
-        found[effect] = max(found.get(effect, (0.0, bool(named))), (abs(float(score)), bool(named)))
-    rows = sorted(((name, *value) for name, value in found.items()), key=lambda row: -row[1])
-    return rows
+def _best(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
+    """Effects with the fall of the cost they promise, the largest |score| of their parameters and whether named."""
+    owner = np.array([str(name).split(".")[0] for name in data["parameter"].values])
+    score, named = np.abs(data["score"].values), data["named"].values
+    each = ((str(name), owner == name) for name in data["effect"].values)
+    rows = [
+        (name, float(data["promise"].sel(effect=name)), float(score[mine].max()), bool(named[mine].any()))
+        for name, mine in each
+    ]
+    return sorted(rows, key=lambda row: -row[1])
 
 
 def scores(data: xr.Dataset) -> Figure:
-    """Size of the score of every effect at the nominal car, with what chance passes once in twenty data sets."""
+    """What every effect promises at the nominal car, and its score beside what chance passes once in twenty."""
     every = _best(data)
-    rows = every[:BARS] + [row for row in every[BARS:] if row[2]]
-    figure, axes = new_figure(1, 1, (8.0, 0.24 * len(rows) + 1.5))
-    axis, at = axes[0, 0], np.arange(len(rows))
-    axis.barh(at, [row[1] for row in rows], color=[EXPLORED if row[2] else PLAIN for row in rows], zorder=2)
+    rows = every[:BARS] + [row for row in every[BARS:] if row[3]]
+    figure, axes = new_figure(1, 2, (9.5, 0.24 * len(rows) + 1.6), sharey=True)
+    at, colours = np.arange(len(rows)), [EXPLORED if row[3] else PLAIN for row in rows]
+    labels = ("fall of the cost promised [-]", "|studentised score| [-]")
+    for axis, column, label in zip(axes[0], (1, 2), labels, strict=True):
+        axis.barh(at, [row[column] for row in rows], color=colours, zorder=2)
+        axis.grid(False, axis="y")
+        axis.set_xlabel(label)
     threshold = data.attrs["score_threshold"]
-    axis.axvline(threshold, color="black", ls="--", lw=1.2, zorder=3)
-    axis.annotate("5 % by chance", (threshold, 1.0), xycoords=("data", "axes fraction"), xytext=(4, 2),
-                  textcoords="offset points", fontsize=8.5, va="bottom")  # fmt: skip
-    axis.set_yticks(at, [row[0] for row in rows], fontsize=9)
-    for label, row in zip(axis.get_yticklabels(), rows, strict=True):
-        label.set_fontweight("bold" if row[2] else "normal")
-    axis.set_ylim(len(rows) - 0.4, -0.6)
-    axis.grid(False, axis="y")
-    axis.set_xlabel("|studentised score| at the nominal car [-]; named effects red")
-    axis.set_title(f"{len(rows)} of {len(every)} effects" if len(rows) < len(every) else "", loc="left", pad=14)
+    axes[0, 1].axvline(threshold, color="black", ls="--", lw=1.2, zorder=3)
+    axes[0, 1].annotate("5 % by chance", (threshold, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
+                        textcoords="offset points", fontsize=8.5, ha="center", va="bottom")  # fmt: skip
+    axes[0, 0].set_yticks(at, [row[0] for row in rows], fontsize=9)
+    for label, row in zip(axes[0, 0].get_yticklabels(), rows, strict=True):
+        label.set_fontweight("bold" if row[3] else "normal")
+    axes[0, 0].set_ylim(len(rows) - 0.4, -0.6)
+    part = f"{len(rows)} of {len(every)} effects" if len(rows) < len(every) else "all effects"
+    figure.suptitle(f"Errors of the nominal car, {part}; those named are red", fontsize=10.5)
     return figure
 
 
@@ -65,11 +70,12 @@ def posterior(diagnosis: dict[str, Any]) -> Figure | None:
         words = ";  ".join(_interval(name, value) for name, value in cause["parameters"].items())
         if cause["confusable_with"]:
             words += f";  hard to tell from {', '.join(cause['confusable_with'][:3])}"
-        axis.text(0, row - 0.3, words, fontsize=9, va="bottom")
+        axis.text(0.004, row - 0.27, words, fontsize=9, va="bottom")
     axis.set_yticks([])
-    axis.set_ylim(len(causes) - 0.6, -0.75)
+    axis.set_ylim(len(causes) - 0.65, -0.65)
     axis.set_xlim(0, 1)
-    axis.grid(False, axis="y")
+    axis.grid(False)
+    axis.spines["left"].set_visible(False)
     axis.set_xlabel("probability in its place [-]: named effects red, rivals tan, the rest grey")
     return figure
 
@@ -88,7 +94,7 @@ def confusability(data: xr.Dataset) -> Figure:
     part = data["cosine"].values[np.ix_(order, order)]
     names = [str(name) for name in data["parameter"].values[order]]
     size = 0.36 * len(order) + 2.6
-    figure, axes = new_figure(1, 1, (size + 0.6, size))
+    figure, axes = new_figure(1, 1, (size + 0.9, size - 0.5))
     axis = axes[0, 0]
     image = axis.imshow(part, vmin=0, vmax=1, cmap="Blues")
     for i, j in np.ndindex(*part.shape):

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from driftjax.report.predictions import models_of
+from driftjax.report.predictions import WIDTHS, models_of
 from driftjax.report.style import COMPARED, new_figure
 
 FORCES = {"Fx": "longitudinal force\n[% of mu Fzr]", "Fyf": "front lateral force\n[% of mu Fzf]",
@@ -35,8 +35,9 @@ def residual_forces(data: xr.Dataset) -> Figure | None:
                 one = data.sel(model=model, driver=driver)
                 share = float(one["explained"].sel(force=force))
                 mean, error = (one[key].sel(force=force).values / limit for key in ("bin_mean", "bin_error"))
-                axis.errorbar(one["bin_value"].values * factor, mean, 1.96 * error, color=colour, fmt="o-", ms=3,
-                              lw=1.2, elinewidth=1.0, label=name)  # fmt: skip
+                width = WIDTHS[model]
+                axis.errorbar(one["bin_value"].values * factor, mean, 1.96 * error, color=colour, fmt="o-",
+                              ms=2 * width, lw=width, elinewidth=0.7 * width, label=name)  # fmt: skip
                 if model == "nominal":
                     axis.set_title(f"explains {100 * share:.0f} %", fontsize=8.5, pad=3,
                                    fontweight="bold" if share > 0.25 else "normal")  # fmt: skip

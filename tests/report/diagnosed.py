@@ -35,6 +35,7 @@ def values(named: tuple[str, ...]) -> dict[str, np.ndarray]:
         "driver": np.array(DRIVERS), "bin_value": np.stack([bins, bins]),
         "bin_mean": 400 * size * np.sin(2 * bins[:, :, None] / bins.max(axis=1)[:, None, None]) * [0.1, 0.2, 1.0],
         "bin_error": np.full((2, 7, 10, 3), 40.0), "explained": rng.uniform(0, 0.6, (2, 7, 3)),
+        "effect": np.array(EFFECTS), "promise": 10 * score**2,
         "parameter": names, "other": names, "score": score,
         "named": np.isin(EFFECTS, named), "cosine": np.clip(np.eye(K) + 0.96 * (rng.uniform(size=(K, K)) > 0.6), 0, 1),
         "lag_time": 0.01 * np.arange(1, 101),

@@ -89,11 +89,13 @@ def test_curves_are_those_stored_in_the_units_of_their_axes(run):
 
 def test_bars_are_the_scores_largest_first_and_named_ones_red(run):
     data = run.read_dataset("diagnosis.nc")
-    axis = scores(data).axes[0]
-    widths = [bar.get_width() for bar in axis.patches if isinstance(bar, Rectangle)]
-    assert widths == sorted(widths, reverse=True) and len(widths) == len(EFFECTS)
-    assert [to_hex(bar.get_facecolor()).upper() for bar in axis.patches[:2]] == [EXPLORED, PLAIN]
-    assert any(np.allclose(np.asarray(line.get_xdata(), float), 3.0) for line in axis.lines)
+    promised, tested = scores(data).axes
+    for axis in (promised, tested):
+        bars = [bar for bar in axis.patches if isinstance(bar, Rectangle)]
+        widths = [bar.get_width() for bar in bars]
+        assert widths == sorted(widths, reverse=True) and len(widths) == len(EFFECTS)
+        assert [to_hex(bar.get_facecolor()).upper() for bar in bars[:2]] == [EXPLORED, PLAIN]
+    assert any(np.allclose(np.asarray(line.get_xdata(), float), 3.0) for line in tested.lines)
     heat = confusability(data).axes[0]
     assert [label.get_text() for label in heat.get_yticklabels()][0] == "friction_rear.p"
 
