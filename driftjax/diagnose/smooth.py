@@ -77,7 +77,9 @@ def forwards(model: Linear, noise: Noise, dt: float) -> Passed:
         S = H @ P @ H.swapaxes(1, 2) + np.eye(3) * (seen * R + 1 - seen)[:, None, :]
         L = np.linalg.solve(S, H @ P).swapaxes(1, 2)
         better = mean + np.einsum("pij,pj->pi", L, model.y[:, k] - np.einsum("pij,pj->pi", H, mean))
-        less = P - L @ S @ L.swapaxes(1, 2)
+        keep = np.eye(6) - L @ H
+        # in this form (Joseph) rounding cannot make a variance negative where the car is unstable
+        less = keep @ P @ keep.swapaxes(1, 2) + (L * (seen * R)[:, None, :]) @ L.swapaxes(1, 2)
         rows.append((mean, P, better, less))
         F = model.F[:, k]
         mean = np.einsum("pij,pj->pi", F, better) - model.c[:, k]

@@ -13,7 +13,7 @@ from driftjax.diagnose.fit import problem
 from driftjax.diagnose.noise import Noise
 from driftjax.diagnose.observer import Path, Steps
 from driftjax.diagnose.residual import FORCES, Residuals, axle_forces, limits, linearised, needed, residuals
-from driftjax.diagnose.smooth import floor, growth, inside, smooth
+from driftjax.diagnose.smooth import floor, forwards, growth, inside, linear, smooth
 
 DT = 0.02
 NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4)
@@ -85,6 +85,20 @@ def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
     np.testing.assert_allclose(x[0, :T], expected[:, :3], atol=1e-8)
     np.testing.assert_allclose(d[0, :T], expected[:, 3:], atol=1e-8)
     assert np.isfinite(x).all() and np.isfinite(d).all()
+
+
+def test_an_unstable_car_is_smoothed_over_a_long_run():
+    path, steps, seen = made_up(1000)
+    A = np.asarray(steps.A).copy()
+    A[..., :3, :3] = [[1.0, -1.0, 0.2], [0.0, 1.05, 0.1], [0.1, 3.0, 1.1]]
+    assert np.abs(np.linalg.eigvals(A[0, 0, :3, :3])).max() > 1.15
+    steps = steps._replace(A=jnp.asarray(A))
+    spread = forwards(linear(path, steps, seen, growth(NOISE, DT)[0], DT), NOISE, DT).filtered_spread
+    np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
+    driven = inside(seen)
+    assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2
+    x, d = smooth(path, steps, seen, NOISE, DT)
+    assert np.abs(x[driven]).max() < 1 and np.abs(d[driven]).max() < 10
 
 
 def test_the_floor_is_never_below_the_sensor_noise_and_grows_with_disturbances():
