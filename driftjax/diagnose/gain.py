@@ -65,8 +65,10 @@ def predict(task: Problem, theta: np.ndarray) -> Ahead:
         run = jax.tree.map(lambda a: jnp.asarray(a[i]), data.track)  # noqa: B023
         found = np.asarray(_ahead(task.model, jnp.asarray(theta), run, path.z[i], jnp.asarray(starts), num, data.dt))
         seen = (np.asarray(run.seen)[row] > 0) & (at < PIECE)[..., None]
+        off = found - np.asarray(run.y)[row]
+        off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
         told.append(found)
-        errors.append(np.where(seen, found - np.asarray(run.y)[row], np.nan))
+        errors.append(np.where(seen, off, np.nan))
     return Ahead(starts, np.stack(told), np.stack(errors))
 
 

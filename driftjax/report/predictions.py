@@ -1,5 +1,7 @@
 """Open-loop predictions of a diagnosis: beside the measurement, and their error over the horizon."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -22,11 +24,12 @@ def models_of(data: xr.Dataset) -> list[str]:
     return list(SHOWN) if data["named"].values.any() else ["nominal"]
 
 
-def _starts(axis: Axes, times: np.ndarray, predicted: xr.DataArray, factor: float, style: dict) -> None:
-    """Predictions (start, ahead) from every start."""
-    rows = predicted.values * factor
+def _starts(axis: Axes, times: np.ndarray, rows: np.ndarray, **style: Any) -> None:
+    """Predictions (start, ahead) from every start, each until it has left the panel."""
+    low, high = axis.get_ylim()
+    left = np.cumsum((rows < low) | (rows > high), axis=1) > 1
     gap = np.full((len(rows), 1), np.nan)  # so that one line holds all of them
-    axis.plot(np.hstack([times, gap]).ravel(), np.hstack([rows, gap]).ravel(), **style)
+    axis.plot(np.hstack([times, gap]).ravel(), np.hstack([np.where(left, np.nan, rows), gap]).ravel(), **style)
 
 
 def fan(data: xr.Dataset) -> Figure:
@@ -40,16 +43,16 @@ def fan(data: xr.Dataset) -> Figure:
         for axis, (channel, (label, factor)) in zip(axes[:, column], CHANNELS.items(), strict=True):
             measured = one["measured"].sel(channel=channel).values * factor
             axis.plot(data["sample_time"], measured, color="0.72", lw=2.6, label="measured")
+            axis.set_ylim(_room(measured, 8 * float(data["sigma"].sel(channel=channel)) * factor))
             for model in models_of(data):
                 colour, words = COMPARED[model]
-                style = {"color": colour, "lw": WIDTHS[model], "label": f"predicted, {words}"}
-                _starts(axis, times, one["predicted"].sel(model=model, channel=channel), factor, style)
+                rows = one["predicted"].sel(model=model, channel=channel).values * factor
+                _starts(axis, times, rows, color=colour, lw=WIDTHS[model], label=f"predicted, {words}")
             axis.plot(data["start_time"], np.interp(data["start_time"], data["sample_time"], measured),
                       "o", color="black", ms=3, label="start of a prediction")  # fmt: skip
             if column == 0:
                 axis.set_ylabel(label)
             axis.set_xlim(0, end)
-            _within(axis, measured, 8 * float(data["sigma"].sel(channel=channel)) * factor)
         axes[0, column].set_title(str(name))
         axes[-1, column].set_xlabel("time t [s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -59,11 +62,11 @@ def fan(data: xr.Dataset) -> Figure:
     return figure
 
 
-def _within(axis: Axes, measured: np.ndarray, least: float) -> None:
-    """Room for predictions as far beyond the measurement as that is wide, so that one that runs off hides nothing."""
-    low, high = np.nanmin(measured), np.nanmax(measured)
+def _room(measured: np.ndarray, least: float) -> tuple[float, float]:
+    """Limits half as far beyond the measurement as that is wide, so that a prediction that runs off hides nothing."""
+    low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     room = 0.5 * max(high - low, least)
-    axis.set_ylim(low - room, high + room)
+    return low - room, high + room
 
 
 def error_over_horizon(data: xr.Dataset) -> Figure:
