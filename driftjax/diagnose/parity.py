@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
+from scipy.stats import t as student
 
 from driftjax.data import Run
 from driftjax.diagnose.noise import measurement_noise
@@ -18,8 +20,8 @@ from driftjax.vehicle.single_track import G
 
 WINDOW = 0.3  # over which changes are compared [s]
 SLOW = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
-CLEAR = 4.0  # standard errors of a mean from which it is told
-EXCESS = 1.5  # RMS of blocks over what noise gives, from which they disagree
+CHANCE = 1e-4  # with which noise alone is told to be more, per channel and test
+MARGIN = 1.1  # RMS of blocks over what noise gives, from how well the noise is known
 CHANNELS = ("V", "beta")
 UNITS = ("m/s^2", "rad/s")
 
@@ -73,7 +75,7 @@ def summary(all_of: Windows) -> Parity | None:
     excess = np.sqrt((total(rest) ** 2 / (ends[0] + total(within))).mean(axis=0))
     rms, floor = np.sqrt((rest**2).mean(axis=0)), np.sqrt((ends + within).mean(axis=0))
     z = mean / np.maximum(error, floor / n)
-    return Parity(mean, z, rms, floor, excess, n, statement(mean, z, excess))
+    return Parity(mean, z, rms, floor, excess, n, statement(mean, z, excess, C))
 
 
 def acceleration_noise(runs: Sequence[Run]) -> np.ndarray:
@@ -111,13 +113,14 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
     return Windows(rest, ends, within, (starts * run.dt // BLOCK).astype(int))
 
 
-def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray) -> str:
-    """What parity says of where the fault lies."""
-    parts = []
+def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:
+    """What parity over `num` blocks says of where the fault lies."""
+    clear, parts = student.isf(CHANCE / 2, num - 1), []
+    most = MARGIN * np.sqrt(chi2.isf(CHANCE, num) / num)
     for name, unit, m, one, ratio in zip(("V'", "beta'"), UNITS, mean, z, excess, strict=True):
-        if abs(one) > CLEAR:
+        if abs(one) > clear:
             parts.append(f"{name} is off by {m:.2g} {unit} on average (z = {one:.1f})")
-        elif ratio > EXCESS:
+        elif ratio > most:
             parts.append(f"{name} errs by {ratio:.1f} times what noise gives")
     if parts:
         text = "The accelerations and the motion disagree, which no car can cause: "
