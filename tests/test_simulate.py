@@ -15,6 +15,7 @@ from driftjax.control import campaign
 from driftjax.control.campaign import Campaign, driven, record_runs, typical
 from driftjax.control.manoeuvre import MANOEUVRES
 from driftjax.data import read_log
+from driftjax.diagnose.parity import parity
 from driftjax.sim.logged import dropouts
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import EFFECTS
@@ -44,6 +45,25 @@ def test_noise_is_as_asked_and_beside_the_truth():
     np.testing.assert_allclose(error.std((0, 1)), list(truth.noise.values()), rtol=0.08)
     turned = np.stack([run.extra["psi"][-1] - np.sum(truth.states[run.name][:-1, 2]) / 100 for run in runs])
     assert np.abs(turned).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("effects", "shown"),
+    [((), None), (("friction_rear.p=-0.15", "aero_drag=2"), None), (("road_bank.phi=0.05",), 0.05 * 9.81)],
+    ids=["nothing", "physics", "road"],
+)
+def test_accelerations_tell_the_motion_but_for_the_pull_of_the_road(effects, shown):
+    runs, _ = record_runs(SEDAN, strengths(SEDAN, effects), SHORT)
+    found = parity(SEDAN, runs, np.array([0.05, 0.0087, 0.0087]))
+    assert found is not None and found.num == len(NAMES) * 6
+    V, beta = np.moveaxis(signals(runs, "V", "beta"), -1, 0)
+    if shown is None:
+        np.testing.assert_allclose(found.rms / found.floor, 1.0, atol=0.35)
+        assert "agree within noise" in found.statement
+        assert abs(found.mean[1]) < 0.015
+    else:
+        assert found.z[1] > 4 and "the road" in found.statement
+        assert found.mean[1] == pytest.approx(np.mean(shown * np.cos(beta) / V), abs=0.015)
 
 
 def test_noise_of_the_rc_car_follows_its_size():
@@ -110,7 +130,9 @@ def test_the_log_reads_back_repeats_and_hides_the_truth(capsys):
     assert main([*flags, "--seed", "4", "--out", "other"]) == 0
     log = {name: Path(name, "log.csv").read_bytes() for name in ("one", "two", "other")}
     assert log["one"] == log["two"] != log["other"]
-    assert set(log["one"].splitlines()[0].decode().split(",")) == set("t V beta r delta Fxr x y psi s run".split())
+    assert set(log["one"].splitlines()[0].decode().split(",")) == set(
+        "t V beta r delta Fxr x y psi ax ay s run".split()
+    )
     runs = read_log([Path("one/log.csv")]).runs
     assert [run.name for run in runs] == [f"{name}-{i + 1}" for i, name in enumerate(NAMES)]
     theta = strengths(SEDAN, ("friction.p=0.05", "friction_front=-1", "load_transfer_long.h=0.5"))

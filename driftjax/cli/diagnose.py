@@ -11,17 +11,19 @@ from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
 from driftjax.core import BadInput, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
-from driftjax.data.columns import MEASURED
-from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, extended, gain_json, to_json
+from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose
+from driftjax.diagnose.stored import stored
+from driftjax.diagnose.told import extended, gain_json, to_json
 from driftjax.diagnose.verdict import Judgement
+from driftjax.report import gain_table, parity_words, write_diagnosis
 from driftjax.vehicle import VehicleConfig, load_vehicle
 
-STEPS = ("noise and nominal car", "naming", "gain", "done")
+STEPS = ("noise and nominal car", "naming", "gain", "show", "done")
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
-    """Name what a simulation gets wrong, from measured logs: diagnosis.json, extended.yaml and a table of the gain."""
+    """Show and name what a simulation gets wrong, from measured logs: diagnosis.json, extended.yaml, report.html."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV or Parquet files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s)."""
@@ -77,15 +79,18 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
         content, judgement = to_json(found, log), found.judgement
         text = yaml.safe_dump(extended(found), sort_keys=False)
         write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
+        folder.write_dataset("diagnosis.nc", stored(found))
     else:
         content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
     folder.write_json("diagnosis", content)
+    content = folder.read_json("diagnosis")  # as a report reads it later
     print(f"\n{judgement.verdict}: {judgement.sentence}\n")
     if isinstance(found, Diagnosis) and found.proposal:
         print(found.proposal.sentence + "\n")
     if isinstance(found, Diagnosis):
-        print(gain_table(found))
-    print(f"diagnosis: {folder.path}")
+        print(f"{content['show']['worst']}\n{parity_words(content['show']['kinematic_parity'])}\n")
+        print(gain_table(content["gain"]))
+    print(f"report: {write_diagnosis(folder)}")
     return found
 
 
@@ -95,23 +100,5 @@ def _bare(sentence: str, verdict: str, log: Log, config: DiagnoseConfig) -> dict
     return {
         "schema": 1, "verdict": verdict, "sentence": sentence, "causes": [],
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(None),
-        "next_manoeuvre": None, "data": data, "seed": config.seed,
+        "next_manoeuvre": None, "show": None, "data": data, "seed": config.seed,
     }  # fmt: skip
-
-
-def gain_table(found: Diagnosis) -> str:
-    """Open-loop errors on the runs held out, per model and horizon, and the share of the explainable error removed."""
-    gain = gain_json(found.gain)
-    if not gain["held_out_runs"]:
-        return "gain: not measured, for want of runs to hold out.\n"
-    lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
-    lines += [f"{'model':12}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   explainable removed"]
-    for name, channels in gain["rmse"].items():
-        for i, horizon in enumerate(gain["horizons_s"]):
-            values = "".join(f"{channels[c][i]:{w}.4f}" for c, w in zip(MEASURED, (10, 12, 11), strict=True))
-            share = ""
-            if horizon == 1.0 and name in gain["skill"]:
-                low, high = gain["ci95"][name]
-                share = f"   {gain['skill'][name]:.2f} [{low:.2f}, {high:.2f}]"
-            lines.append(f"{name:12}{horizon:10.3g}{values}{share}")
-    return "\n".join(lines) + "\n"

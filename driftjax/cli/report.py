@@ -8,7 +8,7 @@ import tyro
 from driftjax.cli.console import typed
 from driftjax.core import BadInput
 from driftjax.data import RunFolder
-from driftjax.report import table, write_plan_figures, write_report
+from driftjax.report import table, write_diagnosis, write_plan_figures, write_report
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +24,9 @@ def run(argv: list[str]) -> int:
     folder = RunFolder.open(typed(Report, argv, "driftjax report").run)
     if folder.verb == "plan":
         print("\n".join(map(str, write_plan_figures(folder.read_dataset("plan.nc"), folder.path))))
+        return 0
+    if folder.verb == "diagnose":
+        print(f"report: {write_diagnosis(folder)}")
         return 0
     if folder.verb != "learn":
         raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}` has no report; run that verb again.")

@@ -16,12 +16,14 @@ from driftjax.sim.logged import Flaws, logged
 from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import universal
 
 REDRAWS = 5  # how often a run that spins is drawn again
 SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this share of sqrt(g L)
 STEP = 1e-3  # longest step of the plant [s]
 PLACE = (0.007, 0.0035)  # typical noise of positions over the wheelbase, of the heading [rad]
+ACCELERATION = 0.005  # typical noise of accelerations, over gravity [-]
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,8 @@ def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -
 def flawed(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:
     """What is wrong with the logs of a campaign, in units of this car."""
     metres, heading = campaign.noise * PLACE[0] * size(vehicle).length, campaign.noise * PLACE[1]
-    return Flaws(campaign.dropouts, campaign.outliers, np.asarray(typical(vehicle).sigma), metres, heading)
+    sigma, acceleration = np.asarray(typical(vehicle).sigma), campaign.noise * ACCELERATION * G
+    return Flaws(campaign.dropouts, campaign.outliers, sigma, metres, heading, acceleration)
 
 
 def spun(vehicle: VehicleConfig, one: Recording) -> bool:

@@ -10,6 +10,7 @@ from driftjax.data.log import read_log as read_log
 from driftjax.data.log import write_log as write_log
 from driftjax.data.plan import plan_dataset as plan_dataset
 from driftjax.data.plan import write_plan_csv as write_plan_csv
+from driftjax.data.variables import DIAGNOSIS as DIAGNOSIS
 from driftjax.data.variables import PLAN as PLAN
 from driftjax.data.variables import STAGE as STAGE
 from driftjax.data.variables import code_names as code_names

@@ -1,4 +1,4 @@
-"""The one table of what is stored: every variable of a lap stage and of a plan, with dimensions, units and meaning."""
+"""The one table of what is stored: every variable of a lap stage, a plan and a diagnosis, with units and meaning."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ FEATURES = ("V", "beta", "r", "delta", "Fxr")
 OUTPUTS = ("dV", "dbeta", "dr")
 INPUTS = ("delta", "Fxr")
 COORDINATES = ("t", "feature", "output", "input", "plant", "controller", "seed")
+LABELS = ("channel", "compared", "model", "panel", "force", "driver", "effect", "parameter", "other")  # of a diagnosis
 SHARED = ("t", "feature", "output", "input")  # coordinates that do not differ between stages
 
 _STEP = ("lane", "step")
@@ -117,11 +118,45 @@ PLAN: dict[str, Variable] = {
     "path_kappa": Variable(_POINT, "1/m", "curvature of the planned path, positive in left turns"),
 }
 
+_CURVE, _FAN = ("compared", "step", "channel"), ("panel", "model", "start", "ahead", "channel")
+_BIN = ("model", "driver", "bin")
+DIAGNOSIS: dict[str, Variable] = {
+    "channel": Variable(("channel",), "1", "measured channel: V [m/s], beta [rad], r [rad/s]"),
+    "compared": Variable(("compared",), "1", "models whose predictions were measured"),
+    "model": Variable(("model",), "1", "the car before and after naming"),
+    "sigma": Variable(("channel",), "SI", "standard deviation of the measurement noise"),
+    "horizon": Variable(("step",), "s", "time ahead of a prediction"),
+    "rmse": Variable(_CURVE, "SI", "RMS error of open-loop predictions"),
+    "floor": Variable(("step", "channel"), "SI", "RMS error of a right model: sensor noise and disturbances"),
+    "panel": Variable(("panel",), "1", "run"),
+    "sample_time": Variable(("sample",), "s", "time from the start of the piece of the run"),
+    "measured": Variable(("panel", "sample", "channel"), "SI", "measured channel"),
+    "start_time": Variable(("start",), "s", "time at which predictions start"),
+    "ahead_time": Variable(("ahead",), "s", "time ahead of a prediction"),
+    "predicted": Variable(_FAN, "SI", "open-loop prediction of a measured channel"),
+    "force": Variable(("force",), "1", "drive force, lateral force of front and of rear axle"),
+    "force_limit": Variable(("force",), "N", "friction times static load"),
+    "driver": Variable(("driver",), "1", "what residual forces may go with"),
+    "bin_value": Variable(_BIN, "SI", "mean of the driver in a bin"),
+    "bin_mean": Variable((*_BIN, "force"), "N", "mean residual force in a bin"),
+    "bin_error": Variable((*_BIN, "force"), "N", "standard error of that mean, robust to dependence in time"),
+    "explained": Variable(("model", "driver", "force"), "1", "share of a force's variance that a driver explains"),
+    "parameter": Variable(("parameter",), "1", "parameter of an effect, effect.parameter"),
+    "effect": Variable(("effect",), "1", "effect of the catalogue"),
+    "promise": Variable(("effect",), "1", "fall of the cost that the effect's best linear step promises"),
+    "score": Variable(("parameter",), "1", "studentised score of a parameter at the nominal car"),
+    "named": Variable(("parameter",), "1", "whether the effect was named"),
+    "other": Variable(("other",), "1", "parameter of an effect, effect.parameter"),
+    "cosine": Variable(("parameter", "other"), "1", "magnitude of the cosine between two parameters' signatures"),
+    "lag_time": Variable(("lag",), "s", "time between two innovations"),
+    "autocorrelation": Variable(("model", "lag", "channel"), "1", "autocorrelation of whitened innovations"),
+}
+
 
 def dataset(
     values: Mapping[str, ArrayLike], attrs: Mapping[str, Any] | None = None, table: dict[str, Variable] = STAGE
 ) -> xr.Dataset:
-    """Dataset of `values` with the dimensions, units and names of `table` (`STAGE` or `PLAN`).
+    """Dataset of `values` with the dimensions, units and names of `table` (`STAGE`, `PLAN` or `DIAGNOSIS`).
 
     `code` takes `attrs["codes"]`, a mapping of meaning to number, as CF flags. Raises `KeyError` for a name
     that is not in the table and `ValueError` for an array of another rank or length.
@@ -140,7 +175,8 @@ def dataset(
         arrays[name] = xr.Variable(dims, array, {"units": units, "long_name": long_name})
     if codes and "code" in arrays:
         arrays["code"].attrs |= flags(codes)
-    coords = {name: arrays.pop(name) for name in COORDINATES if table is STAGE and name in arrays}
+    coordinates = {id(STAGE): COORDINATES, id(DIAGNOSIS): LABELS}.get(id(table), ())
+    coords = {name: arrays.pop(name) for name in coordinates if name in arrays}
     attrs = {key: int(value) if isinstance(value, bool) else value for key, value in attrs.items()}
     return xr.Dataset(arrays, coords, attrs)
 

@@ -1,22 +1,19 @@
 """From a log to a diagnosis: name on some runs, measure the gain on the others."""
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from driftjax.core import require
 from driftjax.data import Log
-from driftjax.data.columns import MEASURED
 from driftjax.diagnose.evidence import Cause, causes
 from driftjax.diagnose.fit import Fit, Problem, priced, problem, refine
-from driftjax.diagnose.gain import Errors, floor, open_loop, skill
+from driftjax.diagnose.gain import Errors, at_horizons, floor, predict, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
-from driftjax.diagnose.score import covariance
 from driftjax.diagnose.select import Selection, search
+from driftjax.diagnose.show import Judged, Show, show
 from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
 from driftjax.vehicle import VehicleConfig
@@ -50,7 +47,8 @@ class Gain:
 
     held: tuple[str, ...]  # names of the runs held out
     named: tuple[str, ...]  # effects named without them
-    errors: dict[str, Errors]  # of the models compared
+    judged: Judged  # models compared on them
+    errors: dict[str, Errors]  # of each
     floor: Errors  # what noise alone makes
     skills: dict[str, tuple[float, tuple[float, float]]]
 
@@ -67,6 +65,7 @@ class Diagnosis:
     judgement: Judgement
     proposal: Proposal | None
     gain: Gain | None  # None where there are too few runs to hold any out
+    show: Show
     config: DiagnoseConfig
 
 
@@ -103,7 +102,9 @@ def diagnose(
     proposal = propose(vehicle, task, found, named, judgement, config.seed)
     report("gain")
     gain = measure(task, tuple(run.name for run in log.runs), config)
-    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
+    report("show")
+    shown = show(vehicle, task, log.runs, found, gain.judged if gain else on_all(task, found), config.seed)
+    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, shown, config)
 
 
 def nominal(task: Problem) -> Fit:
@@ -123,99 +124,20 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
     tuned = refine(train, found.nominal, columns[task.asked[columns]])
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
-    errors = {name: open_loop(test, theta) for name, theta in thetas.items()}
+    ahead = {name: predict(test, theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")):
-        errors[name] = open_loop(test, thetas[base], learnt(train, thetas[base], config.seed))
+        ahead[name] = predict(test, thetas[base], learnt(train, thetas[base], config.seed))
+    errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
     least = floor(test, found.fit.theta)
-    skills = {name: skill(errors["nominal"], one, least, config.seed) for name, one in errors.items()}
+    floored = at_horizons(test, np.where(np.isfinite(ahead["nominal"].error), least, np.nan))
+    skills = {name: skill(errors["nominal"], one, floored, config.seed) for name, one in errors.items()}
     del skills["nominal"]
     named = tuple(effects[i] for i in found.members)
-    return Gain(tuple(names[i] for i in held), named, errors, least, skills)
+    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, least), errors, floored, skills)
 
 
-def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
-    """`diagnosis.json`, schema version 1."""
-    task, scale = found.task, np.asarray(found.task.model.scale)
-    each = []
-    for cause in found.causes:
-        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
-        rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], strict=True)
-        parameters = {
-            p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit} for p, x, w, s in rows
-        }
-        others = {task.effects[i].name: p for i, p in cause.rivals.items()}
-        alike = sorted({*others, *(task.effects[i].name for i in cause.alike)})
-        each.append({
-            "effect": effect.name, "probability": cause.probability,
-            "p_value": found.found.p_values[cause.effect], "parameters": parameters, "invariance": cause.invariance,
-            "confusable_with": alike, "rivals": others,
-        })  # fmt: skip
-    noise = task.noise
-    return {
-        "schema": 1,
-        "verdict": str(found.judgement.verdict),
-        "sentence": found.judgement.sentence,
-        "causes": each,
-        "unexplained": unexplained_json(found.left),
-        "gain": gain_json(found.gain),
-        "next_manoeuvre": found.proposal._asdict() if found.proposal else None,
-        "data": {
-            "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
-            "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
-            "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
-            "process_correlation_s": noise.correlation,
-        },
-        "config": dataclasses.asdict(found.config),
-        "seed": found.config.seed,
-    }  # fmt: skip
-
-
-def unexplained_json(left: Unexplained) -> dict[str, Any]:
-    """What is left; neither channel nor drivers where that is nothing."""
-    if not left.found:
-        return {"p_value": left.p_value, "channel": None, "drivers": []}
-    return {
-        "p_value": left.p_value, "channel": left.term.channel, "drivers": list(left.drivers)[:2],
-        "worth": left.drivers, "term": left.term._asdict(),
-    }  # fmt: skip
-
-
-def gain_json(gain: Gain | None) -> dict[str, Any]:
-    """The gain on the runs held out, per model, horizon and channel."""
-    if gain is None:
-        return {"held_out_runs": [], "horizons_s": [], "rmse": {}, "skill": {}, "ci95": {}}
-    table = {
-        name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
-        for name, one in (gain.errors | {"noise_floor": gain.floor}).items()
-    }
-    return {
-        "held_out_runs": list(gain.held),
-        "named_without_them": list(gain.named),
-        "horizons_s": list(gain.floor.horizons),
-        "rmse": table,
-        "skill": {name: value for name, (value, _) in gain.skills.items()},
-        "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
-    }
-
-
-def extended(found: Diagnosis) -> dict[str, Any]:
-    """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads.
-
-    The nominal car; its named effects with half-widths; and the covariance of all their parameters, SI, whose rows go
-    through effects and parameters in the catalogue's order, as `parameters` says beside it.
-    """
-    task, effects, names = found.task, {}, []
-    scale = np.asarray(task.model.scale)
-    for cause in sorted(found.causes, key=lambda cause: cause.effect):
-        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
-        values = zip(effect.parameters, cause.theta * scale[columns], cause.half_width * scale[columns], strict=True)
-        effects[effect.name] = {p.name: {"value": float(x), "ci95_half": float(w)} for p, x, w in values}
-        names += [f"{effect.name}.{p.name}" for p in effect.parameters]
-    nominal = dataclasses.asdict(found.vehicle)
-    car = {"nominal": {key: nominal[key] for key in nominal if key not in ("effects", "covariance")}}
-    if not names:
-        return car | {"effects": {}}
-    columns = task.columns(found.found.members)
-    last = found.found.scores
-    matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
-    return car | {"effects": effects, "covariance": {"parameters": names, "matrix": matrix.tolist()}}
+def on_all(task: Problem, found: Selection) -> Judged:
+    """Nominal and extended car on the runs that the extension was named from, where none is held out."""
+    thetas = {"nominal": found.nominal.theta, "extended": found.fit.theta}
+    ahead = {name: predict(task, theta) for name, theta in thetas.items()}
+    return Judged(task, ahead, floor(task, found.fit.theta))

@@ -22,6 +22,14 @@ APART = 0.5  # time between the starts of predictions [s]
 RESAMPLES = 2000
 
 
+class Ahead(NamedTuple):
+    """Open-loop predictions of one model: P pieces of runs, S starts in each, N steps ahead."""
+
+    starts: np.ndarray  # (S,) samples at which they start
+    told: np.ndarray  # (P, S, N, 3) what sensors would tell of V, beta, r
+    error: np.ndarray  # (P, S, N, 3) that less the measurement, NaN where there is none or the run is over
+
+
 class Errors(NamedTuple):
     """Squared open-loop errors: starts x horizons x channels, NaN where a prediction left its run."""
 
@@ -32,7 +40,7 @@ class Errors(NamedTuple):
     @property
     def rms(self) -> np.ndarray:
         """Root of the mean over all starts (horizons, channels)."""
-        return np.sqrt(np.nanmean(self.squares, axis=0))
+        return root_mean(self.squares, 0)
 
 
 @eqx.filter_jit
@@ -63,53 +71,70 @@ def ahead(
 _expected = eqx.filter_jit(expected)
 
 
-def plan(task: Problem) -> tuple[tuple[float, ...], list[int], np.ndarray]:
-    """Horizons [s], the same in steps, and the samples that predictions start from."""
+def starts_of(task: Problem) -> tuple[np.ndarray, int]:
+    """Samples that predictions start from, and over how many steps they go."""
     dt = task.data.dt
-    horizons = (dt, *HORIZONS)
-    starts = np.arange(round(0.5 / dt), PIECE - 1, round(APART / dt))
-    return horizons, [max(round(h / dt), 1) for h in horizons], starts
+    return np.arange(round(0.5 / dt), PIECE - 1, round(APART / dt)), max(round(HORIZONS[-1] / dt), 1)
 
 
-def gathered(task: Problem, squares: np.ndarray) -> Errors:
-    """`squares` (P, starts, steps, 3) at the horizons, where they were measured."""
-    horizons, steps, starts = plan(task)
-    at = starts[:, None] + np.array(steps)[None, :]
-    inside = np.minimum(at, PIECE - 1)
-    seen = (np.asarray(task.data.track.seen)[:, inside] > 0) & (at < PIECE)[..., None]
-    chosen = np.where(seen, squares[:, :, np.array(steps) - 1], np.nan)
-    return Errors(chosen.reshape(-1, len(steps), 3), horizons, task.data.block[:, starts].reshape(-1))
-
-
-def open_loop(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Errors:
-    """Errors of the model `theta` with a `residual` rate, each prediction from where its own observer stands."""
-    data, (_, steps, starts) = task.data, plan(task)
+def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahead:
+    """Predictions of the model `theta` with a `residual` rate, each from where its own observer stands."""
+    data, (starts, num) = task.data, starts_of(task)
     where, first = jnp.asarray(theta), jnp.asarray(starts)
-    one = lambda run, z: ahead(task.model, where, run, z, first, steps[-1], data.dt, residual)
     path = follow(task.model, data, theta, task.gains)
-    found = np.asarray(each_piece(one, len(data.run), data.track, path.z))
-    after = np.minimum(starts[:, None] + np.arange(1, steps[-1] + 1), PIECE - 1)
-    return gathered(task, (found - np.asarray(data.track.y)[:, after]) ** 2)
+    one = lambda run, z: ahead(task.model, where, run, z, first, num, data.dt, residual)
+    told = np.asarray(each_piece(one, len(data.run), data.track, path.z))
+    at = starts[:, None] + np.arange(1, num + 1)
+    row = np.minimum(at, PIECE - 1)
+    seen = (np.asarray(data.track.seen)[:, row] > 0) & (at < PIECE)[..., None]
+    off = told - np.asarray(data.track.y)[:, row]
+    off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
+    return Ahead(starts, told, np.where(seen, off, np.nan))
 
 
-def floor(task: Problem, theta: np.ndarray) -> Errors:
-    """Errors that measurement and process noise would make of a true model, near `theta`, to first order."""
-    data, (_, steps, starts) = task.data, plan(task)
+def at_horizons(task: Problem, squares: np.ndarray) -> Errors:
+    """Squares (P, S, N, 3) of errors after one step and the horizons."""
+    horizons = (task.data.dt, *HORIZONS)
+    steps = np.array([max(round(h / task.data.dt), 1) for h in horizons])
+    chosen = squares[:, :, steps - 1]
+    return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, task.data.block[:, starts_of(task)[0]].ravel())
+
+
+def open_loop(task: Problem, theta: np.ndarray) -> Errors:
+    """Errors of the model `theta` after one step and the horizons."""
+    return at_horizons(task, predict(task, theta).error ** 2)
+
+
+def floor(task: Problem, theta: np.ndarray) -> np.ndarray:
+    """Squares (P, S, N, 3) of the errors that measurement and process noise make of a true model, near `theta`.
+
+    To first order: in an unstable drift this grows beyond what a car can do.
+    """
+    data, (starts, num) = task.data, starts_of(task)
     where = jnp.asarray(theta)
     A = transitions(task.model, data, where, follow(task.model, data, theta, task.gains))
     noise = jnp.asarray(task.noise.row())
-    one = lambda A, P: _expected(A, P, noise, jnp.asarray(starts), steps[-1], data.dt)
-    return gathered(task, np.asarray(each_piece(one, len(data.run), A, task.gains.P)))
+    one = lambda A, P: _expected(A, P, noise, jnp.asarray(starts), num, data.dt)
+    return np.asarray(each_piece(one, len(data.run), A, task.gains.P))
+
+
+def root_mean(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Root of the mean of `squares` over `axis`, of those that are not NaN; NaN where all are."""
+    num = np.isfinite(squares).sum(axis)
+    return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
 def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[float, tuple[float, float]]:
     """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
 
-    Explainable is what exceeds the `least`, the floor that noise makes; errors count in units of it.
+    Explainable is what exceeds the `least`, the floor that noise makes; errors count in units of it. NaN where no run
+    lasts that long.
     """
     at = before.horizons.index(SKILL)
     cut = [errors.squares[:, at] for errors in (before, after, least)]
     keep = np.all([np.isfinite(squares).all(axis=1) for squares in cut], axis=0)
+    if not keep.any():
+        return np.nan, (np.nan, np.nan)
     old, new = (np.sum(squares[keep] / cut[2][keep] - 1.0, axis=1) for squares in cut[:2])
     names = np.unique(before.block[keep], return_inverse=True)[1]
     old, new = (np.bincount(names, values) for values in (old, new))

@@ -35,10 +35,10 @@ class Noise(NamedTuple):
 
 
 def measurement_noise(y: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """First guess (3,) from third differences of y (P, T, 3), robustly: motion hardly bends between four samples."""
+    """First guess (c,) from third differences of y (P, T, c), robustly: motion hardly bends between four samples."""
     d = np.diff(y, n=3, axis=1)
     whole = np.min([seen[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
-    spread = [np.median(np.abs(d[..., i][whole[..., i]])) if whole[..., i].any() else 0.0 for i in range(3)]
+    spread = [np.median(np.abs(d[..., i][whole[..., i]])) if whole[..., i].any() else 0.0 for i in range(y.shape[2])]
     return np.maximum(1.4826 * np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
 
 

@@ -50,6 +50,7 @@ class Path(NamedTuple):
     before: Float[Array, "T 6"]  # and before it
     rate: Float[Array, "T 3"]  # of the state, as the sensors feel it
     u: Float[Array, "T 2"]  # commands acting
+    d: Float[Array, "T 3"]  # disturbances of the rates after the update
 
 
 def driven(seen: Float[Array, "T 3"]) -> Array:
@@ -76,21 +77,22 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
     u, z = started(model, run, dt)
 
     def on(carry, row):
-        z, d, last = carry
+        z, d, slope, before = carry
         u, place, y, seen, L, alive = row
-        rate = (z[:3] - last) / step
+        rate = 1.5 * slope - 0.5 * before  # slopes are those of whole steps: this is the one at their end
         e = seen * (y - told(model, z[:3], rate))
         update = L @ e
         x, d = z[:3] + update[:3], d + update[3:]
         # tyres feel a corrected state at once; what lags in them stays as far behind
         after = jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
         ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
-        next_one = jnp.where(alive, ahead, z), jnp.where(alive, gains.left * d, d), jnp.where(alive, x, last)
-        return next_one, (e, jnp.where(alive, after, z), z, rate)
+        next_one = ahead, gains.left * d, (ahead[:3] - x) / step, slope
+        next_one = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_one, carry)
+        return next_one, (e, jnp.where(alive, after, z), z, rate, d)
 
-    first = z, jnp.zeros(3), z[:3]
-    e, z, predicted, rate = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
-    return Path(e, z, predicted, rate, u)
+    first = z, jnp.zeros(3), jnp.zeros(3), jnp.zeros(3)
+    e, z, predicted, rate, d = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
+    return Path(e, z, predicted, rate, u, d)
 
 
 def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:

@@ -31,6 +31,11 @@ class Scores(NamedTuple):
         """Probability that chance gives the largest |T|."""
         return float((1 + np.sum(self.chance >= np.abs(self.T).max(initial=0.0))) / (DRAWS + 1))
 
+    @property
+    def threshold(self) -> float:
+        """Of |T|, which chance passes in one data set of twenty."""
+        return float(np.quantile(self.chance, 0.95))
+
 
 def information(J: ArrayLike) -> np.ndarray:
     """Information (K, K) of derivatives (P, T, 3, K)."""

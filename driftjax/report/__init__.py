@@ -1,5 +1,8 @@
 """Figures, tables and the HTML page of a run, from its folder alone."""
 
+from driftjax.report.diagnosis import gain_table as gain_table
+from driftjax.report.diagnosis import parity_words as parity_words
+from driftjax.report.diagnosis import write_diagnosis as write_diagnosis
 from driftjax.report.page import write_report as write_report
 from driftjax.report.plan import write_plan_figures as write_plan_figures
 from driftjax.report.table import run_line as run_line

@@ -1,16 +1,14 @@
 """All figures of a run, and one HTML page that holds them."""
 
-import base64
-import html
 from collections.abc import Iterator
 from pathlib import Path
 
-import yaml
 from matplotlib.figure import Figure
 
 from driftjax.data import RunFolder
 from driftjax.report.comparison import comparison
 from driftjax.report.exploration import gp_data, speed_sets
+from driftjax.report.html import document, folded, picture, text
 from driftjax.report.laps import controllers_of
 from driftjax.report.plan import states, trajectory
 from driftjax.report.posture import posture
@@ -19,8 +17,6 @@ from driftjax.report.table import table
 from driftjax.report.tracking import lateral_error, velocity
 from driftjax.vehicle import load_vehicle
 
-CSS = """body{font:16px/1.5 system-ui,sans-serif;max-width:1000px;margin:2rem auto;padding:0 1rem;color:#222}
-pre{background:#f6f6f6;padding:1rem;overflow-x:auto;font-size:13px}img{max-width:100%}h2{margin-top:2.5rem}"""
 TITLES = {
     "comparison": "Lateral error of all stages", "plan_trajectory": "Planned trajectory",
     "plan_states": "Planned states", "lateral_error": "Lateral error", "velocity": "Speed tracking",
@@ -64,20 +60,13 @@ def write_report(run: RunFolder) -> Path:
 
 
 def _html(run: RunFolder, words: str, pictures: list[Path]) -> str:
-    car = html.escape(str(run.config.get("car", "")))
-    parts = [f"<!doctype html><html lang='en'><meta charset='utf-8'><title>driftjax: {car}</title><style>{CSS}</style>"]
-    parts.append(f"<h1>driftjax learn: {car}</h1><p>{run.created}</p><pre>{html.escape(words)}</pre>")
-    for path in pictures:
-        data = base64.b64encode(path.read_bytes()).decode()
-        parts.append(f"<h2>{title(path.stem)}</h2><img alt='{title(path.stem)}' src='data:image/png;base64,{data}'>")
-    for name, content in (("Configuration", run.config), ("Versions", run.read_json("versions"))):
-        text = html.escape(yaml.safe_dump(content, sort_keys=False))
-        parts.append(f"<h2>{name}</h2><details><summary>show</summary><pre>{text}</pre></details>")
-    return "\n".join(parts) + "</html>\n"
+    parts = [text(words), *(picture(path, title(path.stem)) for path in pictures)]
+    parts += [folded("Configuration", run.config), folded("Versions", run.read_json("versions"))]
+    return document(f"driftjax learn: {run.config.get('car', '')}", run.created, parts)
 
 
 def title(name: str) -> str:
     """Heading of the figure called `name`."""
     key = next(key for key in TITLES if name.startswith(key))
     controller = name.removeprefix(key).strip("_")
-    return TITLES[key] + (f", controller: {html.escape(controller)}" if controller else "")
+    return TITLES[key] + (f", controller: {controller}" if controller else "")

@@ -14,6 +14,13 @@ from matplotlib.figure import Figure
 NOMINAL, GPR, EXPLORED, OTHER = "#4D4D4D", "#0072B2", "#C8102E", "#A08040"
 NORMAL, DRIFT = "#0072B2", "#C8102E"  # segments of the plan, as in the paper
 PINK, YELLOW, ORANGE = "#F6C6D0", "#FFF3B8", "#FAD7A8"
+COMPARED = {
+    "nominal": (NOMINAL, "nominal"),
+    "retuned": (OTHER, "re-tuned tyres"),
+    "extended": (EXPLORED, "extended"),
+    "gp": (GPR, "Gaussian process"),
+    "extended_gp": ("#2E8B57", "extended, with a Gaussian process"),
+}  # models of a diagnosis
 ERROR_LABEL = "lateral error against the\nplanned minimum-time path [m]"
 CONTROLLERS = {
     "path": "path-tracking controller",

@@ -20,6 +20,7 @@ class Flaws(NamedTuple):
     typical: Float[np.ndarray, "3"]  # noise of V, beta, r that sizes outliers
     metres: float  # standard deviation of x, y, s [m]
     heading: float  # standard deviation of psi [rad]
+    acceleration: float  # standard deviation of ax, ay [m/s^2]
 
 
 def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: np.random.Generator) -> Run:
@@ -32,7 +33,8 @@ def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: 
     delta, Fxr = np.array(one.command).T
     x, y, s = np.stack([*one.position.T, lap * one.place.s]) + flaws.metres * rng.standard_normal((3, num))
     psi = np.asarray(one.place.psi) + flaws.heading * rng.standard_normal(num)
-    extra = {"x": x, "y": y, "psi": psi, "s": np.clip(s, 0.0, lap)}
+    ax, ay = np.array(one.a).T + flaws.acceleration * rng.standard_normal((2, num))
+    extra = {"x": x, "y": y, "psi": psi, "s": np.clip(s, 0.0, lap), "ax": ax, "ay": ay}
     return Run(name, np.arange(num) * dt, V, beta, r, delta, Fxr, dt, extra)
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.core.integrate import heun_step
 from driftjax.sim.rollout import SETTLE, Felt, advance, settled
-from driftjax.vehicle.effect.flow import Place, heat_rate
+from driftjax.vehicle.effect.flow import Aux, Place, enter, heat_rate
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
 
@@ -47,6 +47,7 @@ class Recording(NamedTuple):
     place: Place  # fields (T,); position along the lap as a share of it
     x: Float[Array, "T 3"]  # true V, beta, r
     position: Float[Array, "T 2"]  # true x, y [m]
+    a: Float[Array, "T 2"]  # what an accelerometer at the centre of mass feels forwards and to the left [m/s^2]
 
 
 class _Now(NamedTuple):
@@ -67,6 +68,24 @@ def limits(vehicle: VehicleConfig, dt: float) -> tuple[np.ndarray, np.ndarray, n
     lower = np.array([-vehicle.delta_max, vehicle.Fxr_min])
     upper = np.array([vehicle.delta_max, vehicle.Fxr_max])
     return lower, upper, dt * np.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max])
+
+
+def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
+    """What an accelerometer at the centre of mass feels of a motion with rates `dx`, forwards and to the left [m/s^2].
+
+    That is the acceleration less the part of gravity along a road that is not level: the effects of the road, which are
+    those of the forces that show in kinematic parity.
+    """
+    sin, cos, turn = jnp.sin(x.beta), jnp.cos(x.beta), x.V * (dx.beta + x.r)
+    level = enter(plant.car, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
+    road, values = level, plant.values()
+    for effect in plant.effects:
+        if effect.station == "force" and effect.kinematic:
+            road = effect.apply(road, values[effect.name])
+    return jnp.stack([
+        dx.V * cos - turn * sin - (road.X - level.X) / level.car.m,
+        dx.V * sin + turn * cos - (road.Y - level.Y) / level.car.m,
+    ])  # fmt: skip
 
 
 def record(
@@ -113,7 +132,8 @@ def record(
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
         push = left * now.push + jnp.sqrt(1 - left**2) * kick
-        row = Recording(y, command, now.place, jnp.stack(now.x), now.position)
+        a = specific_force(plant, now.x, now.rate, Control(now.command[0], now.command[1]), now.place)
+        row = Recording(y, command, now.place, jnp.stack(now.x), now.position, a)
         now = now._replace(seen=seen, command=command, push=push)
         u = Control(command[0], command[1])
         now = jax.lax.fori_loop(0, substeps, lambda _, n: fine(n, u), now)

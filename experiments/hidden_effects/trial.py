@@ -7,12 +7,13 @@ import numpy as np
 
 from driftjax.core.config import to_dict
 from driftjax.data import Log, Run
-from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split, to_json
+from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split
 from driftjax.diagnose.fit import priced, refine
 from driftjax.diagnose.gain import open_loop, skill
 from driftjax.diagnose.naive import naive
 from driftjax.diagnose.score import partial_out
 from driftjax.diagnose.select import price, tested
+from driftjax.diagnose.told import to_json
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
 from experiments.hidden_effects.case import Case

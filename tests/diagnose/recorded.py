@@ -24,6 +24,7 @@ NAMES = (
 EFFECTS = effects_named(tuple(NAMES))
 ORDER = [effect.name for effect in EFFECTS]  # one parameter each
 DT, ROWS = 0.01, 600
+ACCELERATION = 0.05  # noise of ax, ay [m/s^2]
 
 
 @functools.cache
@@ -72,7 +73,8 @@ def recorded(theta: np.ndarray, seed: int, noise_seed: int) -> tuple[Run, ...]:
     for i, name in enumerate(RICH):
         one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
         if not spun(sedan(), one):
-            place = {"psi": one.place.psi, "s": one.place.s}
+            ax, ay = one.a.T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
+            extra = {"psi": one.place.psi, "s": one.place.s, "ax": ax, "ay": ay}
             (V, beta, r), (delta, Fxr) = one.y.T, one.command.T
-            runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, place))
+            runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, extra))
     return tuple(runs)

@@ -1,10 +1,12 @@
 """Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, verdict sentences."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from driftjax.diagnose.diagnosis import split
 from driftjax.diagnose.gain import Errors, skill
+from driftjax.diagnose.observer import expected, riccati, transition
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4)
@@ -44,3 +46,28 @@ def test_every_third_run_is_held_out_and_none_of_too_few():
     for num, every in ((2, 3), (7, 0)):
         use, held = split(num, every)
         assert list(use) == list(range(num)) and not len(held)
+
+
+def test_the_floor_is_what_noise_makes_of_a_true_model():
+    """A linear car with disturbed rates, followed and predicted many times over."""
+    rng, dt, T, num, start, many = np.random.default_rng(3), 0.02, 60, 30, 25, 4000
+    noise = np.array([*SIGMA, 0.3, 0.1, 0.4, 0.2])
+    left, A = np.exp(-dt / noise[6]), np.eye(3) + dt * np.array([[-0.2, 1, 0], [0, 1.5, -1], [0.3, 2, 0.5]])
+    A_all, seen = jnp.broadcast_to(jnp.asarray(A), (T, 3, 3)), jnp.ones((T, 3))
+    gains = riccati(A_all, seen, jnp.asarray(noise[:3]), jnp.asarray(noise[3:6]), jnp.asarray(left), dt)
+    F = np.asarray(transition(jnp.asarray(A), jnp.asarray(left), dt))
+    told = 2 * SIGMA * rng.standard_normal((many, 3))
+    w = np.concatenate([told, noise[3:6] * rng.standard_normal((many, 3))], axis=1)
+    known, errors = np.zeros((many, 6)), []
+    for k in range(start + num + 1):
+        y = w[:, :3] + SIGMA * rng.standard_normal((many, 3))
+        if k <= start:
+            known = known + (y - known[:, :3]) @ np.asarray(gains.L[k]).T
+            known = np.concatenate([known[:, :3], 0 * known[:, 3:]], axis=1) if k == start else known
+        else:
+            errors.append(((known[:, :3] - y) ** 2).mean(axis=0))
+        kick = np.sqrt(1 - left**2) * noise[3:6] * rng.standard_normal((many, 3))
+        w, known = w @ F.T + np.concatenate([np.zeros((many, 3)), kick], axis=1), known @ F.T
+    found = expected(A_all, gains.P, jnp.asarray(noise), jnp.array([start]), num, dt)[0]
+    np.testing.assert_allclose(np.asarray(found), np.array(errors), rtol=0.12)
+    assert (np.diff(np.asarray(found), axis=0) > 0).all()

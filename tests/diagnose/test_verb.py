@@ -54,7 +54,19 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
     half = vehicle.effects[0].ci95_half
     assert half is not None and 1.9 < half / vehicle.covariance[0][0] ** 0.5 < 2.3  # a quantile of Student's t
+    shown = told["show"]
+    assert set(shown["residual_forces"]) == {"p_value", "Fx", "Fyf", "Fyr"}
+    assert "agree within noise" in shown["kinematic_parity"]["statement"]
+    nominal = np.array([shown["open_loop"]["in_noises"][name] for name in ("V", "beta", "r")])
+    assert nominal.shape == (3, 4) and (nominal[:, 0] < nominal[:, 2]).all()
+    first = Path("found/report.html").read_text()
+    assert first.count("data:image/png;base64,") == len(list(Path("found/figures").glob("*.pdf"))) == 7
+    assert sum(path.stat().st_size for path in Path("found").glob("*.nc")) < 1e6
+    Path("found/report.html").unlink()
+    assert main(["report", "found"]) == 0
+    assert Path("found/report.html").read_text().count("data:image/png;base64,") == 7
     out = capsys.readouterr().out
+    assert shown["worst"] in out
     assert "NAMED: The steering lags behind its command" in out and "extended" in out
     assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
     assert main(["diagnose", "log.csv", "--vehicle", "found/extended.yaml", "--out", "again"]) == 2
@@ -69,6 +81,7 @@ def test_two_seconds_of_data_say_nothing(capsys):
     told = json.loads(Path("short/diagnosis.json").read_text())
     assert told["verdict"] == "DATA_INSUFFICIENT" and told["causes"] == []
     assert "2.0 s" in told["sentence"] and "2.0 s" in capsys.readouterr().out
+    assert "2.0 s" in Path("short/report.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,102 @@
+"""A diagnosis as files tell it: `diagnosis.json` and the extended car."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from driftjax.data import Log
+from driftjax.data.columns import MEASURED
+from driftjax.diagnose.diagnosis import Diagnosis, Gain
+from driftjax.diagnose.score import covariance
+from driftjax.diagnose.show import show_json
+from driftjax.diagnose.unknown import Unexplained
+
+
+def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
+    """`diagnosis.json`, schema version 1."""
+    task, scale = found.task, np.asarray(found.task.model.scale)
+    each = []
+    for cause in found.causes:
+        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
+        rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], strict=True)
+        parameters = {
+            p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit} for p, x, w, s in rows
+        }
+        others = {task.effects[i].name: p for i, p in cause.rivals.items()}
+        alike = sorted({*others, *(task.effects[i].name for i in cause.alike)})
+        each.append({
+            "effect": effect.name, "probability": cause.probability,
+            "p_value": found.found.p_values[cause.effect], "parameters": parameters, "invariance": cause.invariance,
+            "confusable_with": alike, "rivals": others,
+        })  # fmt: skip
+    noise = task.noise
+    return {
+        "schema": 1,
+        "verdict": str(found.judgement.verdict),
+        "sentence": found.judgement.sentence,
+        "causes": each,
+        "unexplained": unexplained_json(found.left),
+        "gain": gain_json(found.gain),
+        "next_manoeuvre": found.proposal._asdict() if found.proposal else None,
+        "show": show_json(found.show, noise),
+        "data": {
+            "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
+            "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
+            "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
+            "process_correlation_s": noise.correlation,
+        },
+        "config": dataclasses.asdict(found.config),
+        "seed": found.config.seed,
+    }  # fmt: skip
+
+
+def unexplained_json(left: Unexplained) -> dict[str, Any]:
+    """What is left; neither channel nor drivers where that is nothing."""
+    if not left.found:
+        return {"p_value": left.p_value, "channel": None, "drivers": []}
+    return {
+        "p_value": left.p_value, "channel": left.term.channel, "drivers": list(left.drivers)[:2],
+        "worth": left.drivers, "term": left.term._asdict(),
+    }  # fmt: skip
+
+
+def gain_json(gain: Gain | None) -> dict[str, Any]:
+    """The gain on the runs held out, per model, horizon and channel."""
+    if gain is None:
+        return {"held_out_runs": [], "horizons_s": [], "rmse": {}, "skill": {}, "ci95": {}}
+    table = {
+        name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
+        for name, one in (gain.errors | {"noise_floor": gain.floor}).items()
+    }
+    return {
+        "held_out_runs": list(gain.held),
+        "named_without_them": list(gain.named),
+        "horizons_s": list(gain.floor.horizons),
+        "rmse": table,
+        "skill": {name: value for name, (value, _) in gain.skills.items()},
+        "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
+    }
+
+
+def extended(found: Diagnosis) -> dict[str, Any]:
+    """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads.
+
+    The nominal car; its named effects with half-widths; and the covariance of all their parameters, SI, whose rows go
+    through effects and parameters in the catalogue's order, as `parameters` says beside it.
+    """
+    task, effects, names = found.task, {}, []
+    scale = np.asarray(task.model.scale)
+    for cause in sorted(found.causes, key=lambda cause: cause.effect):
+        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
+        values = zip(effect.parameters, cause.theta * scale[columns], cause.half_width * scale[columns], strict=True)
+        effects[effect.name] = {p.name: {"value": float(x), "ci95_half": float(w)} for p, x, w in values}
+        names += [f"{effect.name}.{p.name}" for p in effect.parameters]
+    nominal = dataclasses.asdict(found.vehicle)
+    car = {"nominal": {key: nominal[key] for key in nominal if key not in ("effects", "covariance")}}
+    if not names:
+        return car | {"effects": {}}
+    columns = task.columns(found.found.members)
+    last = found.found.scores
+    matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
+    return car | {"effects": effects, "covariance": {"parameters": names, "matrix": matrix.tolist()}}

@@ -1,0 +1,96 @@
+"""Open-loop predictions of a diagnosis: beside the measurement, and their error over the horizon."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+from driftjax.report.style import COMPARED, new_figure
+
+CHANNELS = {
+    "V": ("speed V [m/s]", 1.0),
+    "beta": ("sideslip beta [deg]", 180 / np.pi),
+    "r": ("yaw rate r [deg/s]", 180 / np.pi),
+}
+SHOWN = ("nominal", "extended")
+WIDTHS = {"nominal": 2.2, "extended": 1.3}  # of lines that may cover each other
+
+
+def models_of(data: xr.Dataset) -> list[str]:
+    """Models to draw: the extended one only where an effect was named."""
+    return list(SHOWN) if data["named"].values.any() else ["nominal"]
+
+
+def _starts(axis: Axes, times: np.ndarray, rows: np.ndarray, **style: Any) -> None:
+    """Predictions (start, ahead) from every start, each until it has left the panel."""
+    low, high = axis.get_ylim()
+    left = np.cumsum((rows < low) | (rows > high), axis=1) > 1
+    gap = np.full((len(rows), 1), np.nan)  # so that one line holds all of them
+    axis.plot(np.hstack([times, gap]).ravel(), np.hstack([np.where(left, np.nan, rows), gap]).ravel(), **style)
+
+
+def fan(data: xr.Dataset) -> Figure:
+    """Measured channels and what each model predicts from some starts, a column per run."""
+    panels = data["panel"].values
+    figure, axes = new_figure(3, len(panels), (max(4.6 * len(panels), 7.5), 7.2), sharex="col")
+    times = data["start_time"].values[:, None] + data["ahead_time"].values
+    for column, name in enumerate(panels):
+        one = data.isel(panel=column)
+        end = data["sample_time"].values[np.isfinite(one["measured"].values).any(axis=1)].max()
+        for axis, (channel, (label, factor)) in zip(axes[:, column], CHANNELS.items(), strict=True):
+            measured = one["measured"].sel(channel=channel).values * factor
+            axis.plot(data["sample_time"], measured, color="0.72", lw=2.6, label="measured")
+            axis.set_ylim(_room(measured, 8 * float(data["sigma"].sel(channel=channel)) * factor))
+            for model in models_of(data):
+                colour, words = COMPARED[model]
+                rows = one["predicted"].sel(model=model, channel=channel).values * factor
+                _starts(axis, times, rows, color=colour, lw=WIDTHS[model], label=f"predicted, {words}")
+            axis.plot(data["start_time"], np.interp(data["start_time"], data["sample_time"], measured),
+                      "o", color="black", ms=3, label="start of a prediction")  # fmt: skip
+            if column == 0:
+                axis.set_ylabel(label)
+            axis.set_xlim(0, end)
+        axes[0, column].set_title(str(name))
+        axes[-1, column].set_xlabel("time t [s]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(f"Open-loop predictions on {data.attrs['predicted_on']}", fontsize=10.5)
+    figure.align_ylabels()
+    return figure
+
+
+def _room(measured: np.ndarray, least: float) -> tuple[float, float]:
+    """Limits half as far beyond the measurement as that is wide, so that a prediction that runs off hides nothing."""
+    low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
+    room = 0.5 * max(high - low, least)
+    return low - room, high + room
+
+
+def error_over_horizon(data: xr.Dataset) -> Figure:
+    """RMS error of every model over the time ahead, with the noise floor."""
+    figure, axes = new_figure(1, 3, (11.0, 4.0))
+    named = data["named"].values.any()
+    models = [str(name) for name in data["compared"].values if named or name != "extended"]
+    for axis, (channel, (label, factor)) in zip(axes[0], CHANNELS.items(), strict=True):
+        errors = data["rmse"].sel(channel=channel) * factor
+        for model in models:
+            colour, words = COMPARED[model]
+            axis.plot(data["horizon"], errors.sel(compared=model), color=colour, label=words)
+        floor = data["floor"].sel(channel=channel) * factor
+        axis.plot(data["horizon"], floor, color="black", ls="--", lw=1.2, label="a right model (to first order)")
+        sigma = float(data["sigma"].sel(channel=channel)) * factor
+        axis.axhline(sigma, color="0.5", ls=":", lw=1.2, label="measurement noise")
+        axis.set(xlabel="time ahead [s]", ylabel=f"RMS error of {label}")
+        axis.set_xlim(0, float(data["horizon"][-1]))
+        axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
+        axis.set_ylim(0.7 * sigma, 1.5 * max(float(errors.max()), sigma))
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    figure.suptitle(f"Open-loop error on {data.attrs['predicted_on']}", fontsize=10.5)
+    return figure
