@@ -53,8 +53,11 @@ def confusion(results: list[Result]) -> Figure | None:
             axis.text(column, row, f"{count:.0f}", ha="center", va="center", size=7, color="w" if dark else "k")
     axis.set_xticks(range(len(labels)), labels, rotation=90, fontsize=7)
     axis.set_yticks(range(len(labels)), labels, fontsize=7)
-    axis.grid(color="0.93", linewidth=0.5)
-    axis.set_axisbelow(True)
+    edges = np.arange(len(labels)) - 0.5
+    axis.set_xticks(edges, minor=True)
+    axis.set_yticks(edges, minor=True)
+    axis.grid(which="minor", color="0.9", linewidth=0.5)
+    axis.tick_params(which="minor", length=0)
     axis.set_xlabel("named first")
     axis.set_ylabel("hidden")
     axis.set_title(f"{len(results)} cases with one effect or none (numbers: cases; colour: share of the row)")

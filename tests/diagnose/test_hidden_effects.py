@@ -16,10 +16,11 @@ from driftjax.data import Run
 from experiments.hidden_effects import judged
 from experiments.hidden_effects.bench import Config, main
 from experiments.hidden_effects.case import Case, hidden
+from experiments.hidden_effects.confusion import confusions
 from experiments.hidden_effects.draw import Numbers, plan
 from experiments.hidden_effects.trial import examine
 
-NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=6, std=0, mb=0)
+NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, std=0, mb=0)
 WHOLE = 6  # runs of a recording in which nothing spun
 
 
@@ -46,25 +47,24 @@ def sample():
     print(f"DRIFTJAX_SEED={seed()}")
     for case in plan(NUMBERS, ("sedan",), seed(), tuple(NAMES)):
         result = examine(case, sedan(), driven(case), EFFECTS)
-        print(f"{case.line()} -> {result['verdict']} {result['named']} {result['seconds']:.1f} s")
+        print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s")
         found.setdefault(case.condition, []).append(result)
     return found
 
 
 def test_what_was_hidden_is_named(sample):
-    """A name is right in some 95 % of cases; 14 of 20 fails with p < 1e-3 down to 90 %. Guesses get 1 of 10."""
-    found = [judged.first(result) for result in sample["single"]]
-    assert sum(found) >= 14, sample["single"]
+    """Some 95 % of names are right: fewer than 13 of 20 has p < 1e-3 down to 90 %; a guess is right in 1 of 10."""
+    assert sum(map(judged.first, sample["single"])) >= 13, confusions(sample["single"])
 
 
 def test_both_of_two_are_found(sample):
-    """Some 90 %: 2 of 6 or fewer has p < 1e-3 down to 84 %."""
-    assert sum(map(judged.both, sample["pair"])) >= 3, sample["pair"]
+    """Some 95 %: fewer than 2 of 6 has p < 1e-3 down to 84 %."""
+    assert sum(map(judged.both, sample["pair"])) >= 2, confusions(sample["pair"])
 
 
 def test_nothing_is_named_where_nothing_is_hidden(sample):
     """Chance names something in at most 5 %, 10 % in data as short: 5 of 8 has p < 5e-4."""
-    assert sum(map(judged.named, sample["none"])) <= 4, sample["none"]
+    assert sum(map(judged.named, sample["none"])) <= 4, confusions(sample["none"])
 
 
 def test_an_effect_that_the_catalogue_lacks_is_never_named(sample):
@@ -73,9 +73,9 @@ def test_an_effect_that_the_catalogue_lacks_is_never_named(sample):
 
 
 def test_intervals_hold_the_truth(sample):
-    """Nominally 95 %; under 70 % of 20 or more has p < 1e-3 down to 90 %."""
+    """Nominally 95 %: under 65 % of 20 or more has p < 1e-3 down to 90 %."""
     held = [inside for kind in ("single", "pair") for result in sample[kind] for inside in judged.inside(result)]
-    assert np.mean(held) >= 0.7, held
+    assert np.mean(held) >= 0.65, held
 
 
 def test_the_extended_car_predicts_better(sample):
@@ -85,7 +85,7 @@ def test_the_extended_car_predicts_better(sample):
 
 
 def test_the_naive_baseline_fails_where_the_diagnosis_does_not(sample):
-    """It is kept to show its bias: right in a third of cases at most, 12 of 20 has p < 1e-2 at 33 %."""
+    """It is kept to show its bias."""
     assert sum(map(judged.baseline, sample["single"])) < sum(map(judged.first, sample["single"]))
 
 

@@ -61,7 +61,8 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     D, none = np.eye(3), np.zeros((3, 1))
     full = np.zeros((6, 6))
     full[:3, :3] = A
-    return path, Steps(many(full), many(np.zeros((6, 1))), many(D), many(none), many(np.zeros((2, 3))), jnp.zeros((1, 6, 1))), seen
+    steps = many(full), many(np.zeros((6, 1))), many(D), many(none), many(np.zeros((2, 3))), jnp.zeros((1, 6, 1))
+    return path, Steps(*steps), seen
 
 
 def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
