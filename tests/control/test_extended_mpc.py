@@ -41,12 +41,12 @@ def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
     N, level = CONFIG.horizon, jnp.stack([*x, jnp.zeros(()), jnp.zeros(())])
     reference = Reference(*(jnp.full(N + 1, value) for value in (*x, 0.0, -x.beta, x.r / x.V)))
     level = level.at[4].set(-x.beta)
-    before, rng = jnp.stack(u), np.random.default_rng(0)
+    problem, before, rng = ocp(), jnp.stack(u), np.random.default_rng(0)
     starts = level + 0.2 * rng.uniform(-1, 1, (8, 5)) * np.array([1.0, 0.15, 0.25, 0.0, 0.0])
 
     def one(start):
         X, U = jnp.tile(level, (N + 1, 1)), jnp.tile(before, (N, 1))
-        return solve_mpc(ocp(), start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
+        return solve_mpc(problem, start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
 
     found = eqx.filter_jit(jax.vmap(one))(starts)
     assert bool(jnp.all(found.plan.result == RESULTS.successful))
