@@ -71,13 +71,14 @@ def test_the_map_of_an_extended_car_is_true(tmp_path):
     vehicle = dataclasses.asdict(load_vehicle("rc"))
     nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}
     path = tmp_path / "car.yaml"
-    path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"load_transfer_long": {"h": 0.03}}}))
-    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=3, ratio_min=0.8, ratio_max=1.0), tmp_path)
+    path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"friction": {"p": -0.08}}}))
+    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=2, ratio_min=0.7, ratio_max=0.95), tmp_path)
     with (tmp_path / "equilibria.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == numbers["steady_states"] >= 6 and numbers["worst_residual"] < 1e-9
+    assert len(rows) == numbers["steady_states"] >= 4 and numbers["worst_residual"] < 1e-9
     car = build_car(load_vehicle(path))
     for row in rows:
         V, beta, r, delta, Fxr = (jnp.asarray(float(row[key])) for key in ("V", "beta", "r", "delta", "Fxr"))
         assert np.abs(np.array(car(State(V, beta, r), Control(delta, Fxr)))).max() < 1e-6
-    assert {"grip", "countersteer"} <= {row["branch"] for row in rows}
+    # the nominal car drifts from a ratio of 0.97 on
+    assert {"grip", "countersteer"} <= {row["branch"] for row in rows} and numbers["unconfirmed"] == 0
