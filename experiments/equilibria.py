@@ -19,18 +19,12 @@ from jax import Array
 from matplotlib.figure import Figure
 
 from driftjax.core import RESULTS, Control, State, require
-from driftjax.equilibrium import (
-    Branch,
-    Equilibrium,
-    SpeedYaw,
-    decoupled_roots,
-    follow_effects,
-    preference,
-    solve_at,
-)
-from driftjax.vehicle import AnyCar, SingleTrack, build_car, load_vehicle
+from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, preference, solve_at
+from driftjax.vehicle import AnyCar, Extended, SingleTrack, build_car, load_vehicle
 from driftjax.vehicle.single_track import G
 
+NEAR = (1.0, 0.8, 0.9, 1.1, 1.2)  # yaw rates whose nominal states are guesses for an extended car, over its own [-]
+SAME = 1e-4  # difference of sideslip [rad], steering [rad] and force over weight within which two states are one
 SHOWN = (Branch.GRIP, Branch.COUNTERSTEER, Branch.FRONT_SATURATED)
 TITLES = {
     Branch.GRIP: "grip",
@@ -67,25 +61,38 @@ class Config:
 
 @eqx.filter_jit
 def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
-    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding.
-
-    Those of an extended car are followed from those of its nominal car; states that only it has are not found.
-    """
-    nominal = car if isinstance(car, SingleTrack) else car.nominal
+    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding."""
+    if isinstance(car, Extended):
+        return jax.vmap(lambda V, r: around_nominal(car, V, r))(V, r)
 
     def at(V: Array, r: Array) -> Equilibrium:
-        roots = decoupled_roots(nominal, V, r)
+        roots = decoupled_roots(car, V, r)
 
         def confirm(x: State, u: Control, kind: Array, exists: Array) -> Equilibrium:
-            out = solve_at(nominal, nominal, V, r, (x, u), branch=kind)
-            if not isinstance(car, SingleTrack):
-                out = follow_effects(car, SpeedYaw(V, r), out, branch=kind)
+            out = solve_at(car, car, V, r, (x, u), branch=kind)
             result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
             return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
 
         return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.found)
 
     return jax.vmap(at)(V, r)
+
+
+def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
+    """The steady states of an extended car at one (V, r) that lie near those of its nominal car at `NEAR` yaw rates.
+
+    The nominal car may have none at this very yaw rate: two drifts meet at a fold and vanish, and effects move it.
+    """
+    roots = jax.vmap(lambda share: decoupled_roots(car.nominal, V, share * r))(jnp.asarray(NEAR))
+    x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.found))
+    out = jax.vmap(lambda x, u: solve_at(car, car, V, r, (x, u)))(x, u)
+    good = exists & (out.result == RESULTS.successful)
+    at = jnp.stack([out.x.beta, out.u.delta, out.u.Fxr / (car.m * G)])
+    apart = jnp.max(jnp.abs(at[:, :, None] - at[:, None, :]), axis=0)
+    known = jnp.any(jnp.tril((apart < SAME) & good[None, :], -1), axis=1)  # found from an earlier guess
+    kind = jnp.where(good & ~known, out.kind, -1)
+    unless = lambda kind, result: RESULTS.where(kind >= 0, result, RESULTS.no_root)  # pyright: ignore
+    return eqx.tree_at(lambda e: (e.kind, e.result), out, (kind, jax.vmap(unless)(kind, out.result)))
 
 
 def grid(cfg: Config, car: AnyCar) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,6 @@
 from driftjax.equilibrium.branch import Branch as Branch
 from driftjax.equilibrium.branch import classify as classify
 from driftjax.equilibrium.continuation import continuation as continuation
-from driftjax.equilibrium.continuation import follow_effects as follow_effects
 from driftjax.equilibrium.continuation import solve_steady as solve_steady
 from driftjax.equilibrium.decoupled import Roots as Roots
 from driftjax.equilibrium.decoupled import decoupled_roots as decoupled_roots

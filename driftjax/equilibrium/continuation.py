@@ -9,7 +9,7 @@ from jax import Array
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium.solve import ANY, Equilibrium, Fixed, Model, SlipRadius, SpeedYaw, solve, solve_nominal
-from driftjax.vehicle import AnyCar, Corrected, Extended, SingleTrack
+from driftjax.vehicle import AnyCar, Corrected, SingleTrack
 from driftjax.vehicle.single_track import G
 
 NUM_STAGES = 8
@@ -46,24 +46,21 @@ def continuation(
     return _follow(part, (Corrected(nominal, residual), nominal), fixed, first, branch)
 
 
-def follow_effects(car: Extended, fixed: Fixed, first: Equilibrium, *, branch: Array | int = ANY) -> Equilibrium:
-    """Steady state of `car`, followed from `first`, that of its nominal car, as all effects grow; see `continuation`.
+def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
+    """The steady state of a car on `branch`, from no guess; `no_root` where the published car has none there.
 
-    Each stage is judged by its own slip angles and peaks. A branch that the nominal car does not have is not found.
+    That of an extended car is followed from that of its nominal car as all effects grow, see `continuation`; each
+    stage is judged by its own slip angles and peaks. At fixed speed and yaw rate drifts come in pairs that may meet
+    and vanish on the way; at fixed sideslip they do not.
     """
+    if isinstance(car, SingleTrack):
+        return solve_nominal(car, fixed, branch=branch)
 
     def part(eta: Array) -> tuple[Model, AnyCar]:
         at = car.scaled(eta)
         return at, at
 
-    return _follow(part, (car, car), fixed, first, branch)
-
-
-def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
-    """The steady state of a car on `branch`, from no guess; `no_root` where the published car has none there."""
-    if isinstance(car, SingleTrack):
-        return solve_nominal(car, fixed, branch=branch)
-    return follow_effects(car, fixed, solve_nominal(car.nominal, fixed, branch=branch), branch=branch)
+    return _follow(part, (car, car), fixed, solve_nominal(car.nominal, fixed, branch=branch), branch)
 
 
 def _follow(

@@ -25,7 +25,7 @@ class Equilibrium(eqx.Module):
     x: State
     u: Control
     residual: Array  # largest of V_dot / (mu g), beta_dot V / (mu g), r_dot Iz (a + b) / (mu m g a b) [-]
-    kind: Array  # `Branch` by the slip angles of the nominal car
+    kind: Array  # `Branch` by the slip angles of the car that judges it
     num_steps: Array
     eta: Array  # share of the learnt residual reached by a continuation, 1 for a direct solve [-]
     result: RESULTS

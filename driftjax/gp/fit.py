@@ -52,12 +52,12 @@ def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array, Q
 
 
 def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array, ...]:
-    """At most `size` random rows of `mask` and `columns`, data first."""
+    """At most `size` random rows of `columns` and then `mask`, data first."""
     if mask.shape[0] <= size:
-        return mask, *columns
+        return *columns, mask
     score = jnp.where(mask, jax.random.uniform(key, mask.shape), -1.0)
     rows = jax.lax.top_k(score, size)[1]
-    return mask[rows], *(column[rows] for column in columns)
+    return *(column[rows] for column in columns), mask[rows]
 
 
 def _starts(D: int, nf: int, num_restarts: int, previous: GP | None, key: Array) -> Array:
@@ -100,7 +100,7 @@ def fit(
         Y = unclaimed(Y, basis, mask)
     scale, output_scale = scales(Z, Y, mask)
     columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
-    used, X, T, *part = _subset(mask, num_fit, key_rows, *columns)
+    X, T, *part, used = _subset(mask, num_fit, key_rows, *columns)
     held = [directions(J, used) for J in part]  # of these rows, to which T is made orthogonal
     T = unclaimed(T, part[0], used) if part else T
     pairs = squares(X)

@@ -96,7 +96,7 @@ AnyCar = SingleTrack | Extended
 
 
 def build_car(vehicle: VehicleConfig) -> AnyCar:
-    """The car that `vehicle` describes: the nominal one as it is, or with those named effects that `missing` has in."""
+    """The car that `vehicle` describes: the nominal one, with those of its named effects that act in steady use."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
     names = tuple(name for name in EFFECTS if name in _named(vehicle) and not missing(EFFECTS[name]))
     if not names:

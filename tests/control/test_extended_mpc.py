@@ -41,39 +41,19 @@ def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
     N, level = CONFIG.horizon, jnp.stack([*x, jnp.zeros(()), jnp.zeros(())])
     reference = Reference(*(jnp.full(N + 1, value) for value in (*x, 0.0, -x.beta, x.r / x.V)))
     level = level.at[4].set(-x.beta)
-    before, rng = jnp.stack(u), np.random.default_rng(0)
-    starts = level + 0.2 * rng.uniform(-1, 1, (8, 5)) * np.array([1.0, 0.15, 0.25, 0.0, 0.0])
+    problem, before, rng = ocp(), jnp.stack(u), np.random.default_rng(0)
+    starts = level + 0.2 * rng.uniform(-1, 1, (6, 5)) * np.array([1.0, 0.15, 0.25, 0.0, 0.0])
+    starts = starts.at[0].set(level)
 
     def one(start):
         X, U = jnp.tile(level, (N + 1, 1)), jnp.tile(before, (N, 1))
-        return solve_mpc(ocp(), start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
+        return solve_mpc(problem, start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
 
     found = eqx.filter_jit(jax.vmap(one))(starts)
     assert bool(jnp.all(found.plan.result == RESULTS.successful))
     assert int(jnp.max(found.plan.num_steps)) <= 30
-    rest = eqx.filter_jit(one)(level)  # from the steady state itself there is nothing to do
-    np.testing.assert_allclose(
-        rest.U / jnp.array([1.0, 1e4]), before * jnp.ones((N, 1)) / jnp.array([1.0, 1e4]), atol=1e-3
-    )
-
-
-def test_the_derivatives_given_to_the_solver_are_those_of_a_step():
-    o, p = ocp(), Reference(*(jnp.asarray(v) for v in (0.0, 0.0, 0.0, 0.0, 0.0, 0.1)))
-    x = jnp.stack([*steady().x, *jnp.array([0.1, 0.4]), *steady().u, *steady().u]) / o.x_scale
-    u = x[5:7] * 1.05
-
-    def compared(x, u):
-        both = jnp.concatenate([x, u])
-        step = lambda v: o.step(v[:9], v[9:], p)
-        costate = jnp.linspace(-1.0, 1.0, 9)
-        A, B = o.jacobian(x, u, p)
-        return (
-            jnp.concatenate([A, B], axis=1) - jax.jacfwd(step)(both),
-            o.curvature(x, u, costate, p) - jax.hessian(lambda v: costate[:5] @ step(v)[:5])(both),
-        )
-
-    for difference in eqx.filter_jit(compared)(x, u):
-        np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+    unit = jnp.array([1.0, 1e4])  # from the steady state itself there is nothing to do
+    np.testing.assert_allclose(found.U[0] / unit, before * jnp.ones((N, 1)) / unit, atol=1e-3)
 
 
 def test_the_lqr_of_the_extended_car_holds_its_drift():

@@ -16,13 +16,15 @@ from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import FoundParameter
 from experiments.equilibria import Config, main
 
+EFFECTS = {"friction": "p", "load_transfer_long": "h", "aero_drag": "c", "mass": "p", "steer_offset": "p"}
 FIXED = SlipRadius(-0.45, 15.0)
-steady = eqx.filter_jit(lambda car: solve_steady(car, FIXED, branch=Branch.COUNTERSTEER))
+found_at = eqx.filter_jit(lambda car, fixed: solve_steady(car, fixed, branch=Branch.COUNTERSTEER))
+steady = lambda car, fixed=FIXED: found_at(car, fixed)  # one program for all
 
 
-def extended(**values) -> Extended:
-    """The sedan with a friction circle and one-parameter effects, SI."""
-    found = tuple(FoundParameter(name.rsplit("_", 1)[0], name.rsplit("_", 1)[1], v) for name, v in values.items())
+def extended(**values: float) -> Extended:
+    """The sedan with a friction circle and these effects, SI; always the same ones, so that one program serves all."""
+    found = tuple(FoundParameter(name, p, values.get(name, 0.0)) for name, p in EFFECTS.items())
     car = build_car(dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=found))
     assert isinstance(car, Extended)
     return car
@@ -30,7 +32,7 @@ def extended(**values) -> Extended:
 
 @pytest.mark.parametrize(
     "values",
-    [{"load_transfer_long_h": 0.5}, {"friction_p": -0.1, "steer_offset_p": 0.03}, {"mass_p": 0.1, "aero_drag_c": 1.5}],
+    [{"load_transfer_long": 0.5}, {"friction": -0.1, "steer_offset": 0.03}, {"mass": 0.1, "aero_drag": 1.5}],
 )
 def test_the_extended_car_stands_still_where_it_is_found(values):
     car = extended(**values)
@@ -45,25 +47,23 @@ def test_less_friction_drifts_slower_and_an_offset_is_steered_against():
     nominal = eqx.filter_jit(lambda c: solve_nominal(c, FIXED, branch=Branch.COUNTERSTEER))(
         dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0).build()
     )
-    slower = steady(extended(friction_p=-0.1))
+    slower = steady(extended(friction=-0.1))
     assert float(slower.x.V) == pytest.approx(float(nominal.x.V) * np.sqrt(0.9), rel=1e-3)
-    turned = steady(extended(steer_offset_p=0.03))
+    turned = steady(extended(steer_offset=0.03))
     np.testing.assert_allclose([turned.u.delta, turned.u.Fxr], [nominal.u.delta - 0.03, nominal.u.Fxr], rtol=1e-6)
 
 
 def test_gradient_by_the_height_of_the_centre_of_mass_equals_central_differences():
-    car, h = extended(load_transfer_long_h=0.3), 1e-4
-    steer = eqx.filter_jit(
-        lambda size: solve_steady(car.at(car.theta * size), FIXED, branch=Branch.COUNTERSTEER).u.delta
-    )
+    car, h = extended(load_transfer_long=0.3), 1e-4
+    steer = lambda size: steady(car.at(car.theta * size)).u.delta
     one = jnp.asarray(1.0)
     difference = (steer(one + h) - steer(one - h)) / (2 * h)
-    np.testing.assert_allclose(jax.jit(jax.grad(steer))(one), difference, rtol=1e-5)
+    np.testing.assert_allclose(jax.grad(steer)(one), difference, rtol=1e-5)
     assert abs(difference) > 1e-3
 
 
 def test_no_nominal_drift_is_not_a_success():
-    out = solve_steady(extended(friction_p=-0.1), SlipRadius(0.45, 15.0), branch=Branch.COUNTERSTEER)
+    out = steady(extended(friction=-0.1), SlipRadius(0.45, 15.0))
     assert out.result == RESULTS.no_root
 
 
@@ -71,13 +71,14 @@ def test_the_map_of_an_extended_car_is_true(tmp_path):
     vehicle = dataclasses.asdict(load_vehicle("rc"))
     nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}
     path = tmp_path / "car.yaml"
-    path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"load_transfer_long": {"h": 0.03}}}))
-    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=3, ratio_min=0.8, ratio_max=1.0), tmp_path)
+    path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"friction": {"p": -0.08}}}))
+    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=2, ratio_min=0.7, ratio_max=0.95), tmp_path)
     with (tmp_path / "equilibria.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == numbers["steady_states"] >= 6 and numbers["worst_residual"] < 1e-9
+    assert len(rows) == numbers["steady_states"] >= 4 and numbers["worst_residual"] < 1e-9
     car = build_car(load_vehicle(path))
     for row in rows:
         V, beta, r, delta, Fxr = (jnp.asarray(float(row[key])) for key in ("V", "beta", "r", "delta", "Fxr"))
         assert np.abs(np.array(car(State(V, beta, r), Control(delta, Fxr)))).max() < 1e-6
-    assert {"grip", "countersteer"} <= {row["branch"] for row in rows}
+    # the nominal car drifts from a ratio of 0.97 on
+    assert {"grip", "countersteer"} <= {row["branch"] for row in rows} and numbers["unconfirmed"] == 0
