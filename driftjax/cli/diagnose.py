@@ -11,7 +11,7 @@ from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
 from driftjax.core import BadInput, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
-from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose
+from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
 from driftjax.diagnose.told import extended, gain_json, to_json
 from driftjax.diagnose.verdict import Judgement
@@ -73,13 +73,16 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
-        found = diagnose(vehicle, log, config, lambda text: report(text, STEPS.index(text), len(STEPS) - 1))
-        report("done", len(STEPS) - 1, len(STEPS) - 1)
-    if isinstance(found, Diagnosis):
-        content, judgement = to_json(found, log), found.judgement
+        step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
+        found = diagnose(vehicle, log, config, step)
+        step("show")
+        shown = what_is_wrong(found, log) if isinstance(found, Diagnosis) else None
+        step("done")
+    if isinstance(found, Diagnosis) and shown:
+        content, judgement = to_json(found, log, shown), found.judgement
         text = yaml.safe_dump(extended(found), sort_keys=False)
         write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
-        folder.write_dataset("diagnosis.nc", stored(found))
+        folder.write_dataset("diagnosis.nc", stored(found, shown))
     else:
         content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
     folder.write_json("diagnosis", content)

@@ -31,6 +31,8 @@ class DiagnoseConfig:
     0: none is, and no gain is measured."""
     without: tuple[str, ...] = ()
     """Effects left out of the catalogue."""
+    gp: bool = True
+    """Whether the gain is also measured of a GP, alone and beside the named effects."""
     seed: int = 0
     """Of the random signs of the test and of the resampling."""
 
@@ -65,7 +67,6 @@ class Diagnosis:
     judgement: Judgement
     proposal: Proposal | None
     gain: Gain | None  # None where there are too few runs to hold any out
-    show: Show
     config: DiagnoseConfig
 
 
@@ -102,9 +103,13 @@ def diagnose(
     proposal = propose(vehicle, task, found, named, judgement, config.seed)
     report("gain")
     gain = measure(task, tuple(run.name for run in log.runs), config)
-    report("show")
-    shown = show(vehicle, task, log.runs, found, gain.judged if gain else on_all(task, found), config.seed)
-    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, shown, config)
+    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
+
+
+def what_is_wrong(found: Diagnosis, log: Log) -> Show:
+    """Residual forces, parity, open-loop errors and all else that figures draw, of the `log` diagnosed."""
+    judged = found.gain.judged if found.gain else on_all(found.task, found.found)
+    return show(found.vehicle, found.task, log.runs, found.found, judged, found.config.seed)
 
 
 def nominal(task: Problem) -> Fit:
@@ -125,7 +130,7 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     tuned = refine(train, found.nominal, columns[task.asked[columns]])
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
     ahead = {name: predict(test, theta) for name, theta in thetas.items()}
-    for name, base in (("gp", "nominal"), ("extended_gp", "extended")):
+    for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
         ahead[name] = predict(test, thetas[base], learnt(train, thetas[base], config.seed))
     errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
     least = floor(test, found.fit.theta)

@@ -18,6 +18,7 @@ from driftjax.diagnose.score import information, partial_out
 from driftjax.diagnose.select import Selection
 from driftjax.diagnose.verdict import Judgement, Verdict, shown
 from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.effect import EFFECTS
 
 DURATION = 10.0  # of a proposed run [s]
 
@@ -44,7 +45,7 @@ def propose(
         return None
     rate = round(1 / task.data.dt)
     campaign = Campaign(tuple(MANOEUVRES), DURATION, rate, seed=seed)
-    runs, _ = record_runs(vehicle, found.fit.theta, campaign)
+    runs, _ = record_runs(vehicle, in_catalogue(task, found.fit.theta), campaign)
     if not runs:
         return None
     value = lambda H: _least_sure(task, found, named, H) if named else shown(task, found.scores.H + H)
@@ -55,6 +56,12 @@ def propose(
     what = "the least sure name's probability" if named else "the share of effects that would show"
     text = f"Drive '{best}' for {DURATION:g} s next: it should raise {what} from {now:.2f} to {each[best]:.2f}."
     return Proposal(best, DURATION, now, each[best], each, text)
+
+
+def in_catalogue(task: Problem, theta: np.ndarray) -> np.ndarray:
+    """`theta` of the problem's effects as parameters of the whole catalogue, others neutral."""
+    own = {effect.name: theta[task.columns((i,))] for i, effect in enumerate(task.effects)}
+    return np.concatenate([own.get(name, np.zeros(len(e.parameters))) for name, e in EFFECTS.items()])
 
 
 def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> list[np.ndarray]:

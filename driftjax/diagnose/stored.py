@@ -9,6 +9,7 @@ from driftjax.diagnose.binned import BINS
 from driftjax.diagnose.diagnosis import Diagnosis
 from driftjax.diagnose.gain import APART, root_mean
 from driftjax.diagnose.residual import FORCES
+from driftjax.diagnose.show import Show
 from driftjax.diagnose.smooth import inside
 
 PANELS = 3  # runs drawn in the fan at most
@@ -17,13 +18,13 @@ POINTS = 100  # of a curve over the horizon at most
 MODELS = ("nominal", "extended")
 
 
-def stored(found: Diagnosis) -> xr.Dataset:
+def stored(found: Diagnosis, shown: Show) -> xr.Dataset:
     """The dataset of `diagnosis.nc`, in single precision."""
-    shown = found.show
-    values = curves(found) | fan(found) | forces(found) | scored(found)
+    dt = found.task.data.dt
+    values = curves(shown, dt) | fan(shown, dt) | forces(shown) | scored(found, shown)
     values |= {
         "channel": np.array(MEASURED), "model": np.array(MODELS), "sigma": found.task.noise.sigma,
-        "lag_time": found.task.data.dt * np.arange(1, len(shown.white["nominal"].correlation) + 1),
+        "lag_time": dt * np.arange(1, len(shown.white["nominal"].correlation) + 1),
         "autocorrelation": np.stack([shown.white[name].correlation for name in MODELS]),
     }  # fmt: skip
     single = {name: a.astype(np.float32) if a.dtype.kind == "f" else a for name, a in values.items()}
@@ -39,9 +40,8 @@ def thinned(num: int) -> np.ndarray:
     return np.unique(np.linspace(0, num - 1, POINTS).round().astype(int))
 
 
-def curves(found: Diagnosis) -> dict[str, np.ndarray]:
+def curves(shown: Show, dt: float) -> dict[str, np.ndarray]:
     """Errors over the horizon."""
-    shown, dt = found.show, found.task.data.dt
     keep = thinned(len(shown.floor))
     rmse = [root_mean(one.error[:, :, keep] ** 2, (0, 1)) for one in shown.judged.ahead.values()]
     return {
@@ -50,9 +50,8 @@ def curves(found: Diagnosis) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def fan(found: Diagnosis) -> dict[str, np.ndarray]:
+def fan(shown: Show, dt: float) -> dict[str, np.ndarray]:
     """Predictions from some starts in the first runs beside what was measured."""
-    shown, dt = found.show, found.task.data.dt
     task, ahead = shown.judged.task, shown.judged.ahead
     first = np.unique(task.data.run, return_index=True)[1][:PANELS]  # the first piece of each run
     names = np.array([shown.names[number] for number in task.data.run[first].tolist()])
@@ -70,15 +69,15 @@ def fan(found: Diagnosis) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def forces(found: Diagnosis) -> dict[str, np.ndarray]:
+def forces(shown: Show) -> dict[str, np.ndarray]:
     """Residual forces in bins; bins left out are NaN."""
-    each = [found.show.residual[name] for name in MODELS]
+    each = [shown.residual[name] for name in MODELS]
     names = [name for name in each[0].over if all(name in one.over for one in each)]
     pad = lambda a: np.concatenate([a, np.full((BINS - len(a), *a.shape[1:]), np.nan)])
     column = lambda pick: np.array([[pick(one.over[name]) for name in names] for one in each])
     shape = (len(each), len(names), BINS)
     return {
-        "force": np.array(FORCES), "force_limit": found.show.limits, "driver": np.array(names),
+        "force": np.array(FORCES), "force_limit": shown.limits, "driver": np.array(names),
         "bin_value": column(lambda one: pad(one.value)).reshape(shape),
         "bin_mean": column(lambda one: pad(one.mean)).reshape(*shape, 3),
         "bin_error": column(lambda one: pad(one.error)).reshape(*shape, 3),
@@ -86,7 +85,7 @@ def forces(found: Diagnosis) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def scored(found: Diagnosis) -> dict[str, np.ndarray]:
+def scored(found: Diagnosis, shown: Show) -> dict[str, np.ndarray]:
     """Scores at the nominal car, and how alike the parameters' signatures are at the extended one."""
     task, members = found.task, [cause.effect for cause in found.causes]
     names = np.array([f"{effect.name}.{p.name}" for effect in task.effects for p in effect.parameters])
@@ -94,7 +93,7 @@ def scored(found: Diagnosis) -> dict[str, np.ndarray]:
     size = np.sqrt(np.maximum(np.diag(H), 0.0))
     cosine = np.divide(np.abs(H), size[:, None] * size, out=np.full(H.shape, np.nan), where=size[:, None] * size > 0)
     return {
-        "effect": np.array([effect.name for effect in task.effects]), "promise": found.show.scores.gain,
-        "parameter": names, "other": names, "score": found.show.scores.T,
+        "effect": np.array([effect.name for effect in task.effects]), "promise": shown.scores.gain,
+        "parameter": names, "other": names, "score": shown.scores.T,
         "named": np.isin(task.owner, members), "cosine": np.minimum(cosine, 1.0),
     }  # fmt: skip

@@ -9,11 +9,11 @@ from driftjax.data import Log
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.diagnosis import Diagnosis, Gain
 from driftjax.diagnose.score import covariance
-from driftjax.diagnose.show import show_json
+from driftjax.diagnose.show import Show, show_json
 from driftjax.diagnose.unknown import Unexplained
 
 
-def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
+def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, Any]:
     """`diagnosis.json`, schema version 1."""
     task, scale = found.task, np.asarray(found.task.model.scale)
     each = []
@@ -39,7 +39,7 @@ def to_json(found: Diagnosis, log: Log) -> dict[str, Any]:
         "unexplained": unexplained_json(found.left),
         "gain": gain_json(found.gain),
         "next_manoeuvre": found.proposal._asdict() if found.proposal else None,
-        "show": show_json(found.show, noise),
+        "show": None if shown is None else show_json(shown, noise),
         "data": {
             "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
             "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),

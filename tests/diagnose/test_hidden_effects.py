@@ -21,6 +21,7 @@ from experiments.hidden_effects.draw import Numbers, plan
 from experiments.hidden_effects.trial import examine
 
 NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, std=0, mb=0)
+GAIN = 4  # every so-many-th case measures the gain too, which takes as long again
 WHOLE = 6  # runs of a recording in which nothing spun
 
 
@@ -45,8 +46,8 @@ def sample():
     """Results of the sample by condition."""
     found: dict[str, list[judged.Result]] = {}
     print(f"DRIFTJAX_SEED={seed()}")
-    for case in plan(NUMBERS, ("sedan",), seed(), tuple(NAMES)):
-        result = examine(case, sedan(), driven(case), EFFECTS)
+    for i, case in enumerate(plan(NUMBERS, ("sedan",), seed(), tuple(NAMES))):
+        result = examine(case, sedan(), driven(case), EFFECTS, 0 if i % GAIN else 3)
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s")
         found.setdefault(case.condition, []).append(result)
     return found
@@ -81,7 +82,7 @@ def test_intervals_hold_the_truth(sample):
 def test_the_extended_car_predicts_better(sample):
     """The share of what the truth would remove, in the middle of all cases in which something was named."""
     shares = judged.shares(sample["single"] + sample["pair"])
-    assert np.median(shares) > 0.8, shares
+    assert len(shares) > 0 and np.median(shares) > 0.8, shares
 
 
 def test_the_naive_baseline_fails_where_the_diagnosis_does_not(sample):

@@ -1,0 +1,73 @@
+"""What the catalogue lacks: generic terms find the variable and the size; and what to drive next when names compete."""
+
+import functools
+
+import numpy as np
+import pytest
+from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+
+from driftjax.diagnose.evidence import Cause
+from driftjax.diagnose.fit import Problem, priced, problem
+from driftjax.diagnose.propose import in_catalogue, propose
+from driftjax.diagnose.select import Selection, tested
+from driftjax.diagnose.unknown import unexplained
+from driftjax.diagnose.verdict import Judgement, Verdict, judge
+from driftjax.vehicle.effect import EFFECTS as CATALOGUE
+from driftjax.vehicle.single_track import G
+
+
+@functools.cache
+def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
+    """Runs with an effect that the catalogue lacks, and a search that has named nothing."""
+    theta = hidden(**{name: size}) if size else hidden()
+    task = problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
+    fit = priced(task, np.zeros(len(ORDER)))
+    at, left = tested(task, fit, (), 0)
+    return task, Selection((), fit, at, left, {}, fit)
+
+
+def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
+    task, found = nominal_only("drive_gain", 2.5)
+    left = unexplained(task, found, 0)
+    gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical
+    assert left.found and list(left.drivers)[0] == "Fxr"
+    assert (left.term.channel, left.term.function, left.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
+    assert left.term.value == pytest.approx(gain * G, rel=0.15) and 0 < left.term.half_width < 0.3 * gain * G
+    told = judge(task, found, [], left, 36.0)
+    assert told.verdict == Verdict.UNKNOWN and "Fxr" in told.sentence and "rate of V" in told.sentence
+
+
+def test_an_effect_that_is_left_out_takes_no_part():
+    task, found = nominal_only("drive_gain", 2.5)
+    column = ORDER.index("drive_gain")
+    assert not task.asked[column] and task.asked.sum() == len(ORDER) - 1
+    assert found.scores.T[column] == 0 == found.scores.gain[column] and not found.scores.H[column].any()
+
+
+def test_nothing_is_left_of_a_car_without_effects():
+    left = unexplained(*nominal_only("drive_gain", 0.0), 0)
+    assert not left.found and left.p_value > 0.05
+
+
+def test_the_next_manoeuvre_should_tell_rivals_apart():
+    task, found = nominal_only("drive_gain", 0.0)
+    own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
+    fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
+    found = found._replace(members=(own,), fit=fit)
+    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0)
+    ask = lambda verdict: propose(sedan(), task, found, [cause], Judgement(verdict, ""), 0)
+    assert ask(Verdict.NAMED) is None
+    told = ask(Verdict.SET)
+    assert told is not None and told.now == pytest.approx(0.6) and told.now < told.after <= 1
+    assert told.after == max(told.others.values()) == told.others[told.manoeuvre] and told.manoeuvre in told.sentence
+    assert min(told.others.values()) < told.after  # coasting straight tells little of load transfer in a drift
+
+
+def test_parameters_keep_their_effects_in_the_whole_catalogue():
+    task, _ = nominal_only("drive_gain", 0.0)
+    theta = in_catalogue(task, np.arange(1.0, len(ORDER) + 1))
+    at = 0
+    for name, effect in CATALOGUE.items():
+        expected = ORDER.index(name) + 1 if name in ORDER else 0
+        np.testing.assert_array_equal(theta[at : at + len(effect.parameters)], expected)
+        at += len(effect.parameters)
