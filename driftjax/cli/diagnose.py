@@ -76,15 +76,15 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
         step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
         found = diagnose(vehicle, log, config, step)
         step("show")
-        shown = what_is_wrong(found, log) if isinstance(found, Diagnosis) else None
+        if isinstance(found, Judgement):
+            content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
+        else:
+            shown, judgement = what_is_wrong(found, log), found.judgement
+            content = to_json(found, log, shown)
+            text = yaml.safe_dump(extended(found), sort_keys=False)
+            write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
+            folder.write_dataset("diagnosis.nc", stored(found, shown))
         step("done")
-    if isinstance(found, Diagnosis) and shown:
-        content, judgement = to_json(found, log, shown), found.judgement
-        text = yaml.safe_dump(extended(found), sort_keys=False)
-        write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
-        folder.write_dataset("diagnosis.nc", stored(found, shown))
-    else:
-        content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
     folder.write_json("diagnosis", content)
     content = folder.read_json("diagnosis")  # as a report reads it later
     print(f"\n{judgement.verdict}: {judgement.sentence}\n")
