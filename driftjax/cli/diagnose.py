@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import tyro
 import yaml
 
+from driftjax.cli.closed_loop import Course, closed_loop, load_course
 from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
 from driftjax.core import BadInput, write_atomically
@@ -15,7 +16,7 @@ from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, wha
 from driftjax.diagnose.stored import stored
 from driftjax.diagnose.told import extended, gain_json, to_json
 from driftjax.diagnose.verdict import Judgement
-from driftjax.report import gain_table, parity_words, write_diagnosis
+from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.vehicle import VehicleConfig, load_vehicle
 
 STEPS = ("noise and nominal car", "naming", "gain", "show", "done")
@@ -37,6 +38,9 @@ class Diagnose:
     drive: Path | None = None
     """truth.yaml of a simulated car: the manoeuvre proposed is driven on it, and the diagnosis made again with that run
     in the folder `next`."""
+    closed_loop: Path | None = None
+    """Plant: the truth.yaml of a simulated car, a plant YAML or a shipped plant. The corner of `driftjax learn` is
+    driven on it with the nominal and with the extended car as the MPC's model, four laps each; for a sedan or rc."""
     out: Path | None = None
     """Output folder; runs/diagnose-CAR-TIME where left out."""
 
@@ -49,27 +53,31 @@ def run(argv: list[str]) -> int:
         vehicle = vehicle.with_slip(asked.combined_slip)
     if vehicle.effects:
         raise BadInput(f"{asked.vehicle}: key 'effects': a diagnosis starts from a nominal car; leave the effects out.")
+    course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
     log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "options": dataclasses.asdict(asked.options)}
+    options |= {"closed_loop": course.name if course else None}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     def both() -> int:
-        found = work(vehicle, log, asked.options, folder)
+        found = work(vehicle, log, asked.options, folder, course)
         if asked.drive and isinstance(found, Diagnosis) and found.proposal:
             more = folder.path / "next.csv"
             drive_again(asked.drive, found.proposal.manoeuvre, more)
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
-            work(vehicle, read_log((*asked.logs, more)), asked.options, again)
+            work(vehicle, read_log((*asked.logs, more)), asked.options, again, course)
         return 0
 
     return within(folder, both)
 
 
-def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder) -> Diagnosis | Judgement:
-    """The diagnosis into `folder` and onto the screen."""
+def work(
+    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, course: Course | None
+) -> Diagnosis | Judgement:
+    """The diagnosis into `folder` and onto the screen, with the laps on `course`."""
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
@@ -85,16 +93,25 @@ def work(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFo
             write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
             folder.write_dataset("diagnosis.nc", stored(found, shown))
         step("done")
-    folder.write_json("diagnosis", content)
-    content = folder.read_json("diagnosis")  # as a report reads it later
+    content = _kept(folder, content | {"closed_loop": None})
     print(f"\n{judgement.verdict}: {judgement.sentence}\n")
     if isinstance(found, Diagnosis) and found.proposal:
         print(found.proposal.sentence + "\n")
     if isinstance(found, Diagnosis):
         print(f"{content['show']['worst']}\n{parity_words(content['show']['kinematic_parity'])}\n")
         print(gain_table(content["gain"]))
+    if course and isinstance(found, Diagnosis):
+        print(f"closed loop: driving on {course.name}", flush=True)
+        driven = closed_loop(course, load_vehicle(folder.path / "extended.yaml"))
+        print(closed_loop_table(_kept(folder, content | {"closed_loop": driven})["closed_loop"]))
     print(f"report: {write_diagnosis(folder)}")
     return found
+
+
+def _kept(folder: RunFolder, content: dict[str, Any]) -> dict[str, Any]:
+    """`diagnosis.json` with this content, as a report reads it later."""
+    folder.write_json("diagnosis", content)
+    return folder.read_json("diagnosis")
 
 
 def _bare(sentence: str, verdict: str, log: Log, config: DiagnoseConfig) -> dict[str, Any]:

@@ -134,16 +134,24 @@ def described(truth: Truth, vehicle: VehicleConfig, typed_in: Simulate) -> dict:
 
 def drive_again(truth: Path, manoeuvre: str, path: Path) -> None:
     """One more run, of `manoeuvre`, on the car that `truth` describes, into a log at `path`; with a seed of its own."""
+    vehicle, theta, before = read_truth(truth)
+    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + 2**20)
+    runs, _ = record_runs(vehicle, theta, campaign)
+    if not runs:
+        raise BadInput(f"{truth}: the car spun or came to a stop in every draw of '{manoeuvre}'.")
+    write_log(path, runs)
+
+
+def read_truth(truth: Path) -> tuple[VehicleConfig, np.ndarray, Campaign]:
+    """The car that `truth` describes, its effects (whole catalogue, in typical sizes) apart, and what was driven."""
     told = read_yaml(truth)
     missing = [key for key in ("vehicle", "combined_slip", "effects", "campaign") if key not in told]
     if missing:
         raise BadInput(f"{truth}: key '{missing[0]}' is missing; give the truth.yaml that `driftjax simulate` wrote.")
+    effects = told["effects"]
+    if not (isinstance(effects, dict) and all(isinstance(values, dict) for values in effects.values())):
+        raise BadInput(f"{truth}: key 'effects' is {effects!r}; it needs effects with their parameters.")
     vehicle = load_vehicle(told["vehicle"]).with_slip(told["combined_slip"])
     vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theirs are among those told
-    words = [f"{name}.{key}={value!r}" for name, values in told["effects"].items() for key, value in values.items()]
-    before = from_dict(Campaign, told["campaign"], str(truth))
-    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + 2**20)
-    runs, _ = record_runs(vehicle, strengths(vehicle, tuple(words)), campaign)
-    if not runs:
-        raise BadInput(f"{truth}: the car spun or came to a stop in every draw of '{manoeuvre}'.")
-    write_log(path, runs)
+    words = [f"{name}.{key}={value!r}" for name, values in effects.items() for key, value in values.items()]
+    return vehicle, strengths(vehicle, tuple(words)), from_dict(Campaign, told["campaign"], str(truth))

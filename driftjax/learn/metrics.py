@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from scipy.special import stdtrit
 
 from driftjax.control.table import ReferenceTable
 from driftjax.sim import LapCode, Trace
@@ -31,7 +32,8 @@ def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, 
     so that failing early never looks good.
     """
     inside = (trace.s >= table.drift_start) & (trace.s <= table.drift_end) & trace.alive
-    ds = jnp.where(inside, jnp.maximum(jnp.diff(trace.s, append=trace.s[-1:]), 0.0), 0.0)
+    ds = jnp.diff(trace.s, append=trace.s[-1:])
+    ds = jnp.where(inside & jnp.isfinite(ds), jnp.maximum(ds, 0.0), 0.0)  # a lap may end in numbers that are not
     length = table.drift_end - table.drift_start
     driven = jnp.minimum(jnp.sum(ds), length)
     completed = code == int(LapCode.COMPLETED)
@@ -66,3 +68,13 @@ def reduction(before: np.ndarray, after: np.ndarray, seed: int = 0) -> dict[str,
     draws = np.random.default_rng(seed).integers(0, len(before), (RESAMPLES, len(before)))
     low, high = np.percentile(share(before[draws], after[draws]), [2.5, 97.5])
     return {"value": float(share(before, after)), "ci95": [float(low), float(high)]}
+
+
+def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+    """Mean of `after` less `before` over pairs, with its 95 % interval by Student's t; none of a single pair."""
+    apart = np.asarray(after, float) - np.asarray(before, float)
+    num = len(apart)
+    if num < 2:
+        return {"mean": float(apart.mean()) if num else None, "ci95": [None, None], "pairs": num}
+    half = float(stdtrit(num - 1, 0.975)) * apart.std(ddof=1) / np.sqrt(num)
+    return {"mean": float(apart.mean()), "ci95": [float(apart.mean() - half), float(apart.mean() + half)], "pairs": num}

@@ -17,12 +17,12 @@ from driftjax.equilibrium import Branch, SlipRadius, solve_steady
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
+from driftjax.sim import AnyPlant
 from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.solve import Options
 from driftjax.track import Track, load_track
 from driftjax.vehicle import (
     AnyCar,
-    DoubleTrack,
     Residual,
     VehicleConfig,
     build_car,
@@ -58,7 +58,7 @@ class Scenario:
     x_eq: State  # nominal drift equilibrium of the corner
     u_eq: Control
     lanes: tuple[Lane, ...]
-    plants: DoubleTrack  # one per lane
+    plants: AnyPlant  # one per lane
     keys: Array  # noise key of each lane
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
@@ -75,9 +75,12 @@ class Scenario:
         return jax.tree.map(repeat, tree)
 
 
-def build(config: LearnConfig, blocks: Blocks) -> Scenario:
-    """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit."""
-    vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip)
+def build(config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = None) -> Scenario:
+    """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit.
+
+    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
+    """
+    vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
     lap = plan(track, vehicle, load_plan_config(config.plan))
     if not bool(lap.result == RESULTS.successful):

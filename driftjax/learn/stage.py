@@ -10,9 +10,8 @@ from driftjax.control.driver import Driver, decide
 from driftjax.control.table import ReferenceTable
 from driftjax.learn.metrics import LapFigures, lap_figures
 from driftjax.learn.scenario import Scenario
-from driftjax.sim import LapCode, LapConfig, Laps, Trace, drive
+from driftjax.sim import AnyPlant, LapCode, LapConfig, Laps, Trace, drive
 from driftjax.sim.sensors import SensorConfig
-from driftjax.vehicle import DoubleTrack
 
 MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
 
@@ -27,7 +26,7 @@ class Stage(eqx.Module):
 
 
 def drive_lanes(
-    lanes: tuple[Driver, DoubleTrack, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
+    lanes: tuple[Driver, AnyPlant, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
 ) -> tuple[Trace, Array, Array, LapFigures]:
     """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
     drivers, plants, speed, keys = lanes

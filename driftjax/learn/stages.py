@@ -66,9 +66,15 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
         planned = _nominal_reference(scenario, untaught)
         stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
         return progress, _data(scenario, stage, "mpc", residual, planned=planned)
-    planned = _nominal_reference(scenario, untaught)
-    stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, untaught), number)
+    stage, planned = drive_nominal(scenario, number)
     return remember(scenario, progress, stage, None, number), _data(scenario, stage, "mpc", untaught, planned=planned)
+
+
+def drive_nominal(scenario: Scenario, number: int) -> tuple[Stage, Planned]:
+    """One lap of every lane by the drift MPC before anything is learnt, and the reference that it tracked."""
+    untaught = scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
+    planned = _nominal_reference(scenario, untaught)
+    return run_stage(scenario, drivers(scenario, "mpc", planned.table, untaught), number), planned
 
 
 def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:

@@ -12,6 +12,7 @@ from driftjax.report.html import document, folded, heading, paragraph, picture, 
 from driftjax.report.predictions import error_over_horizon, fan
 from driftjax.report.residuals import residual_forces, whiteness
 from driftjax.report.style import save
+from driftjax.report.table import aligned, interval, number
 
 TITLES = {
     "fan": ("Predictions beside the measurement", "Predictions start from the observer's state at the dots and then "
@@ -28,6 +29,9 @@ TITLES = {
     "confusability": ("Which effects look alike in these data", "Labels of named effects are red."),
     "whiteness": ("Whiteness before and after", "Innovations of a right model are not correlated in time."),
 }  # fmt: skip
+
+
+CLOSED_LOOP = ("lateral_error", "velocity_rmse", "drift_share")  # columns of its table
 
 
 def figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
@@ -61,6 +65,8 @@ def _html(run: RunFolder, pictures: list[Path]) -> str:
     if shown:
         parts += [paragraph(shown["worst"]), paragraph(parity_words(shown["kinematic_parity"]))]
         parts += [heading("Gain"), text(gain_table(found["gain"])), text(show_table(shown))]
+    if found.get("closed_loop"):
+        parts += [heading("Closed loop"), text(closed_loop_table(found["closed_loop"]))]
     parts += [picture(path, *TITLES[path.stem]) for path in pictures]
     if found.get("next_manoeuvre"):
         parts.append(folded("Next manoeuvre", found["next_manoeuvre"]))
@@ -97,6 +103,30 @@ def gain_table(gain: dict[str, Any]) -> str:
 def cell(value: float | None, width: int) -> str:
     """A number of the table, a dash where there is none."""
     return f"{'-':>{width}}" if value is None or value != value else f"{value:{width}.4f}"
+
+
+def closed_loop_table(driven: dict[str, Any]) -> str:
+    """Laps of the same corner on one plant with each model in the MPC, and how they differ, seed by seed."""
+    lines = [
+        f"closed loop: the {driven['corner']} corner on {driven['plant']}, path-tracking drift MPC before any learning"
+    ]
+    rows: list[tuple[str, ...]] = [
+        ("model", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed", "failures")
+    ]
+    for name, laps in driven["models"].items():
+        if "not_driven" in laps:
+            lines.append(f"{name}: not driven; {laps['not_driven']}")
+            continue
+        failed = [code.lower().replace("_", " ") for code in laps["codes"] if code != "COMPLETED"]
+        done, of = laps["completed"]
+        means = (number(laps[key]["mean"], ".3f") for key in CLOSED_LOOP)
+        rows.append((name, *means, f"{done}/{of}", ", ".join(failed) or "none"))
+    if driven["difference"]:
+        apart = (interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
+        rows.append(("extended less nominal", *apart, "", ""))
+    lines += aligned(rows)
+    lines.append("Errors are against each model's own plan. In brackets: 95 % interval over seeds of the sensor noise.")
+    return "\n".join(lines) + "\n"
 
 
 def show_table(shown: dict[str, Any]) -> str:

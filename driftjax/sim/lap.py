@@ -12,8 +12,10 @@ from jax import Array
 
 from driftjax.core import Control, as_float, require
 from driftjax.sim.sensors import SensorConfig, measure
+from driftjax.sim.travel import Travel
+from driftjax.sim.universal_plant import AnyPlant
 from driftjax.track import Track
-from driftjax.vehicle import DoubleTrack, PlantState
+from driftjax.vehicle import PlantState
 
 
 class LapCode(IntEnum):
@@ -92,7 +94,7 @@ class Laps(eqx.Module):
 
 
 class _Carry(NamedTuple):
-    plant: PlantState
+    plant: PlantState | Travel
     command: Control
     s: Array
     true_s: Array
@@ -113,7 +115,7 @@ def keep_where(flag: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(flag.reshape(flag.shape + (1,) * (a.ndim - 1)), a, b), new, old)
 
 
-def _judge(plant: DoubleTrack, state: PlantState, command: Control, path: Track, s: Array, config: LapConfig):
+def _judge(plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, config: LapConfig):
     """True arc length, offset, motion and lap code of one lane after a step."""
     motion = plant.motion(state, command)
     s, e = path.project(motion.x, motion.y, s)
@@ -126,7 +128,7 @@ def _judge(plant: DoubleTrack, state: PlantState, command: Control, path: Track,
 
 
 def drive(
-    plants: DoubleTrack,
+    plants: AnyPlant,
     paths: Track,
     speed: Array,
     policy: Policy,
@@ -151,7 +153,7 @@ def drive(
 
     def sense(plant, state, command, path, s, key):
         motion = plant.motion(state, command)
-        m = measure(motion, sensors, key=key)
+        m = measure(plant.told(state, motion), sensors, key=key)
         s, e = path.project(m.x, m.y, s)
         return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
 

@@ -13,9 +13,9 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.core.integrate import heun_step
-from driftjax.sim.rollout import SETTLE, Felt, advance, settled
-from driftjax.vehicle.effect.flow import Aux, Place, enter, heat_rate
+from driftjax.sim.rollout import SETTLE, settled
+from driftjax.sim.travel import Travel, travel
+from driftjax.vehicle.effect.flow import Aux, Place, enter
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
 
@@ -51,16 +51,10 @@ class Recording(NamedTuple):
 
 
 class _Now(NamedTuple):
-    x: State
-    felt: Felt
-    memory: tuple
-    place: Place
-    position: Array
+    car: Travel
     seen: Array  # filtered measurement
     command: Array
     push: Array
-    distance: Array
-    rate: State  # of the state
 
 
 def limits(vehicle: VehicleConfig, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -104,40 +98,25 @@ def record(
         return plant.act(memory, Control(u0[0], u0[1]), first.V, h)
 
     memory, held = jax.lax.scan(warm, plant.start(h), length=round(SETTLE / h))
-    zero = jnp.zeros(())
-    place = Place(zero, zero, zero, zero)
-    felt = settled(plant, first, jax.tree.map(lambda a: a[-1], held), place)
-    start = _Now(
-        first, felt, memory, place, jnp.zeros(2), manoeuvre.x_ref[0], u0, jnp.zeros(3), zero, State(zero, zero, zero)
-    )
-
-    def fine(now: _Now, u: Control) -> _Now:
-        memory, reached = plant.act(now.memory, u, now.x.V, h)
-        x, felt = advance(plant, now.x, now.felt, reached, now.place, jnp.asarray(h), State(*now.push), heun_step)
-        course = now.place.psi + now.x.beta
-        distance = now.distance + h * now.x.V
-        place = Place(
-            now.place.t + h, now.place.psi + h * (now.x.r + x.r) / 2, (distance / manoeuvre.lap) % 1.0,
-            now.place.heat + h * heat_rate(nominal, now.x),
-        )  # fmt: skip
-        position = now.position + h * now.x.V * jnp.stack([jnp.cos(course), jnp.sin(course)])
-        rate = jax.tree.map(lambda a, b: (b - a) / h, now.x, x)
-        return _Now(x, felt, memory, place, position, now.seen, now.command, now.push, distance, rate)
+    zero, reached = jnp.zeros(()), jax.tree.map(lambda a: a[-1], held)
+    place, still = Place(zero, zero, zero, zero), State(zero, zero, zero)
+    car = Travel(first, settled(plant, first, reached, place), memory, place, jnp.zeros(2), zero, still, reached)
+    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3))
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row
-        y = jnp.stack(plant.sense(now.x, now.rate)) + noise
+        car = now.car
+        y = jnp.stack(plant.sense(car.x, car.rate)) + noise
         seen = now.seen + smooth * (y - now.seen)
         command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - rate, now.command + rate)
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
         push = left * now.push + jnp.sqrt(1 - left**2) * kick
-        a = specific_force(plant, now.x, now.rate, Control(now.command[0], now.command[1]), now.place)
-        row = Recording(y, command, now.place, jnp.stack(now.x), now.position, a)
-        now = now._replace(seen=seen, command=command, push=push)
+        a = specific_force(plant, car.x, car.rate, Control(now.command[0], now.command[1]), car.place)
+        row = Recording(y, command, car.place, jnp.stack(car.x), car.position, a)
         u = Control(command[0], command[1])
-        now = jax.lax.fori_loop(0, substeps, lambda _, n: fine(n, u), now)
-        return now, row
+        fine = lambda _, c: travel(plant, nominal, manoeuvre.lap, c, u, jnp.asarray(h), State(*push))
+        return _Now(jax.lax.fori_loop(0, substeps, fine, car), seen, command, push), row
 
     T = len(manoeuvre.x_ref)
     measured, driven = jax.random.split(key)

@@ -154,3 +154,8 @@ class DoubleTrack(eqx.Module):
         beta = jnp.arctan2(state.vy, jnp.where(V < 2e-6, 1e-6, state.vx))  # atan2(0, 0) has no gradient
         return Motion(V, beta, state.r, state.x, state.y, state.psi, force.ax, force.ay, state.delta, force.drive,
                       state.omega)  # fmt: skip
+
+    def told(self, state: PlantState, motion: Motion) -> Motion:
+        """`motion` as the car's sensors tell it, noise apart: as it is."""
+        del state
+        return motion

@@ -59,7 +59,7 @@ class Universal(eqx.Module):
         """Memory of the actuators at rest, for steps of `dt` [s]."""
         return tuple(effect.start(dt) for effect in self.effects if effect.station == "command")
 
-    def act(self, memory: tuple, u: Control, V: Array, dt: float) -> tuple[tuple, Control]:
+    def act(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
         """What the actuators make of command `u` held over one step `dt` [s] at speed `V` (its mean), and memory."""
         values, new = self.values(), []
         commands = [effect for effect in self.effects if effect.station == "command"]

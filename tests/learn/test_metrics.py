@@ -6,7 +6,7 @@ import pytest
 
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control
-from driftjax.learn.metrics import interval, lap_figures, reduction
+from driftjax.learn.metrics import difference, interval, lap_figures, reduction
 from driftjax.sim import LapCode, Sensed, Trace
 
 START, END, LOST = 10.0, 30.0, 8.0
@@ -98,3 +98,20 @@ def test_the_reduction_is_that_of_the_means_and_paired():
     assert mixed["ci95"][1] > mixed["value"]
     assert reduction(np.array([2.0]), np.array([1.0])) == {"value": 50.0, "ci95": [None, None]}
     assert reduction(before, 2 * before)["value"] == pytest.approx(-100.0)
+
+
+def test_a_lap_that_ends_in_numbers_that_are_not_counts_up_to_there():
+    s = np.where(S <= 20, S, np.nan)
+    found = figures(lap(s, 1.0, -0.5, 1.0, 9.0, S <= 20), LapCode.NON_FINITE)
+    assert float(found.lateral_error) == pytest.approx((1.0 * 10 + LOST * 10) / 20)
+    assert all(np.isfinite(value) for value in found)
+
+
+def test_paired_differences_have_the_interval_of_student():
+    before, apart = np.array([5.0, 9.0, 2.0, 7.0]), np.array([-1.0, -2.0, -1.5, -0.5])
+    found = difference(before, before + apart)
+    half = 3.18245 * apart.std(ddof=1) / 2  # the 97.5 % quantile of Student's t with three degrees of freedom
+    assert found["mean"] == pytest.approx(-1.25) and found["pairs"] == 4
+    np.testing.assert_allclose(found["ci95"], [-1.25 - half, -1.25 + half], rtol=1e-5)
+    assert difference(before[:1], before[:1] + 1) == {"mean": 1.0, "ci95": [None, None], "pairs": 1}
+    assert difference(before[:0], before[:0]) == {"mean": None, "ci95": [None, None], "pairs": 0}

@@ -10,7 +10,7 @@ from matplotlib.patches import Rectangle
 
 from driftjax.cli import main
 from driftjax.data import DIAGNOSIS, RunFolder
-from driftjax.report import gain_table, run_line, write_diagnosis
+from driftjax.report import closed_loop_table, gain_table, run_line, write_diagnosis
 from driftjax.report.diagnosis import TITLES, figures
 from driftjax.report.evidence import PLAIN, confusability, scores
 from driftjax.report.predictions import error_over_horizon, fan
@@ -107,3 +107,28 @@ def test_numbers_that_are_missing_are_dashes():
     text = gain_table({"held_out_runs": ["a"], "horizons_s": [0.01, 1.0], "rmse": {"nominal": one, "extended": one},
                        "skill": {"extended": None}, "ci95": {"extended": [None, None]}})  # fmt: skip
     assert len(re.findall(r"\s-(?=\s)", text)) == 4 and "nan" not in text and "None" not in text
+
+
+def laps(*codes: str, **means: float | None) -> dict:
+    done = sum(code == "COMPLETED" for code in codes)
+    each = {name: {"mean": value, "per_seed": [value] * len(codes)} for name, value in means.items()}
+    return {"completed": [done, len(codes)], "codes": list(codes)} | each
+
+
+def test_closed_loop_is_told_per_model_with_what_failed(run):
+    good = laps("COMPLETED", "COMPLETED", lateral_error=0.08, velocity_rmse=0.4, drift_share=0.7)
+    bad = laps("SPUN", "OFF_TRACK", lateral_error=6.0, velocity_rmse=None, drift_share=0.1)
+    apart = {"mean": -5.92, "ci95": [-6.5, -5.25], "pairs": 2}
+    none = {"mean": None, "ci95": [None, None], "pairs": 0}
+    driven = {"plant": "truth.yaml", "corner": "sedan", "controller": "path",
+              "models": {"nominal": bad, "extended": good},
+              "difference": {"lateral_error": apart, "velocity_rmse": none, "drift_share": apart}}  # fmt: skip
+    words = closed_loop_table(driven)
+    nominal, extended, less = words.splitlines()[3:6]
+    assert "6.000" in nominal and "0/2" in nominal and "spun, off track" in nominal and " - " in nominal
+    assert "0.080" in extended and "2/2" in extended and "none" in extended
+    assert "-5.920 [-6.500, -5.250]" in less
+    driven |= {"models": {"nominal": good, "extended": {"not_driven": "no plan was found."}}, "difference": None}
+    assert "extended: not driven; no plan was found." in closed_loop_table(driven)
+    run.write_json("diagnosis", run.read_json("diagnosis") | {"closed_loop": driven})
+    assert "Closed loop" in write_diagnosis(run).read_text()

@@ -1,0 +1,82 @@
+"""A plant with effects of the catalogue: the car that `driftjax simulate` describes, to be driven round a track."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from driftjax.core import Control, State, as_float
+from driftjax.sim.record import specific_force
+from driftjax.sim.rollout import settled
+from driftjax.sim.travel import Travel, travel
+from driftjax.vehicle import DoubleTrack, Motion, SingleTrack, VehicleConfig
+from driftjax.vehicle.effect import EFFECTS, Place, effects_named
+from driftjax.vehicle.universal import Universal, base_car
+
+
+class UniversalPlant(eqx.Module):
+    """The `Universal` car as a plant in place of a `DoubleTrack`: pose, actuators, tyres and body, sensors.
+
+    A leading axis on each leaf is a batch. It has the effects it is given and no limits beyond them: commands are
+    taken to be within those of the car.
+    """
+
+    nominal: SingleTrack
+    names: tuple[str, ...] = eqx.field(static=True)  # of the effects; names, so that a compiled program can be kept
+    scale: Float[Array, " K"]  # typical size of each parameter, SI
+    theta: Float[Array, " K"]  # parameters in typical sizes, in the catalogue's order
+    lap: Array = eqx.field(converter=as_float)  # length of one lap, for the position along it [m]
+    step: float = eqx.field(static=True)  # shortest substep that the memory of the actuators has room for [s]
+
+    @property
+    def universal(self) -> Universal:
+        """The whole pipeline of this car."""
+        return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
+
+    def rolling(self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0) -> Travel:
+        """Straight ahead at speed `V` [m/s] with actuators at rest, at the begin of a lap."""
+        model, V = self.universal, as_float(V)
+        zero = jnp.zeros_like(V)
+        state, idle = State(V, zero, zero), Control(zero, zero)
+        place = Place(zero, as_float(psi), zero, zero)
+        felt = settled(model, state, idle, place)
+        position = jnp.stack([as_float(x), as_float(y)])
+        still = State(zero, zero, zero)
+        return Travel(state, felt, model.start(self.step), place, position, zero, still, idle)
+
+    def advance(self, state: Travel, command: Control, dt: ArrayLike, num_substeps: int) -> Travel:
+        """State after `dt` [s] of held `command`, in `num_substeps` equal steps, none shorter than `step`."""
+        model, h = self.universal, as_float(dt) / num_substeps
+        fine = lambda now, _: (travel(model, self.nominal, self.lap, now, command, h), None)
+        return jax.lax.scan(fine, state, length=num_substeps)[0]
+
+    def motion(self, state: Travel, command: Control) -> Motion:
+        """What ideal sensors would see in `state`; this car has no wheels that spin, so their speeds are NaN."""
+        del command
+        x, acting = state.x, state.acting
+        (px, py), psi = state.position, state.place.psi
+        ax, ay = specific_force(self.universal, x, state.rate, acting, state.place)
+        return Motion(x.V, x.beta, x.r, px, py, psi, ax, ay, acting.delta, acting.Fxr, jnp.full(4, jnp.nan))
+
+    def told(self, state: Travel, motion: Motion) -> Motion:
+        """`motion` as the car's own sensors tell it, noise apart; position and heading are told as they are."""
+        return motion._replace(**self.universal.sense(state.x, state.rate)._asdict())
+
+
+AnyPlant = DoubleTrack | UniversalPlant
+
+
+def plant_of(vehicle: VehicleConfig, theta: np.ndarray, lap: float, step: float) -> UniversalPlant:
+    """The nominal car of `vehicle` with the effects of the whole catalogue at `theta` (typical sizes), as a plant.
+
+    Effects at 0 are left out, which changes nothing but the size of the program.
+    """
+    each = [(effect.name, p.scale(vehicle)) for effect in EFFECTS.values() for p in effect.parameters]
+    active = {name for (name, _), strength in zip(each, theta, strict=True) if strength}
+    kept = np.array([name in active for name, _ in each])
+    names = tuple(name for name in EFFECTS if name in active)
+    scale = np.array([scale for _, scale in each])
+    return UniversalPlant(vehicle.build(), names, jnp.asarray(scale[kept]), jnp.asarray(theta[kept]), lap, step)
