@@ -99,7 +99,7 @@ def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
     best = int(np.argmax(np.where(own, U**2 / np.where(own, np.diag(F), 1.0), 0.0)))
     channel = MEASURED[best % len(MEASURED)]
     size, unit = _unit(task.model)[best % len(MEASURED)], UNITS[best % len(MEASURED)]
-    value, width = U[best] / F[best, best], 1.96 * np.abs(U[best] / F[best, best] / T[K + best])
+    value, width = U[best] / F[best, best], 1.96 / np.sqrt(F[best, best])
     term = Term(channel, written[best], float(value * size), float(width * size), unit)
     order = dict(sorted(drivers.items(), key=lambda item: -item[1]))
     return Unexplained(float(p_value), float(U[best] ** 2 / F[best, best]), order, term)
