@@ -60,15 +60,21 @@ def stages_of(run: RunFolder) -> dict[str, list[str]]:
     return {kind: names for kind, names in found.items() if names}
 
 
+def _badness(lap: Lap) -> tuple[bool, float]:
+    return not lap.completed, lap.lateral_error if np.isfinite(lap.lateral_error) else np.inf
+
+
 def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
-    """Laps of each kind of stage: of every plant and seed the one with the least lateral error."""
+    """Laps of each kind of stage: of every plant and seed the completed one with the least lateral error.
+
+    Where none was completed, the one with the least error of those that failed.
+    """
     best: dict[str, list[Lap]] = {}
     for kind, names in stages_of(run).items():
         chosen: dict[tuple[str, int], Lap] = {}
         for lap in (lap for name in names for lap in laps_of(run.read_stage(name), controller) if lap["s"].size):
             other = chosen.setdefault((lap.plant, lap.seed), lap)
-            if not lap.lateral_error >= other.lateral_error:
-                chosen[lap.plant, lap.seed] = lap
+            chosen[lap.plant, lap.seed] = min(other, lap, key=_badness)
         if chosen:
             best[kind] = list(chosen.values())
     return best
