@@ -14,13 +14,13 @@ from driftjax.learn.metrics import difference
 from driftjax.learn.scenario import Scenario, build
 from driftjax.learn.stage import Stage
 from driftjax.learn.stages import drive_nominal
+from driftjax.report import CLOSED_LOOP
 from driftjax.sim import AnyPlant, LapCode, plant_of
 from driftjax.track import load_track
 from driftjax.vehicle import PlantConfig, VehicleConfig, load_plant
 
 CARS = ("sedan", "rc")  # with shipped settings of `driftjax learn`
 SEEDS = 4  # of the sensor noise, the same for each model
-FIGURES = ("lateral_error", "velocity_rmse", "drift_share")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +91,7 @@ def figures(stage: Stage) -> dict[str, Any]:
     """
     codes, found = np.asarray(stage.laps.code), stage.figures
     done = np.asarray(found.completed)
-    each = {name: np.asarray(getattr(found, name), float) for name in FIGURES}
+    each = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
     each["velocity_rmse"] = np.where(done, each["velocity_rmse"], np.nan)
     means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in each.items()}
     return {

@@ -14,7 +14,7 @@ from driftjax.core import BadInput, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
-from driftjax.diagnose.told import extended, gain_json, to_json
+from driftjax.diagnose.told import bare_json, extended, to_json
 from driftjax.diagnose.verdict import Judgement
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -85,7 +85,7 @@ def work(
         found = diagnose(vehicle, log, config, step)
         step("show")
         if isinstance(found, Judgement):
-            content, judgement = _bare(found.sentence, str(found.verdict), log, config), found
+            content, judgement = bare_json(found, log, config.seed), found
         else:
             shown, judgement = what_is_wrong(found, log), found.judgement
             content = to_json(found, log, shown)
@@ -93,7 +93,7 @@ def work(
             write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
             folder.write_dataset("diagnosis.nc", stored(found, shown))
         step("done")
-    content = _kept(folder, content | {"closed_loop": None})
+    content = _kept(folder, content)
     print(f"\n{judgement.verdict}: {judgement.sentence}\n")
     if isinstance(found, Diagnosis) and found.proposal:
         print(found.proposal.sentence + "\n")
@@ -112,13 +112,3 @@ def _kept(folder: RunFolder, content: dict[str, Any]) -> dict[str, Any]:
     """`diagnosis.json` with this content, as a report reads it later."""
     folder.write_json("diagnosis", content)
     return folder.read_json("diagnosis")
-
-
-def _bare(sentence: str, verdict: str, log: Log, config: DiagnoseConfig) -> dict[str, Any]:
-    """`diagnosis.json` of data that say nothing."""
-    data = {"sha256": log.sha256, "rows": log.rows, "notes": list(log.notes), "noise_sigma": {}}
-    return {
-        "schema": 1, "verdict": verdict, "sentence": sentence, "causes": [],
-        "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(None),
-        "next_manoeuvre": None, "show": None, "data": data, "seed": config.seed,
-    }  # fmt: skip

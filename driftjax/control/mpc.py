@@ -11,7 +11,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_step
 from driftjax.solve import AbstractOCP, Options, Plan, solve
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import AnyCar, Residual, VehicleConfig, build_car
+from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, build_car
 
 INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is finite there
 
@@ -152,8 +152,8 @@ class DriftOCP(AbstractOCP):
         """Tracking of this state, change of the input, front slip beyond the peak."""
         change = (u - x[5:7]) * self.u_scale
         y = x[:3] * self.x_scale[:3]
-        alpha_f, _ = self.nominal.slip_angles(State(y[0], y[1], y[2]), Control(*(self._acting(x, u) * self.u_scale)))
-        beyond = jnp.maximum(jnp.abs(alpha_f) - self.nominal.peaks[0], 0.0)
+        acting = Control(*(self._acting(x, u) * self.u_scale))
+        beyond = beyond_peak(self.nominal, State(y[0], y[1], y[2]), acting)
         return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
     def terminal(self, x: Array, p: Reference) -> Array:
@@ -185,6 +185,7 @@ def drift_ocp(
     weight = vehicle.m * 9.81
     speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
     length = vehicle.a + vehicle.b
+    lower, upper, rate = vehicle.command_limits()
     x_scale = jnp.array([speed, 1.0, speed / 5 / length, length, 1.0, 1.0, weight, 1.0, weight])
     return DriftOCP(
         nominal=build_car(vehicle) if nominal is None else nominal,
@@ -195,9 +196,9 @@ def drift_ocp(
         Q=jnp.array(weights.Q + weights.Q_path),
         R=jnp.array([config.R[0], config.R[1] / config.Fxr_unit**2]),
         front_slip=weights.front_slip,
-        lower=jnp.array([-vehicle.delta_max, vehicle.Fxr_min]),
-        upper=jnp.array([vehicle.delta_max, vehicle.Fxr_max]),
-        rate=config.dt * jnp.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max]),
+        lower=jnp.asarray(lower),
+        upper=jnp.asarray(upper),
+        rate=config.dt * jnp.asarray(rate),
     )
 
 

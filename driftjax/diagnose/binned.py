@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnose.residual import FORCES, Residuals, limits
+from driftjax.diagnose.select import LEVEL
 from driftjax.vehicle import VehicleConfig
 
 BINS = 10  # of equal numbers of samples
 FEWEST = 3  # blocks of time below which a bin says nothing
 DRAWS = 499  # of random signs
-LEVEL = 0.05
 WORDS = {
     "Fx": "the longitudinal force", "Fyf": "the lateral force of the front axle",
     "Fyr": "the lateral force of the rear axle", "slip_front": "the front slip angle",

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from driftjax.diagnose.fit import Problem
-from driftjax.diagnose.score import covariance, information, partial_out
+from driftjax.diagnose.fit import Problem, information
+from driftjax.diagnose.score import covariance, partial_out
 from driftjax.diagnose.select import WORTH, Selection, price, tested, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from driftjax.data import Run
 from driftjax.diagnose.noise import CORRELATION, FIRST, PRIOR, Noise, estimate, measurement_noise
@@ -88,7 +88,7 @@ def problem(
 
 def around(task: Problem, fit: Fit) -> Followed:
     """Whitened innovations and their derivatives at `fit`."""
-    return differentiate(task.model, task.data, fit.theta, task.gains, task.asked)[0]
+    return differentiate(task.model, task.data, fit.theta, task.gains, task.asked)
 
 
 def priced(task: Problem, theta: np.ndarray) -> Fit:
@@ -98,15 +98,15 @@ def priced(task: Problem, theta: np.ndarray) -> Fit:
     return Fit(theta, cost if np.isfinite(cost) else np.inf)
 
 
-@jax.jit
-def _normal(e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jnp.einsum("ptij,ptik->jk", J, J), jnp.einsum("ptij,pti->j", J, e)
+def information(J: ArrayLike) -> np.ndarray:
+    """Information (K, K) of derivatives (P, T, 3, K)."""
+    J = np.asarray(J)
+    return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
 def normal(at: Followed) -> tuple[np.ndarray, np.ndarray]:
     """Information (K, K) and score (K,)."""
-    H, b = _normal(at.e, at.J)
-    return np.asarray(H), np.asarray(b)
+    return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
 
 
 def refine(task: Problem, fit: Fit, columns: np.ndarray, at: Followed | None = None, num: int = 6) -> Fit:

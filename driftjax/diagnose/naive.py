@@ -23,7 +23,7 @@ def naive(task: Problem) -> np.ndarray:
     e, seen = (np.asarray(a) for a in (follow(task.model, data, theta, believing).e, data.track.seen))
     spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1))
     white = seen[..., None] * np.diag(1 / np.maximum(spread, 1e-12))
-    at = differentiate(task.model, data, theta, believing._replace(white=jnp.asarray(white)), task.asked)[0]
+    at = differentiate(task.model, data, theta, believing._replace(white=jnp.asarray(white)), task.asked)
     H, b = normal(at)
     return np.array([_fall(task, H, b, task.columns((i,))) for i in range(len(task.effects))])
 

@@ -20,6 +20,8 @@ from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
+START = 4.0  # variance of the first state, over that of one measurement
+
 
 class Track(NamedTuple):
     """One run, padded: T samples, with the w commands before them."""
@@ -98,8 +100,8 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
 def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:
     """Gains of one run from the state's transitions `A`, for white measurement noise and disturbances of the rates."""
     R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
-    start = jnp.block([[4 * R, zero], [zero, grown]])
-    Q = jnp.block([[zero, zero], [zero, (1 - left**2) * grown]])
+    start = jnp.block([[START * R, zero], [zero, grown]])
+    Q = kicks(disturbance, left)
 
     def on(P, row):
         A, seen, alive = row
@@ -115,6 +117,11 @@ def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Ar
 
     L, white, known, log_det = jax.lax.scan(on, start, (A, seen, driven(seen)))[1]
     return Gains(L, white, left, known, jnp.sum(log_det))
+
+
+def kicks(disturbance: Float[Array, "3"], left: Array) -> Float[Array, "6 6"]:
+    """Covariance that one step adds to that of state and disturbances, which keeps the disturbances' own."""
+    return jnp.zeros((6, 6)).at[3:, 3:].set((1 - left**2) * jnp.diag(disturbance**2))
 
 
 def transition(A: Float[Array, "3 3"], left: Array, dt: float) -> Float[Array, "6 6"]:
@@ -133,7 +140,7 @@ def expected(
     """
     left = jnp.exp(-dt / noise[6])
     grown = jnp.diag(noise[3:6] ** 2)
-    Q = jnp.zeros((6, 6)).at[3:, 3:].set((1 - left**2) * grown)
+    Q = kicks(noise[3:6], left)
 
     def one(k):
         def on(M, j):

@@ -12,9 +12,9 @@ import numpy as np
 from driftjax.control.campaign import Campaign, record_runs
 from driftjax.control.manoeuvre import MANOEUVRES
 from driftjax.diagnose.evidence import Cause
-from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.fit import Problem, information
 from driftjax.diagnose.runs import differentiate, gains, held, pieces
-from driftjax.diagnose.score import information, partial_out
+from driftjax.diagnose.score import partial_out
 from driftjax.diagnose.select import Selection
 from driftjax.diagnose.verdict import Judgement, Verdict, shown
 from driftjax.vehicle import VehicleConfig
@@ -68,7 +68,7 @@ def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> l
     """Information (K, K) that each of `runs` would add, around the fit."""
     data = pieces(vehicle, runs)
     own = gains(task.model, data, task.noise.row(), held(data))
-    at = differentiate(task.model, data, found.fit.theta, own, task.asked)[0]
+    at = differentiate(task.model, data, found.fit.theta, own, task.asked)
     return [information(at.J[data.run == i]) for i in range(len(runs))]
 
 

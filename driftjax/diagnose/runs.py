@@ -131,6 +131,8 @@ class Followed(NamedTuple):
 
     e: Array  # (P, T, 3)
     J: Array  # (P, T, 3, K)
+    path: Path  # what they come from
+    steps: Steps
 
 
 def held(data: Pieces, share: float = HOLD) -> Gains:
@@ -190,13 +192,11 @@ def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, a
     return Steps(one.A, only * (one.by_theta + one.by_u @ by_u), one.D, only * one.F, one.slip, only * first)
 
 
-def differentiate(
-    model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, asked: np.ndarray
-) -> tuple[Followed, Path, Steps]:
-    """Whitened innovations and their derivatives by the parameters `asked` for (K,), and what they come from."""
+def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, asked: np.ndarray) -> Followed:
+    """Whitened innovations and their derivatives by the parameters `asked` for (K,)."""
     path = follow(model, data, theta, gains)
     steps = derivatives(model, data, theta, path, asked)
-    return Followed(whiten(gains, path.e), chained(steps, data, gains)), path, steps
+    return Followed(whiten(gains, path.e), chained(steps, data, gains), path, steps)
 
 
 def chained(steps: Steps, data: Pieces, gains: Gains) -> Array:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import ArrayLike
 
-from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.fit import Problem, information
 from driftjax.diagnose.runs import Followed
 
 DRAWS = 1999  # of the random signs
@@ -35,12 +35,6 @@ class Scores(NamedTuple):
     def threshold(self) -> float:
         """Of |T|, which chance passes in one data set of twenty."""
         return float(np.quantile(self.chance, 0.95))
-
-
-def information(J: ArrayLike) -> np.ndarray:
-    """Information (K, K) of derivatives (P, T, 3, K)."""
-    J = np.asarray(J)
-    return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
 def sums_by_block(task: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,7 @@ class Selection(NamedTuple):
     scores: Scores  # of what is left out
     p_values: dict[int, float]
     nominal: Fit
+    first: Scores  # of everything, at the nominal car
 
 
 def price(task: Problem, fit: Fit, members: tuple[int, ...]) -> float:
@@ -55,6 +56,7 @@ def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
     fit, p_values = start, dict[int, float]()
     at, left = tested(task, fit, members, seed)
+    first = left
     while len(members) < MOST and left.p_value < LEVEL:
         grown, trial = best_of(task, fit, members, at, left.gain)
         new, trial = prune(task, *swap(task, grown, trial))
@@ -63,7 +65,7 @@ def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
         p_values.update({i: left.p_value for i in new if i not in p_values})
         members, fit = new, trial
         at, left = tested(task, fit, members, seed + len(members))
-    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, start)
+    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, start, first)
 
 
 def tested(task: Problem, fit: Fit, members: tuple[int, ...], seed: int) -> tuple[Followed, Scores]:

@@ -17,7 +17,7 @@ from driftjax.diagnose.parity import Parity, parity
 from driftjax.diagnose.residual import FORCES, SETTLE, limits, linearised, needed, residuals
 from driftjax.diagnose.runs import whiten
 from driftjax.diagnose.score import Scores
-from driftjax.diagnose.select import Selection, tested
+from driftjax.diagnose.select import Selection
 from driftjax.vehicle import VehicleConfig
 
 LAGS = 1.0  # up to which innovations are correlated [s]
@@ -59,14 +59,14 @@ def show(
 ) -> Show:  # fmt: skip
     """Everything about the errors of the nominal and the extended car on all `runs`, those of `task`."""
     zero = np.zeros_like(found.fit.theta)
-    along = {name: linearised(task, theta) for name, theta in (("nominal", zero), ("extended", found.fit.theta))}
+    along = {"nominal": linearised(task, zero), "extended": (found.at.path, found.at.steps)}
     noise = needed(task, *along["nominal"])
     residual = {name: look(residuals(vehicle, task, *path, noise, runs), seed) for name, path in along.items()}
     measured = np.isfinite(judged.ahead["nominal"].error)
     return Show(
         limits(vehicle), noise, open_loop(task, zero), judged,
         root_mean(np.where(measured, judged.least, np.nan), (0, 1)), tuple(run.name for run in runs), residual,
-        parity(vehicle, runs, task.noise.sigma), tested(task, found.nominal, (), seed)[1],
+        parity(vehicle, runs, task.noise.sigma), found.first,
         {name: white(task, path) for name, (path, _) in along.items()}, worst(residual["nominal"], vehicle),
     )  # fmt: skip
 

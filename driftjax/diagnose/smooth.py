@@ -7,12 +7,12 @@ the runs go side by side.
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnose.noise import Noise
-from driftjax.diagnose.observer import Path, Steps
-
-FIRST = 4.0  # variance of the first state, over that of one measurement
+from driftjax.diagnose.observer import START, Path, Steps, driven, kicks, transition
 
 
 class Linear(NamedTuple):
@@ -37,7 +37,7 @@ class Passed(NamedTuple):
 
 def inside(seen: np.ndarray) -> np.ndarray:
     """Whether a sample (P, T) is one of its run rather than padding after its last measurement."""
-    return np.flip(np.maximum.accumulate(np.flip(seen.max(axis=2), axis=1), axis=1), axis=1) > 0
+    return np.asarray(jax.vmap(driven)(jnp.asarray(seen)))
 
 
 def linear(path: Path, steps: Steps, seen: np.ndarray, left: float, dt: float) -> Linear:
@@ -46,13 +46,10 @@ def linear(path: Path, steps: Steps, seen: np.ndarray, left: float, dt: float) -
     e, z, before, d = (np.asarray(a) for a in (path.e, path.z, path.before, path.d))
     alive = inside(seen)
     corrected = z[..., :3] - before[..., :3]
-    push = dt * (np.eye(3) + A) / 2
-    F = np.zeros((*alive.shape, 6, 6))
-    F[..., :3, :3] = np.where(alive[..., None, None], A, np.eye(3))
-    F[..., :3, 3:] = np.where(alive[..., None, None], push, 0.0)
-    F[..., 3:, 3:] = left * np.eye(3)
+    on = jax.vmap(jax.vmap(lambda A: transition(A, jnp.asarray(left), dt)))(jnp.asarray(A))
+    F = np.where(alive[..., None, None], np.asarray(on), np.diag([1, 1, 1, left, left, left]))
     c = np.zeros((*alive.shape, 6))
-    c[:, :-1, :3] = corrected[:, 1:] + np.einsum("ptij,ptj->pti", push, d)[:, :-1]
+    c[:, :-1, :3] = corrected[:, 1:] + np.einsum("ptij,ptj->pti", F[..., :3, 3:], d)[:, :-1]
     c[~alive] = 0.0
     H = np.concatenate([seen[..., None] * D, np.zeros_like(D)], axis=-1)
     y = seen * (e - np.einsum("ptij,ptj->pti", D, corrected))
@@ -63,14 +60,14 @@ def linear(path: Path, steps: Steps, seen: np.ndarray, left: float, dt: float) -
 def growth(noise: Noise, dt: float) -> tuple[float, np.ndarray]:
     """Share of a disturbance left after one step, and the covariance (6, 6) that a step adds to that of w."""
     left = float(np.exp(-dt / noise.correlation))
-    return left, np.diag([0, 0, 0, *((1 - left**2) * noise.disturbance**2)])
+    return left, np.asarray(kicks(jnp.asarray(noise.disturbance), jnp.asarray(left)))
 
 
 def forwards(model: Linear, noise: Noise, dt: float) -> Passed:
     """Kalman filter of w along every piece."""
     R, Q = noise.sigma**2, growth(noise, dt)[1]
     mean = model.first
-    P = np.broadcast_to(np.diag([*(FIRST * R), *noise.disturbance**2]), (len(mean), 6, 6))
+    P = np.broadcast_to(np.diag([*(START * R), *noise.disturbance**2]), (len(mean), 6, 6))
     rows = []
     for k in range(model.y.shape[1]):
         H, seen = model.H[:, k], model.seen[:, k]

@@ -11,6 +11,7 @@ from driftjax.diagnose.diagnosis import Diagnosis, Gain
 from driftjax.diagnose.score import covariance
 from driftjax.diagnose.show import Show, show_json
 from driftjax.diagnose.unknown import Unexplained
+from driftjax.diagnose.verdict import Judgement
 
 
 def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, Any]:
@@ -40,8 +41,8 @@ def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, 
         "gain": gain_json(found.gain),
         "next_manoeuvre": found.proposal._asdict() if found.proposal else None,
         "show": None if shown is None else show_json(shown, noise),
-        "data": {
-            "sha256": log.sha256, "rows": log.rows, "notes": list(log.notes),
+        "closed_loop": None,
+        "data": _data(log) | {
             "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
             "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
             "process_correlation_s": noise.correlation,
@@ -49,6 +50,20 @@ def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, 
         "config": dataclasses.asdict(found.config),
         "seed": found.config.seed,
     }  # fmt: skip
+
+
+def bare_json(judgement: Judgement, log: Log, seed: int) -> dict[str, Any]:
+    """`diagnosis.json` of data that say nothing."""
+    return {
+        "schema": 1, "verdict": str(judgement.verdict), "sentence": judgement.sentence, "causes": [],
+        "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(None),
+        "next_manoeuvre": None, "show": None, "closed_loop": None, "data": _data(log) | {"noise_sigma": {}},
+        "seed": seed,
+    }  # fmt: skip
+
+
+def _data(log: Log) -> dict[str, Any]:
+    return {"sha256": log.sha256, "rows": log.rows, "notes": list(log.notes)}
 
 
 def unexplained_json(left: Unexplained) -> dict[str, Any]:

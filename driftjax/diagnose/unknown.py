@@ -14,7 +14,7 @@ from jax import Array
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Path, Steps, pushed, slip_angles
-from driftjax.diagnose.runs import chained, differentiate
+from driftjax.diagnose.runs import chained
 from driftjax.diagnose.score import CONDITION, largest_by_chance, partial_out, studentised, sums_by_block
 from driftjax.diagnose.select import LEVEL, WORTH, Selection
 from driftjax.vehicle.single_track import G
@@ -80,11 +80,10 @@ def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
 
 def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
     """The test of all that the effects named leave, and what drives it."""
-    _, path, steps = differentiate(task.model, task.data, found.fit.theta, task.gains, task.asked)
-    functions = basis(task, path)
+    functions = basis(task, found.at.path)
     variable = [name for name, terms in functions.items() for _ in terms for _ in MEASURED]
     written = [one for terms in functions.values() for one in terms for _ in MEASURED]
-    J = _sensitivities(task, steps, [one for terms in functions.values() for one in terms.values()])
+    J = _sensitivities(task, found.at.steps, [one for terms in functions.values() for one in terms.values()])
     K = len(task.lower)
     H, blocks = sums_by_block(task, found.at.e, np.concatenate([np.asarray(found.at.J), J], axis=-1))
     P = partial_out(H, task.columns(found.members))

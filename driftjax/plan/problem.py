@@ -10,7 +10,7 @@ from jax import Array
 from driftjax.core import Control, State, as_float
 from driftjax.solve import AbstractOCP
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import AnyCar
+from driftjax.vehicle import AnyCar, beyond_peak
 
 SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
 
@@ -107,14 +107,10 @@ class MinimumTime(AbstractOCP):
         floor = self.V0 / self.V_fair  # a smooth maximum of the two
         time = (slowness**SHARPNESS + floor**SHARPNESS) ** (1 / SHARPNESS)
         time = time + ENERGY_PRICE * floor * (x[0] * floor) ** 2
-        price = self.course_weight * (x[1] + x[4]) ** 2 + self.front_slip * self.beyond_peak(x) ** 2
-        return p.share * self.ds / self.L0 * (time + price)
-
-    def beyond_peak(self, x: Array) -> Array:
-        """Front slip angle beyond the tyre's peak [rad]."""
         V, beta, r, _, _, delta, Fxr = x * self.scale
-        alpha_f, _ = self.nominal.slip_angles(State(V, beta, r), Control(delta, Fxr))
-        return jnp.maximum(jnp.abs(alpha_f) - self.nominal.peaks[0], 0.0)
+        beyond = beyond_peak(self.nominal, State(V, beta, r), Control(delta, Fxr))
+        price = self.course_weight * (x[1] + x[4]) ** 2 + self.front_slip * beyond**2
+        return p.share * self.ds / self.L0 * (time + price)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
         """Gaps of a stage, in scaled units."""

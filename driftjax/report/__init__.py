@@ -1,5 +1,6 @@
 """Figures, tables and the HTML page of a run, from its folder alone."""
 
+from driftjax.report.diagnosis import CLOSED_LOOP as CLOSED_LOOP
 from driftjax.report.diagnosis import closed_loop_table as closed_loop_table
 from driftjax.report.diagnosis import gain_table as gain_table
 from driftjax.report.diagnosis import parity_words as parity_words

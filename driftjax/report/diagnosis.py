@@ -7,6 +7,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from driftjax.data import RunFolder
+from driftjax.data.columns import MEASURED
+from driftjax.diagnose.residual import FORCES
 from driftjax.report.evidence import confusability, posterior, scores
 from driftjax.report.html import document, folded, heading, paragraph, picture, text
 from driftjax.report.predictions import error_over_horizon, fan
@@ -91,18 +93,15 @@ def gain_table(gain: dict[str, Any]) -> str:
     lines += [f"{'model':10}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   explainable removed"]
     for name, channels in gain["rmse"].items():
         for i, horizon in enumerate(gain["horizons_s"]):
-            values = "".join(cell(channels[c][i], w) for c, w in (("V", 10), ("beta", 12), ("r", 11)))
+            values = "".join(
+                number(channels[c][i], ".4f").rjust(w) for c, w in zip(MEASURED, (10, 12, 11), strict=True)
+            )
             share = ""
             if horizon == 1.0 and gain["skill"].get(name) is not None:
                 low, high = gain["ci95"][name]
                 share = f"   {gain['skill'][name]:.2f} [{low:.2f}, {high:.2f}]"
             lines.append(f"{name:10}{horizon:10.3g}{values}{share}")
     return "\n".join(lines) + "\n"
-
-
-def cell(value: float | None, width: int) -> str:
-    """A number of the table, a dash where there is none."""
-    return f"{'-':>{width}}" if value is None or value != value else f"{value:{width}.4f}"
 
 
 def closed_loop_table(driven: dict[str, Any]) -> str:
@@ -135,10 +134,10 @@ def show_table(shown: dict[str, Any]) -> str:
     lines = ["open-loop error of the nominal car on all runs, in units of the measurement noise"]
     lines.append(f"{'after [s]':>10}{'V':>8}{'beta':>8}{'r':>8}")
     for i, horizon in enumerate(ahead["horizons_s"]):
-        values = (ahead["in_noises"][name][i] for name in ("V", "beta", "r"))
-        lines.append(f"{horizon:10.3g}" + "".join(f"{'-':>8}" if v is None else f"{v:8.2f}" for v in values))
+        values = (ahead["in_noises"][name][i] for name in MEASURED)
+        lines.append(f"{horizon:10.3g}" + "".join(number(value).rjust(8) for value in values))
     lines += ["", "residual forces (RMS)", f"{'force':>10}{'nominal [N]':>13}{'extended [N]':>14}   goes with most"]
-    for name in ("Fx", "Fyf", "Fyr"):
+    for name in FORCES:
         one = shown["residual_forces"][name]
         by = one["worst_variable"]
         share = f"{by} ({100 * one['explained'][by]:.0f} % of the variance)" if by else "-"

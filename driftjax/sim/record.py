@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -57,13 +56,6 @@ class _Now(NamedTuple):
     push: Array
 
 
-def limits(vehicle: VehicleConfig, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smallest and largest command (2,), and its largest change per step."""
-    lower = np.array([-vehicle.delta_max, vehicle.Fxr_min])
-    upper = np.array([vehicle.delta_max, vehicle.Fxr_max])
-    return lower, upper, dt * np.array([vehicle.delta_rate_max, vehicle.Fxr_rate_max])
-
-
 def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
     """What an accelerometer at the centre of mass feels of a motion with rates `dx`, forwards and to the left [m/s^2].
 
@@ -88,7 +80,7 @@ def record(
 ) -> Recording:  # fmt: skip
     """One run of `manoeuvre` at sample time `dt` [s], the plant `substeps` times as fast; starts on its first row."""
     h = dt / substeps
-    lower, upper, rate = limits(vehicle, dt)
+    lower, upper, rate = vehicle.command_limits()
     nominal = vehicle.build()
     smooth = 1 - jnp.exp(-dt / (FILTER * plant.base.unit_time))
     first = State(*manoeuvre.x_ref[0])
@@ -108,7 +100,7 @@ def record(
         car = now.car
         y = jnp.stack(plant.sense(car.x, car.rate)) + noise
         seen = now.seen + smooth * (y - now.seen)
-        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - rate, now.command + rate)
+        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - dt * rate, now.command + dt * rate)
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
         push = left * now.push + jnp.sqrt(1 - left**2) * kick

@@ -8,6 +8,7 @@ from driftjax.vehicle.double_track import Motion as Motion
 from driftjax.vehicle.double_track import PlantState as PlantState
 from driftjax.vehicle.extended import AnyCar as AnyCar
 from driftjax.vehicle.extended import Extended as Extended
+from driftjax.vehicle.extended import beyond_peak as beyond_peak
 from driftjax.vehicle.extended import build_car as build_car
 from driftjax.vehicle.extended import named_lags as named_lags
 from driftjax.vehicle.extended import notes as notes

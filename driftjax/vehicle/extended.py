@@ -95,6 +95,12 @@ class Extended(eqx.Module):
 AnyCar = SingleTrack | Extended
 
 
+def beyond_peak(car: AnyCar, x: State, u: Control) -> Array:
+    """Front slip angle beyond that at which the tyre gives most [rad], 0 below it."""
+    alpha_f, _ = car.slip_angles(x, u)
+    return jnp.maximum(jnp.abs(alpha_f) - car.peaks[0], 0.0)
+
+
 def build_car(vehicle: VehicleConfig) -> AnyCar:
     """The car that `vehicle` describes: the nominal one, with those of its named effects that act in steady use."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from driftjax.core import require
 from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.single_track import SingleTrack
@@ -79,6 +81,12 @@ class VehicleConfig:
         """The nominal car, without the effects that were named: those are in `build_car`."""
         tyre = SimplifiedPacejka(self.mu, self.B, self.C)
         return SingleTrack(self.m, self.Iz, self.a, self.b, tyre, self.combined_slip)
+
+    def command_limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Smallest and largest command (2,) of steering [rad] and drive [N], and its largest rate [per second]."""
+        lower = np.array([-self.delta_max, self.Fxr_min])
+        upper = np.array([self.delta_max, self.Fxr_max])
+        return lower, upper, np.array([self.delta_rate_max, self.Fxr_rate_max])
 
     def with_slip(self, combined_slip: float | None) -> "VehicleConfig":
         """This car with another friction ellipse; None is a friction circle, but leaves an extended car as it is.

@@ -12,7 +12,7 @@ from driftjax.diagnose.fit import priced, refine
 from driftjax.diagnose.gain import open_loop, skill
 from driftjax.diagnose.naive import naive
 from driftjax.diagnose.score import partial_out
-from driftjax.diagnose.select import price, tested
+from driftjax.diagnose.select import price
 from driftjax.diagnose.told import to_json
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
@@ -86,7 +86,7 @@ def against(found: Diagnosis, case: Case, name: str) -> dict[str, Any]:
     task = found.task
     effect = [e.name for e in task.effects].index(name)
     columns = task.columns((effect,))
-    _, first = tested(task, found.found.nominal, (), case.seed)
+    first = found.found.first
     info = np.diag(first.H)[columns]
     told: dict[str, Any] = {
         "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),

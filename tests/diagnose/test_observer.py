@@ -75,7 +75,7 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
     data, known, _ = watched()
     theta, step = np.full(len(ORDER), 0.4), 1e-3  # no lag at its bound, but for the relaxation
     theta[ORDER.index("relaxation_length")] = relaxation
-    found, _, _ = differentiate(catalogue(), data, theta, known, EVERY)
+    found = differentiate(catalogue(), data, theta, known, EVERY)
     value = lambda at: np.asarray(whiten(known, follow(catalogue(), data, at, known).e))
     np.testing.assert_allclose(found.e, value(theta), atol=1e-9)
     off = {}
@@ -96,7 +96,7 @@ def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     run = replace(nominal_runs()[0], V=V, beta=still, r=still, delta=still, Fxr=braking, extra={})
     data = pieces(sedan(), (run,))
     known = gains(catalogue(), data, truth().row(), held(data))
-    found, _, _ = differentiate(catalogue(), data, np.zeros(len(ORDER)), known, EVERY)
+    found = differentiate(catalogue(), data, np.zeros(len(ORDER)), known, EVERY)
     assert np.isfinite(known.L).all() and np.isfinite(found.e).all() and np.isfinite(found.J).all()
     assert not np.asarray(found.e)[:, ROWS:].any() and not np.asarray(found.J)[:, ROWS:].any()
 

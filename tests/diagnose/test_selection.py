@@ -74,7 +74,13 @@ def noise(rng, blocks=BLOCKS) -> Followed:
     shape = (1, blocks * LENGTH, 3)
     J = rng.normal(size=(*shape, SIZE))
     J[..., 1] += 2 * J[..., 0]
-    return Followed(rng.normal(size=shape), J)  # type: ignore[arg-type]
+    return followed(rng.normal(size=shape), J)
+
+
+def followed(e, J) -> Followed:
+    """Innovations and derivatives that come from nowhere."""
+    nothing: Any = None
+    return Followed(e, J, nothing, nothing)
 
 
 @pytest.mark.parametrize("lower", [FREE, ONE_SIDED], ids=["free", "one-sided"])
@@ -92,8 +98,8 @@ def test_dependence_within_blocks_is_not_taken_for_an_effect():
     p = []
     for i in range(200):
         at = noise(rng)
-        e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in at)
-        p.append(scores(task, Followed(e, J), np.zeros(SIZE), (), seed=i).p_value)  # type: ignore[arg-type]
+        e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
+        p.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed=i).p_value)
     assert np.mean(np.array(p) < 0.05) < 0.10
 
 
@@ -147,7 +153,8 @@ def test_covariance_of_independent_data_is_the_inverse_information():
 
 def test_covariance_grows_where_samples_of_a_block_say_the_same():
     rng, task, columns = np.random.default_rng(14), made_up(blocks=300), np.array([0, 1])
-    e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in noise(rng, 300))
+    at = noise(rng, 300)
+    e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
     flat = J.reshape(-1, SIZE)[:, columns]
     found = covariance(*sums_by_block(task, e, J), columns)
     np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)

@@ -24,7 +24,7 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     task = problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
     fit = priced(task, np.zeros(len(ORDER)))
     at, left = select.tested(task, fit, (), 0)
-    return task, Selection((), fit, at, left, {}, fit)
+    return task, Selection((), fit, at, left, {}, fit, left)
 
 
 def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
