@@ -10,7 +10,7 @@ import yaml
 from driftjax.cli.closed_loop import Course, closed_loop, load_course
 from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, num_workers, workers, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
@@ -82,7 +82,8 @@ def work(
         print(f"note: {note}")
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
-        found = diagnose(vehicle, log, config, step)
+        with workers(min(num_workers(2), 1)) as blocks:
+            found = diagnose(vehicle, log, config, step, blocks=blocks)
         step("show")
         if isinstance(found, Judgement):
             content, judgement = bare_json(found, log, config.seed), found

@@ -9,7 +9,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from jaxtyping import PyTree
 
 from driftjax.core.programs import call, prepare
 
+T = TypeVar("T")
 SETTINGS = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 
 
@@ -49,11 +50,16 @@ class Blocks:
             found = [_call(function, block, *shared) for block in cut]
         else:
             others = jax.tree.map(_plain, shared)
-            try:
-                found = list(self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True)))
-            except BrokenProcessPool:
-                raise RuntimeError("a worker process died, perhaps for want of memory; try --workers 1") from None
+            each = self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True))
+            found = _arrived(lambda: list(each))
         return jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *found)
+
+    def begin(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
+        """`function(*args)` begun in a worker; without one, put off until the result is asked for."""
+        if self.pool is None:
+            return lambda: function(*args)
+        future = self.pool.submit(function, *args)
+        return lambda: _arrived(future.result)
 
 
 class Rehearsal(Blocks):
@@ -74,6 +80,15 @@ class Rehearsal(Blocks):
                 self._begun[name] = self._workers.submit(_prepare, function, *args)
         return jax.tree.map(lambda a: jnp.zeros((num, *a.shape[1:]), a.dtype) if eqx.is_array(a) else a,
                             self._begun[name].result())  # fmt: skip
+
+
+def _arrived(result: Callable[[], T]) -> T:
+    try:
+        return result()
+    except BrokenProcessPool:
+        raise RuntimeError(
+            "a worker process died, perhaps for want of memory; free some or give fewer --workers"
+        ) from None
 
 
 def _num(lanes: PyTree) -> int:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from driftjax.core import require
+from driftjax.core import Blocks, require
 from driftjax.data import Log
 from driftjax.diagnose.evidence import Cause, causes
-from driftjax.diagnose.fit import Fit, Problem, priced, problem, refine
+from driftjax.diagnose.fit import Fit, Problem, priced, problem, settle
 from driftjax.diagnose.gain import Errors, at_horizons, floor, predict, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
@@ -83,11 +83,13 @@ def diagnose(
     config: DiagnoseConfig,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    blocks: Blocks | None = None,
 ) -> Diagnosis | Judgement:
     """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out. `effects`
-    is the catalogue to choose from: another one is another model to compile.
+    is the catalogue to choose from: another one is another model to compile. With workers in `blocks`, one of them
+    measures the gain meanwhile.
     """
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
@@ -95,6 +97,7 @@ def diagnose(
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
     report("noise and nominal car")
     task = problem(vehicle, effects, log.runs, config.without)
+    gain = (blocks or Blocks()).begin(measure, task, tuple(run.name for run in log.runs), config)
     report("naming")
     found = search(task, nominal(task), config.seed)
     named = causes(task, found)
@@ -102,8 +105,7 @@ def diagnose(
     judgement = judge(task, found, named, left, duration)
     proposal = propose(vehicle, task, found, named, judgement, config.seed)
     report("gain")
-    gain = measure(task, tuple(run.name for run in log.runs), config)
-    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
+    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain(), config)
 
 
 def what_is_wrong(found: Diagnosis, log: Log) -> Show:
@@ -127,7 +129,7 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     found = search(train, nominal(train), config.seed)
     effects = [effect.name for effect in task.effects]
     columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    tuned = refine(train, found.nominal, columns[task.asked[columns]])
+    tuned = settle(train, found.nominal, columns[task.asked[columns]])[0]
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
     ahead = {name: predict(test, theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():

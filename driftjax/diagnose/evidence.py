@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from driftjax.diagnose.fit import Problem, information
-from driftjax.diagnose.score import covariance, partial_out
-from driftjax.diagnose.select import WORTH, Selection, price, tested, without
+from driftjax.diagnose.fit import Problem, information, settle
+from driftjax.diagnose.score import covariance, partial_out, scores
+from driftjax.diagnose.select import WORTH, Selection, price, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of
 SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
@@ -79,8 +79,9 @@ def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int,
     Each hypothesis weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978); a rival's price
     is that of its best linear step, which flatters no one but hardly any rival either.
     """
-    rest, base = without(task, found.fit, found.members, member)
-    left = tested(task, base, rest, 0)[1]
+    rest, base = without(task, found.fit, found.members, member, found.at)
+    base, at = settle(task, base, task.columns(rest))
+    left = scores(task, at, base.theta, rest, 0)
     prices = np.full(len(task.effects), np.inf)
     for i in range(len(prices)):
         if i not in rest and left.gain[i] > 0:

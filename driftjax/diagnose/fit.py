@@ -26,7 +26,8 @@ from driftjax.vehicle.effect import Effect
 from driftjax.vehicle.universal import Universal, universal
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
-TOLERANCE = 0.1  # fall of the cost below which a fit is done
+TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
+SLOW = 0.3  # fall of the cost, over that of the step before, from which derivatives are had anew
 
 
 class Problem(NamedTuple):
@@ -62,6 +63,7 @@ class Fit(NamedTuple):
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
+    e: np.ndarray  # (P, T, 3) whitened innovations
 
 
 def problem(
@@ -93,9 +95,9 @@ def around(task: Problem, fit: Fit) -> Followed:
 
 def priced(task: Problem, theta: np.ndarray) -> Fit:
     """The hypothesis `theta` with its cost, infinite where the observer loses the car."""
-    e = whiten(task.gains, follow(task.model, task.data, theta, task.gains).e)
-    cost = float(jnp.sum(e**2)) + float(np.sum(theta**2)) / PRIOR**2
-    return Fit(theta, cost if np.isfinite(cost) else np.inf)
+    e = np.asarray(whiten(task.gains, follow(task.model, task.data, theta, task.gains).e))
+    cost = float(np.sum(e**2)) + float(np.sum(theta**2)) / PRIOR**2
+    return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 
 def information(J: ArrayLike) -> np.ndarray:
@@ -109,22 +111,41 @@ def normal(at: Followed) -> tuple[np.ndarray, np.ndarray]:
     return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
 
 
-def refine(task: Problem, fit: Fit, columns: np.ndarray, at: Followed | None = None, num: int = 6) -> Fit:
+def refine(task: Problem, fit: Fit, columns: np.ndarray, near: Followed, num: int = 6) -> Fit:
     """`fit` improved over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
 
-    `at` is the model linearised at `fit`, where that is known already.
+    Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
+    1995, Sec. 5.4.1), for they take several times as long as the innovations.
     """
     if not len(columns):
         return fit
+    last, J = np.inf, np.asarray(near.J)[..., columns]
     for _ in range(num):
-        H, b = normal(around(task, fit) if at is None else at)
-        at, part = None, H[np.ix_(columns, columns)] + np.eye(len(columns)) / PRIOR**2
+        H = information(J) + np.eye(len(columns)) / PRIOR**2
+        score = np.einsum("ptij,pti->j", J, fit.e) - fit.theta[columns] / PRIOR**2
         step = np.zeros_like(fit.theta)
-        step[columns] = np.linalg.solve(part, b[columns] - fit.theta[columns] / PRIOR**2)
-        before, fit = fit.cost, _shorten(task, fit, step)
-        if not before - fit.cost > TOLERANCE:
+        step[columns] = np.linalg.solve(H, score)
+        if not score @ step[columns] > TOLERANCE:  # what the step promises
             break
+        before, fit = fit.cost, _shorten(task, fit, step)
+        fall = before - fit.cost
+        if not fall > TOLERANCE:
+            break
+        if fall > SLOW * last:
+            J = np.asarray(around(task, fit).J)[..., columns]
+        last = fall
     return fit
+
+
+def settle(task: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Followed]:
+    """The best fit over the parameters `columns`, and its derivatives: refined until its own ask for no more."""
+    at = around(task, fit)
+    for _ in range(num):
+        better = refine(task, fit, columns, at)
+        if better is fit:
+            break
+        fit, at = better, around(task, better)
+    return fit, at
 
 
 def _shorten(task: Problem, fit: Fit, step: np.ndarray) -> Fit:

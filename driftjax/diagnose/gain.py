@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +10,7 @@ from jax import Array
 from driftjax.core import Control, State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track, expected
-from driftjax.diagnose.runs import PIECE, each_piece, follow, transitions
+from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, transitions
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
@@ -43,9 +42,8 @@ class Errors(NamedTuple):
         return root_mean(self.squares, 0)
 
 
-@eqx.filter_jit
-def ahead(
-    model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float, residual: GP | None = None
+def ahead_of(
+    model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float, residual: GP | None
 ) -> Array:
     """Predictions (starts, num, 3) of what sensors tell 1..num steps after samples `starts` at states `z` (T, 6).
 
@@ -68,7 +66,8 @@ def ahead(
     return jax.vmap(one)(starts)
 
 
-_expected = eqx.filter_jit(expected)
+ahead = beside(ahead_of, None, None, 0, 0, None, None, None, None)
+_expected = beside(expected, 0, 0, None, None, None, None)
 
 
 def starts_of(task: Problem) -> tuple[np.ndarray, int]:
@@ -128,7 +127,7 @@ def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[
     """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
 
     Explainable is what exceeds the `least`, the floor that noise makes; errors count in units of it. NaN where no run
-    lasts that long.
+    lasts that long, or where the data leave it in doubt that anything is explainable: no share of that has a meaning.
     """
     at = before.horizons.index(SKILL)
     cut = [errors.squares[:, at] for errors in (before, after, least)]
@@ -139,6 +138,8 @@ def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[
     names = np.unique(before.block[keep], return_inverse=True)[1]
     old, new = (np.bincount(names, values) for values in (old, new))
     draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))
-    share = 1 - new[draws].sum(axis=1) / np.maximum(old[draws].sum(axis=1), 1e-9)
-    low, high = np.percentile(share, [2.5, 97.5])
-    return float(1 - new.sum() / max(old.sum(), 1e-9)), (float(low), float(high))
+    whole = old[draws].sum(axis=1)
+    if np.percentile(whole, 2.5) <= 0:
+        return np.nan, (np.nan, np.nan)
+    low, high = np.percentile(1 - new[draws].sum(axis=1) / np.maximum(whole, 1e-9), [2.5, 97.5])
+    return float(1 - new.sum() / old.sum()), (float(low), float(high))

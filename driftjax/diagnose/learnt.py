@@ -24,7 +24,7 @@ def residual_rates(task: Problem, theta: np.ndarray) -> tuple[Array, Array, Arra
     data, num = task.data, round(WINDOW / task.data.dt)
     starts = np.arange(num, PIECE - num, num)
     path = follow(task.model, data, theta, held(data))
-    one = lambda run, z: ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt)
+    one = lambda run, z: ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None)
     found = each_piece(one, len(data.run), data.track, path.z)[:, :, -1]
     lacking = (path.z[:, starts + num, :3] - found) / WINDOW
     middle = starts + num // 2

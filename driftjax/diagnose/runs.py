@@ -29,6 +29,7 @@ from driftjax.vehicle.effect.flow import heat_rate
 from driftjax.vehicle.universal import Universal
 
 PIECE = 1000  # samples of one piece of a run: longer runs are followed piece by piece
+LANES = 2  # pieces followed at once: more take longer on a CPU where runs are few
 SAMPLES = 2000  # samples differentiated in one call
 BLOCK = 2.0  # length of the blocks that count as independent [s]
 HOLD = 0.3  # share of an innovation that a fixed gain believes
@@ -50,8 +51,8 @@ class Pieces(NamedTuple):
 
 
 def pick(tree, which):
-    """Entries `which` along the first axis of every array."""
-    return jax.tree.map(lambda a: a[which], tree)
+    """Entries `which` along the first axis of every array; in NumPy, where cutting needs no program."""
+    return jax.tree.map(lambda a: np.asarray(a)[which], tree)
 
 
 def filled(values: np.ndarray) -> np.ndarray:
@@ -111,19 +112,29 @@ def _piece_of(run: Run, place: Place, k: int) -> Track:
     return Track(*jax.tree.map(jnp.asarray, (pad(commands), pad(V), there, y, seen.astype(float), np.array(start))))
 
 
-_follow, _local = eqx.filter_jit(follow_run), eqx.filter_jit(local)
-_chain, _by_commands = eqx.filter_jit(chain), eqx.filter_jit(by_commands)
-
-
-@eqx.filter_jit
 def _riccati(A: Array, seen: Array, noise: Array, dt: float) -> Gains:
     return riccati(A, seen, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt)
 
 
+def beside(function, *axes: int | None):
+    """`function` compiled for a batch; `axes` as those of `jax.vmap`."""
+    return eqx.filter_jit(eqx.filter_vmap(function, in_axes=axes))
+
+
+_local = eqx.filter_jit(local)
+_follow, _chain = beside(follow_run, None, None, 0, 0, None), beside(chain, 0, 0, 0, None)
+_riccati_of, _by_commands = beside(_riccati, 0, 0, None, None), beside(by_commands, None, None, 0, None)
+
+
 def each_piece(function, num: int, *trees):
-    """`function` of each piece of `trees` (leading axis), stacked; piece by piece, so that one program serves all."""
-    found = [function(*pick(trees, i)) for i in range(num)]
-    return jax.tree.map(lambda *a: jnp.stack(a), *found)
+    """`function` of all pieces of `trees` (leading axis), `LANES` at once, so that one program serves any number."""
+    rows = [np.minimum(np.arange(k, k + LANES), num - 1) for k in range(0, num, LANES)]
+    return joined([function(*pick(trees, row)) for row in rows], num)
+
+
+def joined(parts: list, num: int):
+    """The first `num` entries of trees one after the other."""
+    return jax.tree.map(lambda *a: np.concatenate(a)[:num], *parts)
 
 
 class Followed(NamedTuple):
@@ -148,7 +159,7 @@ def gains(model: Universal, data: Pieces, noise: np.ndarray, first: Gains) -> Ga
     theta, found = jnp.zeros(len(model.theta)), first
     for _ in range(2):
         A = transitions(model, data, theta, follow(model, data, theta, found))
-        riccati_of = lambda A, seen: _riccati(A, seen, jnp.asarray(noise), data.dt)
+        riccati_of = lambda A, seen: _riccati_of(A, seen, jnp.asarray(noise), data.dt)
         found = each_piece(riccati_of, len(data.run), A, data.track.seen)
     return found
 
@@ -174,7 +185,7 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Lo
     for which in rows:
         samples, there = pick(flat, which)
         parts.append(_local(model, theta, samples, there, data.dt))
-    return jax.tree.map(lambda *a: jnp.concatenate(a)[:num].reshape(*lead, *a[0].shape[1:]), *parts)
+    return jax.tree.map(lambda a: a.reshape(*lead, *a.shape[1:]), joined(parts, num))
 
 
 def whiten(gains: Gains, e: Array) -> Array:

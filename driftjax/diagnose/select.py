@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.diagnose.fit import Fit, Problem, around, priced, refine
+from driftjax.diagnose.fit import Fit, Problem, around, priced, refine, settle
 from driftjax.diagnose.runs import Followed
 from driftjax.diagnose.score import Scores, scores
 
@@ -44,7 +44,7 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     grown = [(*members, one) for one in order if one not in members]
     trials = [(refine(task, fit, task.columns(new), at, num=1), new) for new in grown]
     trials.sort(key=lambda item: price(task, *item))
-    trials = [(refine(task, trial, task.columns(new)), new) for trial, new in trials[:3]]
+    trials = [(refine(task, trial, task.columns(new), at), new) for trial, new in trials[:3]]
     trial, new = min([*trials, (fit, members)], key=lambda item: price(task, *item))
     return new, trial
 
@@ -54,38 +54,35 @@ def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
     members: tuple[int, ...] = ()
     if not np.isfinite(start.cost):
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
-    fit, p_values = start, dict[int, float]()
-    at, left = tested(task, fit, members, seed)
-    first = left
+    fit, at, p_values = start, around(task, start), dict[int, float]()
+    left = first = scores(task, at, fit.theta, members, seed)
     while len(members) < MOST and left.p_value < LEVEL:
         grown, trial = best_of(task, fit, members, at, left.gain)
         new, trial = prune(task, *swap(task, grown, trial))
+        trial, there = settle(task, trial, task.columns(new))
         if price(task, trial, new) >= price(task, fit, members):
             break
         p_values.update({i: left.p_value for i in new if i not in p_values})
-        members, fit = new, trial
-        at, left = tested(task, fit, members, seed + len(members))
+        members, fit, at = new, trial, there
+        left = scores(task, at, fit.theta, members, seed + len(members))
     return Selection(members, fit, at, left, {i: p_values[i] for i in members}, start, first)
 
 
-def tested(task: Problem, fit: Fit, members: tuple[int, ...], seed: int) -> tuple[Followed, Scores]:
-    """The fit linearised, and the tests of all that it leaves out."""
-    at = around(task, fit)
-    return at, scores(task, at, fit.theta, members, seed)
-
-
-def without(task: Problem, fit: Fit, members: tuple[int, ...], gone: int) -> tuple[tuple[int, ...], Fit]:
-    """The hypothesis refitted without the effect `gone`."""
+def without(
+    task: Problem, fit: Fit, members: tuple[int, ...], gone: int, near: Followed
+) -> tuple[tuple[int, ...], Fit]:
+    """The hypothesis refitted without the effect `gone`; `near` are the derivatives of a fit nearby."""
     theta, rest = fit.theta.copy(), tuple(i for i in members if i != gone)
     theta[task.columns((gone,))] = 0.0
-    return rest, refine(task, priced(task, theta), task.columns(rest))
+    return rest, refine(task, priced(task, theta), task.columns(rest), near)
 
 
 def swap(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
     """Each earlier member in turn gives way to the outsider that suits its place best, where that lowers the price."""
     for old in members[:-1]:
-        rest, base = without(task, fit, members, old)
-        at, left = tested(task, base, rest, 0)
+        rest, base = without(task, fit, members, old, around(task, fit))
+        base, at = settle(task, base, task.columns(rest))
+        left = scores(task, at, base.theta, rest, 0)
         new, trial = best_of(task, base, rest, at, left.gain)
         if price(task, trial, new) < price(task, fit, members) - 1.0:
             members, fit = new, trial
@@ -95,9 +92,9 @@ def swap(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, 
 def prune(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
     """Members that are immaterial or not worth their parameters are taken out, the least worth first."""
     while members:
-        trials = []
+        at, trials = around(task, fit), []
         for one in members:
-            rest, trial = without(task, fit, members, one)
+            rest, trial = without(task, fit, members, one, at)
             small = np.abs(fit.theta[task.columns((one,))]).max() < MATERIAL
             trials.append((-np.inf if small else price(task, trial, rest), rest, trial))
         loss, rest, trial = min(trials, key=lambda item: item[0])

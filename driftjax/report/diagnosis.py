@@ -97,11 +97,15 @@ def gain_table(gain: dict[str, Any]) -> str:
                 number(channels[c][i], ".4f").rjust(w) for c, w in zip(MEASURED, (10, 12, 11), strict=True)
             )
             share = ""
-            if horizon == 1.0 and gain["skill"].get(name) is not None:
-                low, high = gain["ci95"][name]
-                share = f"   {gain['skill'][name]:.2f} [{low:.2f}, {high:.2f}]"
+            if horizon == 1.0 and name in gain["skill"]:
+                share = f"   {_share(gain['skill'][name], *gain['ci95'][name])}"
             lines.append(f"{name:10}{horizon:10.3g}{values}{share}")
     return "\n".join(lines) + "\n"
+
+
+def _share(value: float | None, low: float | None, high: float | None) -> str:
+    """Share of the explainable error with its interval."""
+    return "nothing to explain beyond noise" if value is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def closed_loop_table(driven: dict[str, Any]) -> str:

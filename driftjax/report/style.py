@@ -77,6 +77,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
     path = folder / f"{name}.png"
     with plt.rc_context(STYLE):
         figure.savefig(path)
+        figure.set_layout_engine("none")  # laid out by now; a second time takes as long again
         figure.savefig(path.with_suffix(".pdf"))
     plt.close(figure)
     return path

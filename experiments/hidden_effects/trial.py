@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.core.config import to_dict
 from driftjax.data import Log, Run
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split
-from driftjax.diagnose.fit import priced, refine
+from driftjax.diagnose.fit import priced, settle
 from driftjax.diagnose.gain import open_loop, skill
 from driftjax.diagnose.naive import naive
 from driftjax.diagnose.score import partial_out
@@ -121,5 +121,5 @@ def prices(found: Diagnosis, case: Case) -> dict[str, float]:
     task = found.task
     members = tuple(i for i, effect in enumerate(task.effects) if effect.name in case.names)
     true = priced(task, case.theta(task.effects))
-    true = refine(task, true, task.columns(members)) if members else true
+    true = settle(task, true, task.columns(members))[0]
     return {"named": price(task, found.found.fit, found.found.members), "truth": price(task, true, members)}

@@ -33,10 +33,14 @@ def test_blocks_of_any_size_and_workers_give_the_same_bits():
     with workers(2) as beside:
         for blocks in (Blocks(1), Blocks(2), beside):
             found = blocks.map(doubled, some(5), jnp.asarray(0.5), "run")
+            later = blocks.begin(doubled, some(5), jnp.asarray(0.5), "run")
+            np.testing.assert_allclose(later()["mass"], whole["mass"], rtol=1e-15)  # not compiled
             np.testing.assert_array_equal(found["mass"], whole["mass"])
             assert found["car"].name == "sedan"
         with pytest.raises(ValueError, match="no such lane"):
             beside.map(fails, some(2))
+        with pytest.raises(ValueError, match="no such lane"):
+            beside.begin(fails, some(2))()
         assert beside.pool is not None
         dry = Rehearsal(beside.pool).map(doubled, some(3), jnp.asarray(0.5), "run")
         np.testing.assert_array_equal(dry["mass"], np.zeros(3))

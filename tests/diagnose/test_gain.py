@@ -40,6 +40,11 @@ def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_g
     assert np.abs([value for value, _ in found]).max() < 0.35
 
 
+def test_no_share_is_told_where_noise_explains_everything():
+    value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
+    assert np.isnan([value, *interval]).all()
+
+
 def test_every_third_run_is_held_out_and_none_of_too_few():
     use, held = split(7, 3)
     assert list(held) == [2, 5] and list(use) == [0, 1, 3, 4, 6]

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
-from driftjax.diagnose.fit import Problem, priced, problem
+from driftjax.diagnose.fit import TOLERANCE, Problem, information, normal, priced, problem
+from driftjax.diagnose.noise import PRIOR
 from driftjax.diagnose.runs import Followed, Pieces
 from driftjax.diagnose.score import covariance, partial_out, scores, sums_by_block
 from driftjax.diagnose.select import search
@@ -51,6 +52,8 @@ def test_a_hidden_effect_is_named_and_measured(case):
     assert deviation < 0.25  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
     assert found.p_values[found.members[0]] < 0.05
+    H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))
+    assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
 
 
 def test_nothing_is_named_where_nothing_is_hidden():

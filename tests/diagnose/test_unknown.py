@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
-from driftjax.diagnose import select
 from driftjax.diagnose.evidence import Cause
-from driftjax.diagnose.fit import Problem, priced, problem
+from driftjax.diagnose.fit import Problem, around, priced, problem
 from driftjax.diagnose.propose import in_catalogue, propose
+from driftjax.diagnose.score import scores
 from driftjax.diagnose.select import Selection
 from driftjax.diagnose.unknown import unexplained
 from driftjax.diagnose.verdict import Judgement, Verdict, judge
@@ -23,7 +23,8 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     theta = hidden(**{name: size}) if size else hidden()
     task = problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
     fit = priced(task, np.zeros(len(ORDER)))
-    at, left = select.tested(task, fit, (), 0)
+    at = around(task, fit)
+    left = scores(task, at, fit.theta, (), 0)
     return task, Selection((), fit, at, left, {}, fit, left)
 
 

@@ -106,6 +106,7 @@ def test_numbers_that_are_missing_are_dashes():
     one = {"V": [0.1, None], "beta": [0.1, None], "r": [0.1, 0.2]}
     text = gain_table({"held_out_runs": ["a"], "horizons_s": [0.01, 1.0], "rmse": {"nominal": one, "extended": one},
                        "skill": {"extended": None}, "ci95": {"extended": [None, None]}})  # fmt: skip
+    assert "nothing to explain" in text
     assert len(re.findall(r"\s-(?=\s)", text)) == 4 and "nan" not in text and "None" not in text
 
 

@@ -63,6 +63,11 @@ class Parameter:
         return self.lower * scale, self.upper * scale
 
 
+def no_memory(dt: float) -> tuple[()]:
+    """Of an effect that has none."""
+    return ()
+
+
 @dataclass(frozen=True)
 class Effect:
     """One missing physics. `apply` takes what has been computed up to its station and hands it on changed.
@@ -91,5 +96,5 @@ class Effect:
     """Log columns without which it cannot be told: `psi` or `s`."""
     transient: bool = False
     """Whether it acts by what went before, beyond the state and the memory of a command: rates at rest are nominal."""
-    start: Callable[[float], Any] = lambda dt: ()
+    start: Callable[[float], Any] = no_memory
     """Memory of a command effect at rest."""

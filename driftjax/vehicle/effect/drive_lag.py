@@ -12,6 +12,11 @@ def apply(memory, u: Control, V, dt, p):
     return end, u._replace(Fxr=mean)
 
 
+def start(dt: float):
+    """The force reached, at rest."""
+    return jnp.zeros(())
+
+
 EFFECT = Effect(
     name="drive_lag",
     number=18,
@@ -20,5 +25,5 @@ EFFECT = Effect(
     apply=apply,
     source="first-order actuator; Rajamani 2012, Ch. 5",
     sentence="the drive force lags behind its command",
-    start=lambda dt: jnp.zeros(()),
+    start=start,
 )

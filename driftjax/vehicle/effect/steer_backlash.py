@@ -21,6 +21,11 @@ def apply(memory, u: Control, V, dt, p):
     return (u.delta, share), u._replace(delta=u.delta + p[0] * share)
 
 
+def start(dt: float):
+    """Memory at rest."""
+    return (jnp.zeros(()), jnp.zeros(()))
+
+
 EFFECT = Effect(
     name="steer_backlash",
     number=33,
@@ -29,5 +34,5 @@ EFFECT = Effect(
     apply=apply,
     source="Nordin and Gutman 2002",
     sentence="the steering has play",
-    start=lambda dt: (jnp.zeros(()), jnp.zeros(())),
+    start=start,
 )

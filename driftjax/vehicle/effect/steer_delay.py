@@ -22,6 +22,11 @@ def apply(memory, u: Control, V, dt, p):
     return held[:-1], u._replace(delta=(1 - share) * held[at] + share * held[at + 1])
 
 
+def start(dt: float):
+    """Memory at rest."""
+    return jnp.zeros(math.ceil(LONGEST / dt))
+
+
 EFFECT = Effect(
     name="steer_delay",
     number=32,
@@ -30,5 +35,5 @@ EFFECT = Effect(
     apply=apply,
     source="Ljung 1999",
     sentence="the steering answers its command after a delay",
-    start=lambda dt: jnp.zeros(math.ceil(LONGEST / dt)),
+    start=start,
 )

@@ -12,13 +12,18 @@ def apply(memory, u: Control, V, dt, p):
     return end, u._replace(delta=mean)
 
 
+def start(dt: float):
+    """The angle reached, at rest."""
+    return jnp.zeros(())
+
+
 EFFECT = Effect(
     name="steer_lag",
     number=31,
     station="command",
     parameters=(Parameter("tau", "s", 0.13, "time", lower=0.0),),
     apply=apply,
-    start=lambda dt: jnp.zeros(()),
+    start=start,
     source="first-order actuator; Pacejka 2012, Sec. 1.3",
     sentence="the steering lags behind its command",
 )

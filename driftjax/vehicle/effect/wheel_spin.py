@@ -17,6 +17,11 @@ def apply(memory, u: Control, V, dt, p):
     return end, u._replace(Fxr=mean)
 
 
+def start(dt: float):
+    """Memory at rest."""
+    return jnp.zeros(())
+
+
 EFFECT = Effect(
     name="wheel_spin",
     number=20,
@@ -25,5 +30,5 @@ EFFECT = Effect(
     apply=apply,
     source="Goh, Goel and Gerdes 2020",
     sentence="the wheels first have to spin up, so that the drive force lags the more the faster the car is",
-    start=lambda dt: jnp.zeros(()),
+    start=start,
 )
