@@ -10,7 +10,7 @@ from jax import Array
 from driftjax.core import Control, State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track, expected
-from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, transitions
+from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, spans, transitions
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
@@ -96,7 +96,7 @@ def at_horizons(task: Problem, squares: np.ndarray) -> Errors:
     horizons = (task.data.dt, *HORIZONS)
     steps = np.array([max(round(h / task.data.dt), 1) for h in horizons])
     chosen = squares[:, :, steps - 1]
-    return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, task.data.block[:, starts_of(task)[0]].ravel())
+    return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, spans(task.data)[:, starts_of(task)[0]].ravel())
 
 
 def open_loop(task: Problem, theta: np.ndarray) -> Errors:

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from driftjax.data import Run
 from driftjax.diagnose.noise import measurement_noise
-from driftjax.diagnose.runs import BLOCK
+from driftjax.diagnose.runs import SPAN
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
@@ -110,7 +110,7 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
     of_beta = (a + along * sigma[1] ** 2 + side * (sigma[0] / speed) ** 2) / speed**2 + sigma[2] ** 2
     ends = np.broadcast_to(2 * sigma[:2] ** 2 / T**2, rest.shape)
     within = np.stack([of_V, of_beta], axis=1) * (weight**2).sum()
-    return Windows(rest, ends, within, (starts * run.dt // BLOCK).astype(int))
+    return Windows(rest, ends, within, (starts * run.dt // SPAN).astype(int))
 
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:

@@ -15,7 +15,7 @@ from driftjax.data import Run
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.noise import Noise, estimate
 from driftjax.diagnose.observer import Path, Steps
-from driftjax.diagnose.runs import derivatives, follow, lap_length
+from driftjax.diagnose.runs import derivatives, follow, lap_length, spans
 from driftjax.diagnose.smooth import inside, smooth
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
@@ -77,7 +77,7 @@ def residuals(
     forces = axle_forces(vehicle, x, u[..., 0], push)
     keep = inside(seen) & (np.arange(seen.shape[1]) >= round(SETTLE / task.data.dt))
     over = drivers(vehicle, task, x, u, runs)
-    return Residuals(forces[keep], {name: values[keep] for name, values in over.items()}, task.data.block[keep])
+    return Residuals(forces[keep], {name: values[keep] for name, values in over.items()}, spans(task.data)[keep])
 
 
 def drivers(

@@ -31,7 +31,8 @@ from driftjax.vehicle.universal import Universal
 PIECE = 1000  # samples of one piece of a run: longer runs are followed piece by piece
 LANES = 2  # pieces followed at once: more take longer on a CPU where runs are few
 SAMPLES = 2000  # samples differentiated in one call
-BLOCK = 2.0  # length of the blocks that count as independent [s]
+BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
+SPAN = 2.0  # and errors of predictions and smoothed forces [s]
 HOLD = 0.3  # share of an innovation that a fixed gain believes
 
 
@@ -48,6 +49,12 @@ class Pieces(NamedTuple):
         """Only the pieces with the numbers `keep`."""
         names, block = np.unique(self.block[keep], return_inverse=True)
         return Pieces(pick(self.track, keep), self.run[keep], block.reshape(len(keep), -1), len(names), self.dt)
+
+
+def spans(data: Pieces) -> np.ndarray:
+    """Number (P, T) of the span that a sample lies in."""
+    span = np.asarray(data.track.place.t) // SPAN
+    return np.unique(data.run[:, None] * (1 + span.max()) + span, return_inverse=True)[1].reshape(span.shape)
 
 
 def pick(tree, which):

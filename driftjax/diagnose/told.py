@@ -67,13 +67,15 @@ def _data(log: Log) -> dict[str, Any]:
 
 
 def unexplained_json(left: Unexplained) -> dict[str, Any]:
-    """What is left; neither channel nor drivers where that is nothing."""
-    if not left.found:
-        return {"p_value": left.p_value, "channel": None, "drivers": []}
-    return {
-        "p_value": left.p_value, "channel": left.term.channel, "drivers": list(left.drivers)[:2],
-        "worth": left.drivers, "term": left.term._asdict(),
-    }  # fmt: skip
+    """What is left, or what effects only imitate; neither channel nor drivers where that is nothing.
+
+    `at_first` are the variables that drive all that the nominal car gets wrong.
+    """
+    told = {"p_value": left.p_value, "channel": None, "drivers": [], "at_first": list(left.at_first)[:2]}
+    term, worth = (left.term, left.drivers) if left.found else (left.simpler, left.at_first)
+    if term is None:
+        return told
+    return told | {"channel": term.channel, "drivers": list(worth)[:2], "worth": worth, "term": term._asdict()}
 
 
 def gain_json(gain: Gain | None) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""What no effect of the catalogue explains: generic terms in every rate, and the variables that drive them.
+"""What no effect of the catalogue explains: generic terms in every rate and sensor, and the variables that drive them.
 
-After the search, forces that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
+After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
 the same test as effects. What they explain beside the effects named says which rate is wrong and what it depends on.
 """
 
@@ -12,22 +12,24 @@ import numpy as np
 from jax import Array
 
 from driftjax.data.columns import MEASURED
-from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.fit import Problem, around
 from driftjax.diagnose.observer import Path, Steps, pushed, slip_angles
-from driftjax.diagnose.runs import chained
-from driftjax.diagnose.score import CONDITION, largest_by_chance, partial_out, studentised, sums_by_block
-from driftjax.diagnose.select import LEVEL, WORTH, Selection
+from driftjax.diagnose.runs import Followed, chained
+from driftjax.diagnose.score import CONDITION, Scores, largest_by_chance, partial_out, studentised, sums_by_block
+from driftjax.diagnose.select import LEVEL, WORTH, Selection, price
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal
 
-UNITS = ("m/s^2", "rad/s", "rad/s^2")  # of the rates of V, beta, r
+UNITS = {"rate": ("m/s^2", "rad/s", "rad/s^2"), "sensor": ("m/s", "rad", "rad/s")}  # of V, beta, r
+LEFT = 16.0  # what a term must explain to count as left over: terms are many
 PER_TERM = 5.0  # what a term must explain to count when variables are compared
 
 
 class Term(NamedTuple):
-    """A generic force: `value` times a function of one variable, added to one rate."""
+    """A generic error: `value` times a function of one variable, added to one rate or to one sensor."""
 
-    channel: str  # whose rate
+    channel: str  # whose
+    where: str  # `rate` or `sensor`
     function: str  # dimensionless, such as `V^2/(gL)`
     value: float  # [unit]
     half_width: float  # of its 95 % interval [unit]
@@ -41,11 +43,23 @@ class Unexplained(NamedTuple):
     gain: float  # fall of the cost that the best single term promises
     drivers: dict[str, float]  # variables with the fall of the cost that their terms promise, the largest first
     term: Term  # that explains most by itself
+    simpler: Term | None  # explains by itself as much as all effects named, of which there are several
+    at_first: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
 
     @property
     def found(self) -> bool:
         """Whether anything is left that chance hardly makes and that is worth a parameter."""
-        return self.p_value < LEVEL and self.gain > WORTH
+        return self.p_value < LEVEL and self.gain > LEFT
+
+
+class Generic(NamedTuple):
+    """Scores of the generic terms beside one hypothesis, whose effects are taken out of them."""
+
+    kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
+    U: np.ndarray  # (n,)
+    F: np.ndarray  # (n, n) their information
+    own: np.ndarray  # (n,) whether a term can be told from the hypothesis
+    p_value: float  # that chance gives the largest score of terms and effects
 
 
 def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
@@ -78,44 +92,84 @@ def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
     return {name: terms for name, terms in found.items() if name not in ("psi", "s") or name in task.has}
 
 
+def sensed(task: Problem, path: Path) -> dict[str, tuple[str, Array]]:
+    """Functions (P, T) that errors of the sensors may go with; before the sample, of whose noise they are free."""
+    V, beta, r = jnp.moveaxis(path.before[..., :3], -1, 0)
+    size = sizes(task.model)["sensor"]
+    return {"1": ("1", jnp.ones_like(V)), "V": ("V/sqrt(gL)", V / size[0]), "beta": ("beta", beta),
+            "r": ("r sqrt(L/g)", r / size[2])}  # fmt: skip
+
+
 def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
-    """The test of all that the effects named leave, and what drives it."""
-    functions = basis(task, found.at.path)
-    variable = [name for name, terms in functions.items() for _ in terms for _ in MEASURED]
-    written = [one for terms in functions.values() for one in terms for _ in MEASURED]
-    J = _sensitivities(task, found.at.steps, [one for terms in functions.values() for one in terms.values()])
+    """The test of all that the effects named leave, and what drives it.
+
+    Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
+    """
+    left = generic(task, found.at, found.scores, found.members, seed)
+    whole = generic(task, around(task, found.nominal), found.first, (), seed) if found.members else left
+    gain, term = best(task, left)
+    most, force = best(task, whole)
+    earned = found.nominal.cost - price(task, found.fit, found.members)
+    simpler = force if len(found.members) > 1 and most - WORTH >= earned else None
+    return Unexplained(left.p_value, gain, drivers(left), term, simpler, drivers(whole))
+
+
+def generic(task: Problem, at: Followed, tested: Scores, members: tuple[int, ...], seed: int) -> Generic:
+    """Generic terms at the hypothesis of `members`, which `at` and `tested` belong to."""
+    rates = [(v, *one) for v, terms in basis(task, at.path).items() for one in terms.items()]
+    sensors = [(v, *one) for v, one in sensed(task, at.path).items()]
+    kinds = [
+        (v, name, where, channel) for where, of in (("rate", rates), ("sensor", sensors))
+        for v, name, _ in of for channel in range(len(MEASURED))
+    ]  # fmt: skip
+    J = _sensitivities(task, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
     K = len(task.lower)
-    H, blocks = sums_by_block(task, found.at.e, np.concatenate([np.asarray(found.at.J), J], axis=-1))
-    P = partial_out(H, task.columns(found.members))
+    H, blocks = sums_by_block(task, at.e, np.concatenate([np.asarray(at.J), J], axis=-1))
+    P = partial_out(H, task.columns(members))
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
-    own[:K] &= found.scores.T != 0
+    own[:K] &= tested.T != 0
     T = studentised(effective, own)
     chance = largest_by_chance(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
-    U, F, own = effective.sum(axis=0)[K:], information[K:, K:], own[K:]
-    drivers = {name: _worth(U, F, np.array([v in ("1", name) for v in variable]) & own) for name in functions}
-    best = int(np.argmax(np.where(own, U**2 / np.where(own, np.diag(F), 1.0), 0.0)))
-    channel = MEASURED[best % len(MEASURED)]
-    size, unit = _unit(task.model)[best % len(MEASURED)], UNITS[best % len(MEASURED)]
-    value, width = U[best] / F[best, best], 1.96 / np.sqrt(F[best, best])
-    term = Term(channel, written[best], float(value * size), float(width * size), unit)
-    order = dict(sorted(drivers.items(), key=lambda item: -item[1]))
-    return Unexplained(float(p_value), float(U[best] ** 2 / F[best, best]), order, term)
+    return Generic(kinds, effective.sum(axis=0)[K:], information[K:, K:], own[K:], float(p_value))
 
 
-def _unit(model: Universal) -> np.ndarray:
-    """Size of the rates of V, beta, r, SI: g, sqrt(g/L), g/L."""
-    time = float(model.base.unit_time)
-    return np.array([G, 1 / time, 1 / time**2])
+def drivers(terms: Generic) -> dict[str, float]:
+    """Variables with the fall of the cost that their terms promise, the largest first."""
+    names = list(dict.fromkeys(variable for variable, *_ in terms.kinds))
+    each = {name: _worth(terms.U, terms.F, np.array([k[0] in ("1", name) for k in terms.kinds]) & terms.own)
+            for name in names}  # fmt: skip
+    return dict(sorted(each.items(), key=lambda item: -item[1]))
 
 
-def _sensitivities(task: Problem, steps: Steps, functions: list[Array]) -> np.ndarray:
-    """Whitened derivatives (P, T, 3, terms) of the predictions by terms, three of each function."""
-    push = jax.vmap(pushed, (0, None))(steps, task.data.dt) * jnp.asarray(_unit(task.model))
-    C = jnp.concatenate([push * one[..., None, None] for one in functions], axis=-1)
-    nothing = jnp.zeros_like(C[:, 0])
-    terms = steps._replace(C=C, F=jnp.zeros_like(C[..., :3, :]), first=nothing)
+def best(task: Problem, terms: Generic) -> tuple[float, Term]:
+    """Fall of the cost that the best single term promises, and that term."""
+    information = np.diag(terms.F)
+    gain = np.where(terms.own, terms.U**2 / np.where(terms.own, information, 1.0), 0.0)
+    at = int(np.argmax(gain))
+    _, function, where, channel = terms.kinds[at]
+    size, unit = sizes(task.model)[where][channel], UNITS[where][channel]
+    value, width = terms.U[at] / information[at], 1.96 / np.sqrt(information[at])
+    return float(gain[at]), Term(MEASURED[channel], where, function, float(value * size), float(width * size), unit)
+
+
+def sizes(model: Universal) -> dict[str, np.ndarray]:
+    """Size of the rates of V, beta, r and of V, beta, r themselves, SI: g, sqrt(g/L), g/L; sqrt(gL), 1, sqrt(g/L)."""
+    time, speed = float(model.base.unit_time), float(model.base.unit_speed)
+    return {"rate": np.array([G, 1 / time, 1 / time**2]), "sensor": np.array([speed, 1.0, 1 / time])}
+
+
+def _sensitivities(task: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
+    """Whitened derivatives (P, T, 3, terms) of the predictions by terms, three of each function (P, T)."""
+    size = {where: jnp.asarray(value) for where, value in sizes(task.model).items()}
+    push = jax.vmap(pushed, (0, None))(steps, task.data.dt) * size["rate"]
+    moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
+    told = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
+    none = lambda like, num: jnp.zeros((*like.shape[:-1], num))
+    C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
+    F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
+    terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
     return np.asarray(chained(terms, task.data, task.gains))
 
 

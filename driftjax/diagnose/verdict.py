@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.diagnose.evidence import Cause
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.select import Selection
-from driftjax.diagnose.unknown import Unexplained
+from driftjax.diagnose.unknown import Term, Unexplained
 
 SURE = 0.95  # probability from which one name stands alone
 SHORTEST = 5.0  # data below which nothing is said [s]
@@ -43,7 +43,7 @@ def shown(task: Problem, H: np.ndarray) -> float:
 def judge(task: Problem, found: Selection, named: list[Cause], left: Unexplained, duration: float) -> Judgement:
     """The verdict on a search and what to say of it."""
     varying = [task.effects[cause.effect].name for cause in named if cause.invariance < VARIES]
-    if left.found or varying:
+    if left.found or left.simpler or varying:
         return Judgement(Verdict.UNKNOWN, _unknown(task, named, left, varying))
     if not named:
         share = shown(task, found.scores.H)
@@ -70,11 +70,18 @@ def phrase(task: Problem, cause: Cause) -> str:
 
 
 def _unknown(task: Problem, named: list[Cause], left: Unexplained, varying: list[str]) -> str:
-    if not left.found:
-        return f"Something is missing that {', '.join(varying)} only stands for: its size differs from run to run."
-    text = f"Something is missing that no effect of the catalogue explains (p = {left.p_value:.3f})"
-    if named:
-        text += ", beside " + ", ".join(task.effects[cause.effect].name for cause in named)
-    term, drivers = left.term, list(left.drivers)[:2]
-    text += f"; it goes most with {' and '.join(drivers)}, such as {term.value:.2g} ± {term.half_width:.1g} {term.unit}"
-    return text + f" times {term.function} in the rate of {term.channel}."
+    names = ", ".join(task.effects[cause.effect].name for cause in named)
+    if left.found:
+        text = f"Something is missing that no effect of the catalogue explains (p = {left.p_value:.3f})"
+        text += f", beside {names}" if named else ""
+        return f"{text}; it goes most with {' and '.join(list(left.drivers)[:2])}, such as {_words(left.term)}."
+    if left.simpler:
+        text = f"Something is missing that no effect of the catalogue explains: {names} together explain no more than"
+        return f"{text} {_words(left.simpler)}; it goes most with {' and '.join(list(left.at_first)[:2])}."
+    return f"Something is missing that {', '.join(varying)} only stands for: its size differs from run to run."
+
+
+def _words(term: Term) -> str:
+    """A generic term in words."""
+    where = f"in the rate of {term.channel}" if term.where == "rate" else f"in what is measured as {term.channel}"
+    return f"{term.value:.2g} ± {term.half_width:.1g} {term.unit} times {term.function} {where}"

@@ -11,8 +11,9 @@ from driftjax.core import BadInput, from_dict, require
 from driftjax.core.config import to_dict
 from driftjax.vehicle.effect import EFFECTS, Effect
 
-Condition = Literal["none", "single", "pair", "absent", "foreign"]
+Condition = Literal["none", "single", "pair", "absent", "poor", "foreign"]
 FOREIGN = ("std", "mb")  # cars that another simulator drives
+POOR = ("steady_drift",) * 3  # runs that tell little apart
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class Case:
     """One measurement with its hidden truth."""
 
     condition: Condition
-    """What is drawn: no effect, one, two, one that the catalogue lacks, or a foreign simulator."""
+    """What is drawn: no effect, one, two, one that the catalogue lacks, one in a log that tells little, with the
+    manoeuvre proposed then driven too, or a foreign simulator."""
     car: str
     """A shipped car, or the simulator std or mb."""
     seed: int

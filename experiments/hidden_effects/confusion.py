@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.hidden_effects.judged import Result, exactly, first
+from experiments.hidden_effects.judged import Result, exactly, first, misled
 
 
 def confusions(results: list[Result]) -> list[str]:
     """One line for each case that went wrong: group, truth, what was named, and how the truth looked."""
     wrong: list[str] = []
-    tests: dict[str, Callable[[Result], bool]] = {"single": first, "pair": exactly}
+    tests: dict[str, Callable[[Result], bool]] = {"single": first, "pair": exactly, "poor": lambda r: not misled(r)}
     for r in results:
         condition = r["case"]["condition"]
         if "error" in r:

@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.control.manoeuvre import RICH
 from driftjax.core import require
 from driftjax.vehicle.effect import EFFECTS
-from experiments.hidden_effects.case import Case, Hidden, hidden, names
+from experiments.hidden_effects.case import POOR, Case, Hidden, hidden, names
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Numbers:
     """Two effects."""
     absent: int = 60
     """One effect that is taken out of the catalogue."""
+    poor: int = 40
+    """One effect in steady drifts only; the manoeuvre that the diagnosis proposes is driven, and it is made again."""
     std: int = 2
     """Drives of CommonRoad's drift model."""
     mb: int = 2
@@ -59,9 +61,11 @@ def plan(
         drawn += [Case("single", car, 0, one(n, WEAK), WEAK) for n in of(numbers.weak)]
         drawn += [Case("pair", car, 0, _two(choice, rng)) for _ in range(numbers.pair)]
         drawn += [Case("absent", car, 0, one(n), without=(n,)) for n in of(numbers.absent)]
+        drawn += [Case("poor", car, 0, one(n), manoeuvres=POOR) for n in of(numbers.poor)]
     drawn += [Case("foreign", car, 0) for car, num in (("std", numbers.std), ("mb", numbers.mb)) for _ in range(num)]
     order = [drawn[i] for i in rng.permutation(len(drawn))]
-    return [dataclasses.replace(case, seed=int(rng.integers(2**32)), manoeuvres=manoeuvres) for case in order]
+    order = [dataclasses.replace(case, seed=int(rng.integers(2**32))) for case in order]
+    return [case if case.condition == "poor" else dataclasses.replace(case, manoeuvres=manoeuvres) for case in order]
 
 
 def _two(choice: tuple[str, ...], rng: np.random.Generator) -> tuple[Hidden, ...]:

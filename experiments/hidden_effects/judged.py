@@ -9,6 +9,7 @@ from experiments.hidden_effects.drivers import DRIVERS
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 BINS = 5  # of the probability
+AS_GOOD = 10.0  # difference of prices that says little: what one parameter must earn
 Result = dict[str, Any]
 
 
@@ -29,6 +30,17 @@ def first(result: Result) -> bool:
     (name,), cause = hidden_in(result), result["causes"][0]
     inseparable = result["verdict"] == "SET" and len(answer(cause)) <= LARGEST_SET and name in answer(cause)
     return cause["effect"] == name or inseparable
+
+
+def resolved(result: Result) -> bool:
+    """Whether the hidden effect alone is sure, once the manoeuvre proposed is driven."""
+    after = result["after"]
+    return after["verdict"] == "NAMED" and exactly(after)
+
+
+def misled(result: Result) -> bool:
+    """Whether something else was named without a doubt."""
+    return result["verdict"] == "NAMED" and not first(result)
 
 
 def exactly(result: Result) -> bool:
@@ -54,9 +66,15 @@ def shares(results: list[Result]) -> list[float]:
     return [r["skill"]["extended"][0] / r["oracle"][0] for r in counted]
 
 
+def imitated(result: Result) -> bool:
+    """Whether what was named in place of a missing effect fits the data no worse than the truth itself."""
+    return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + AS_GOOD
+
+
 def driven(result: Result) -> bool:
-    """Whether a driving variable of the missing effect is among the first two that are told."""
-    told = result["unexplained"]["drivers"][:2]
+    """Whether a driving variable of the missing effect is among the first two that are told: of what is left, or of
+    all that the nominal car gets wrong where nothing is."""
+    told = result["unexplained"]["drivers"] or result["unexplained"]["at_first"]
     return any(variable in DRIVERS[name] for name in hidden_in(result) for variable in told)
 
 

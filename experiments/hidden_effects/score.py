@@ -43,6 +43,8 @@ def of_car(own: list[Result]) -> dict[str, Measure]:
     quiet = pick(lambda c: c.condition == "single" and c.process_noise == 0)
     weak = pick(lambda c: c.condition == "single" and c.scale < 1)
     pair, absent = pick(lambda c: c.condition == "pair"), pick(lambda c: c.condition == "absent")
+    poor = pick(lambda c: c.condition == "poor")
+    sets, blind = ([r for r in poor if r["verdict"] == v and "after" in r] for v in ("SET", "DATA_INSUFFICIENT"))
     other = pick(lambda c: c.condition == "none" and c.noise != 1)
     present = [*single, *quiet, *weak, *pair]
     table = {
@@ -58,7 +60,11 @@ def of_car(own: list[Result]) -> dict[str, Measure]:
         "two: both found": rate(map(judged.both, pair), ">= 0.95"),
         "two: exactly these": rate(map(judged.exactly, pair), ">= 0.85"),
         "absent from the catalogue: not NAMED": rate((r["verdict"] != "NAMED" for r in absent), ">= 0.85"),
+        "absent: named what fits as well as the truth": rate(map(judged.imitated, absent)),
         "absent: driving variable in the first two": rate(map(judged.driven, absent), ">= 0.75"),
+        "poor log: named something else": rate(map(judged.misled, poor), "<= 0.05"),
+        "poor log, SET: resolved by the manoeuvre proposed": rate(map(judged.resolved, sets), ">= 0.90"),
+        "poor log, DATA_INSUFFICIENT: resolved by it": rate(map(judged.resolved, blind)),
         "95 % intervals: coverage": rate((x for r in present for x in judged.inside(r)), "0.90..0.98"),
         "reported set: mean size": mean((len(judged.answer(c)) for r in present for c in r["causes"]), "<= 1.5"),
         "share of the explainable removed": mean(judged.shares(present), ">= 0.9"),

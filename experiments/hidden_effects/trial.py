@@ -1,5 +1,6 @@
 """One case diagnosed and set beside its truth."""
 
+import dataclasses
 import time
 from typing import Any
 
@@ -11,7 +12,7 @@ from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, spl
 from driftjax.diagnose.fit import priced, settle
 from driftjax.diagnose.gain import open_loop, skill
 from driftjax.diagnose.naive import naive
-from driftjax.diagnose.score import partial_out
+from driftjax.diagnose.score import CONDITION, partial_out
 from driftjax.diagnose.select import price
 from driftjax.diagnose.told import to_json
 from driftjax.vehicle import VehicleConfig
@@ -20,6 +21,8 @@ from experiments.hidden_effects.case import Case
 from experiments.hidden_effects.foreign import height
 from experiments.hidden_effects.measured import measured, nominal
 
+LATER = 2**20  # between the seeds of a log and of the manoeuvre driven after it
+
 
 def run_case(case: Case) -> dict[str, Any]:
     """Drive, diagnose and compare one case; plain values for one line of JSON."""
@@ -27,7 +30,13 @@ def run_case(case: Case) -> dict[str, Any]:
     vehicle = nominal(case)
     runs = measured(case, vehicle)
     seconds = time.perf_counter() - start
-    return examine(case, vehicle, runs, tuple(EFFECTS.values())) | {"seconds_drive": seconds}
+    effects, poor = tuple(EFFECTS.values()), case.condition == "poor"
+    told = examine(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
+    if poor and told["proposed"]:
+        case = dataclasses.replace(case, manoeuvres=(told["proposed"],), seed=case.seed + LATER)
+        more = tuple(dataclasses.replace(run, name=f"next-{run.name}") for run in measured(case, vehicle))
+        told |= {"after": examine(case, vehicle, (*runs, *more), effects, 0)}
+    return told
 
 
 def examine(
@@ -51,7 +60,7 @@ def examine(
         test, truth = found.task.part(split(len(runs), config.held_out)[1]), case.theta(effects)
         best = skill(found.gain.errors["nominal"], open_loop(test, truth), found.gain.floor, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
-    if not case.without and set(told["named"]) != set(case.names):
+    if set(told["named"]) != set(case.names):
         told |= {"prices": prices(found, case)}
     return told
 
@@ -73,7 +82,8 @@ def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
     first = min(found.found.p_values.values(), default=found.found.scores.p_value)
     noise = [*task.noise.sigma, *task.noise.disturbance, task.noise.correlation]
     return {
-        "verdict": str(found.judgement.verdict), "sentence": found.judgement.sentence, "causes": causes,
+        "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.judgement.verdict),
+        "sentence": found.judgement.sentence, "causes": causes,
         "named": [c["effect"] for c in causes], "p_first": first,
         "p_left": found.left.p_value, "gain_left": found.left.gain,
         "unexplained": to_json(found, log)["unexplained"], "noise": [float(v) for v in noise],
@@ -106,10 +116,12 @@ def alike(found: Diagnosis, H: np.ndarray, column: int, taken: np.ndarray) -> di
 
     Parameters `taken` are taken out of every signature.
     """
-    P, owner = partial_out(H, taken), found.task.owner
+    P, owner, whole = partial_out(H, taken), found.task.owner, np.diag(H)
     H = P.T @ H @ P
-    size = np.sqrt(np.maximum(np.diag(H) * H[column, column], 1e-300))
-    cosine = np.abs(H[column]) / size
+    own = np.diag(H) > CONDITION * whole
+    cosine = np.where(
+        own & own[column], np.abs(H[column]) / np.sqrt(np.where(own, np.diag(H) * H[column, column], 1)), 0
+    )
     cosine[taken] = 0.0
     of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
     told = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)

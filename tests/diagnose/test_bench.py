@@ -17,7 +17,7 @@ from experiments.hidden_effects.foreign import drive_through, foreign_vehicle
 from experiments.hidden_effects.score import score
 from experiments.hidden_effects.stats import wilson
 
-SOME = Numbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, std=1, mb=1)
+SOME = Numbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
 
 
 def result(truth=(), causes=(), verdict="NAMED", **more) -> judged.Result:
@@ -32,7 +32,7 @@ def result(truth=(), causes=(), verdict="NAMED", **more) -> judged.Result:
     return {
         "case": json.loads(case.line()), "group": case.group, "seconds": 2.0, "verdict": verdict, "causes": told,
         "named": list(sizes), "p_first": 0.3, "p_left": 0.5, "skill": {"extended": [0.5, 0.4, 0.6]},
-        "oracle": [0.6, 0.5, 0.7], "naive": "channel_delay", "unexplained": {"drivers": []},
+        "oracle": [0.6, 0.5, 0.7], "naive": "channel_delay", "unexplained": {"drivers": [], "at_first": []},
         "hidden": [one | sizes.get(one["effect"], {}) for one in looks],
     } | more  # fmt: skip
 
@@ -45,7 +45,7 @@ NOTHING = result(verdict="NOTHING")
 def test_a_plan_is_drawn_anew_and_can_be_repeated():
     cases = plan(SOME, ("sedan", "rc"), 5)
     assert cases == plan(SOME, ("sedan", "rc"), 5) != plan(SOME, ("sedan", "rc"), 6)
-    assert len(cases) == 2 * (23 + len(EFFECTS)) + 2 and len({case.seed for case in cases}) == len(cases)
+    assert len(cases) == 2 * (25 + len(EFFECTS)) + 2 and len({case.seed for case in cases}) == len(cases)
     assert [case for case in map(read_case, map(Case.line, cases))] == cases
     full = [c for c in cases if c.condition == "single" and c.scale == 1 and c.process_noise and c.car == "rc"]
     assert sorted(name for case in full for name in case.names) == sorted(EFFECTS)
@@ -111,6 +111,19 @@ def test_the_table_counts_what_it_says():
     assert "sedan: two: both found" not in table
 
 
+def test_a_manoeuvre_that_settles_a_set_and_an_exact_imitation_are_counted():
+    of = lambda one, condition, **more: one | {"case": one["case"] | {"condition": condition}} | more
+    unsure = of(result([("mass", 1.0)], [("mass", 1.0)], "SET"), "poor")
+    rows = [unsure | {"after": after} for after in (FOUND, MISSED, FOUND | {"verdict": "SET"})]
+    missing = [of(MISSED, "absent", prices={"named": cost, "truth": 200.0}) for cost in (209.0, 211.0)]
+    table = score([*rows, of(MISSED, "poor"), *missing])
+    value = lambda name: (table[f"sedan: {name}"].value, table[f"sedan: {name}"].n)
+    assert value("poor log, SET: resolved by the manoeuvre proposed") == (pytest.approx(1 / 3), 3)
+    assert value("poor log: named something else") == (0.25, 4)
+    assert value("absent from the catalogue: not NAMED") == (0, 2)
+    assert value("absent: named what fits as well as the truth") == (0.5, 2)
+
+
 def test_a_stopped_bench_goes_on_and_a_case_that_fails_is_kept(monkeypatch, tmp_path, capsys):
     ran: list[int] = []
 
@@ -121,7 +134,7 @@ def test_a_stopped_bench_goes_on_and_a_case_that_fails_is_kept(monkeypatch, tmp_
         return NOTHING | {"case": json.loads(case.line())}
 
     monkeypatch.setattr(running, "run_case", fake)
-    numbers = Numbers(none=4, none_noise=0, quiet=0, single=0, weak=0, pair=0, absent=1, std=0, mb=0)
+    numbers = Numbers(none=4, none_noise=0, quiet=0, single=0, weak=0, pair=0, absent=1, poor=0, std=0, mb=0)
     scores = main(Config(numbers, seed=3, workers=1, out=tmp_path / "bench"))
     assert scores["failed"]["value"] == 1 and len(ran) == 5
     path = tmp_path / "bench" / "results.jsonl"

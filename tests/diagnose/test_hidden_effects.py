@@ -20,7 +20,7 @@ from experiments.hidden_effects.confusion import confusions
 from experiments.hidden_effects.draw import Numbers, plan
 from experiments.hidden_effects.trial import examine
 
-NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, std=0, mb=0)
+NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, poor=0, std=0, mb=0)
 GAIN = 4  # every so-many-th case measures the gain too, which takes as long again
 WHOLE = 6  # runs of a recording in which nothing spun
 

@@ -39,6 +39,27 @@ def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
     assert told.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in told.sentence
 
 
+def test_a_missing_bias_of_the_gyro_is_told_as_an_error_of_the_sensor():
+    task, found = nominal_only("gyro_bias", 2.0)
+    left = unexplained(task, found, 0)
+    bias = 2.0 * float(task.model.scale[ORDER.index("gyro_bias")])
+    assert left.found and next(iter(left.drivers)) == "1" == next(iter(left.at_first))
+    assert left.term[:3] == ("r", "sensor", "1") and left.term.unit == "rad/s"
+    assert left.term.value == pytest.approx(bias, rel=0.35)
+    assert "in what is measured as r" in judge(task, found, [], left, 36.0).sentence
+
+
+def test_effects_that_one_force_outdoes_only_imitate_it():
+    task, found = nominal_only("drive_gain", 2.5)
+    useless = tuple(ORDER.index(name) for name in ("yaw_inertia", "steer_offset"))
+    one, two = (unexplained(task, found._replace(members=useless[:num]), 0) for num in (1, 2))
+    assert one.simpler is None and two.simpler is not None
+    assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
+    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0) for i in useless]
+    told = judge(task, found, named, two._replace(p_value=1.0), 36.0)
+    assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
+
+
 def test_an_effect_that_is_left_out_takes_no_part():
     task, found = nominal_only("drive_gain", 2.5)
     column = ORDER.index("drive_gain")
