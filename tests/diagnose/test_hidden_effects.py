@@ -109,6 +109,6 @@ def test_units_of_mass_and_names_of_runs_change_nothing():
 @pytest.mark.slow
 def test_the_bench_with_the_whole_catalogue(tmp_path):
     """Two cases from draw to score."""
-    numbers = Numbers(none=1, none_noise=0, quiet=0, single=1, weak=0, pair=0, absent=0, std=0, mb=0)
+    numbers = Numbers(none=1, none_noise=0, quiet=0, single=1, weak=0, pair=0, absent=0, poor=0, std=0, mb=0)
     scores = main(Config(numbers, workers=1, seed=seed(), out=tmp_path))
     assert scores["failed"]["value"] == 0 and scores["sedan: one: named first"]["n"] == 1
