@@ -33,6 +33,11 @@ def price(task: Problem, fit: Fit, members: tuple[int, ...]) -> float:
     return fit.cost + WORTH * len(task.columns(members))
 
 
+def material(task: Problem, fit: Fit, effect: int) -> bool:
+    """Whether an effect has a size that anyone would care for."""
+    return bool(np.abs(fit.theta[task.columns((effect,))]).max() >= MATERIAL)
+
+
 def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gain: np.ndarray) -> tuple[tuple, Fit]:
     """`members` with one more, the one whose refit has the least price; themselves where none earns its keep.
 
@@ -45,6 +50,7 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     trials = [(refine(task, fit, task.columns(new), at, num=1), new) for new in grown]
     trials.sort(key=lambda item: price(task, *item))
     trials = [(refine(task, trial, task.columns(new), at), new) for trial, new in trials[:3]]
+    trials = [(trial, new) for trial, new in trials if material(task, trial, new[-1])]
     trial, new = min([*trials, (fit, members)], key=lambda item: price(task, *item))
     return new, trial
 
@@ -95,8 +101,7 @@ def prune(task: Problem, members: tuple[int, ...], fit: Fit) -> tuple[tuple[int,
         at, trials = around(task, fit), []
         for one in members:
             rest, trial = without(task, fit, members, one, at)
-            small = np.abs(fit.theta[task.columns((one,))]).max() < MATERIAL
-            trials.append((-np.inf if small else price(task, trial, rest), rest, trial))
+            trials.append((price(task, trial, rest) if material(task, fit, one) else -np.inf, rest, trial))
         loss, rest, trial = min(trials, key=lambda item: item[0])
         if loss >= price(task, fit, members):
             break
