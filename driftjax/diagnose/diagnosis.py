@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from driftjax.core import Blocks, require
-from driftjax.data import Log
+from driftjax.data import Log, Run
 from driftjax.diagnose.evidence import Cause, causes
 from driftjax.diagnose.fit import Fit, Problem, priced, problem, settle
 from driftjax.diagnose.gain import Errors, at_horizons, floor, predict, skill
@@ -96,8 +96,8 @@ def diagnose(
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
     report("noise and nominal car")
+    beside = blocks.begin(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
     task = problem(vehicle, effects, log.runs, config.without)
-    gain = (blocks or Blocks()).begin(measure, task, tuple(run.name for run in log.runs), config)
     report("naming")
     found = search(task, nominal(task), config.seed)
     named = causes(task, found)
@@ -105,7 +105,8 @@ def diagnose(
     judgement = judge(task, found, named, left, duration)
     proposal = propose(vehicle, task, found, named, judgement, config.seed)
     report("gain")
-    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain(), config)
+    gain = beside() if beside else measure(task, tuple(run.name for run in log.runs), config)
+    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
 
 
 def what_is_wrong(found: Diagnosis, log: Log) -> Show:
@@ -117,6 +118,13 @@ def what_is_wrong(found: Diagnosis, log: Log) -> Show:
 def nominal(task: Problem) -> Fit:
     """The car without any effect."""
     return priced(task, np.zeros(len(task.lower)))
+
+
+def measured(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
+) -> Gain | None:
+    """`measure` from the start: a worker reaches the problem as soon as its parent, whose programs it must load too."""
+    return measure(problem(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config)
 
 
 def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
