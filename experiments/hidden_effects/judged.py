@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import kstest
 
+from driftjax.diagnose.select import WORTH
 from experiments.hidden_effects.drivers import DRIVERS
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 BINS = 5  # of the probability
-AS_GOOD = 10.0  # difference of prices that says little: what one parameter must earn
 Result = dict[str, Any]
 
 
@@ -67,8 +67,8 @@ def shares(results: list[Result]) -> list[float]:
 
 
 def imitated(result: Result) -> bool:
-    """Whether what was named in place of a missing effect fits the data no worse than the truth itself."""
-    return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + AS_GOOD
+    """Whether what was named in place of a missing effect fits no worse than the truth, but for one parameter."""
+    return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + WORTH
 
 
 def driven(result: Result) -> bool:
