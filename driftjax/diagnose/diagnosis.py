@@ -7,12 +7,14 @@ import numpy as np
 
 from driftjax.core import Blocks, require
 from driftjax.data import Log, Run
+from driftjax.diagnose.approach import approach
 from driftjax.diagnose.evidence import Cause, causes
-from driftjax.diagnose.fit import Fit, Problem, priced, problem, settle
-from driftjax.diagnose.gain import Errors, at_horizons, floor, predict, skill
+from driftjax.diagnose.fit import Problem, observed, problem, settle
+from driftjax.diagnose.floor import floor
+from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
-from driftjax.diagnose.select import Selection, search
+from driftjax.diagnose.select import Selection
 from driftjax.diagnose.show import Judged, Show, show
 from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
@@ -52,6 +54,7 @@ class Gain:
     judged: Judged  # models compared on them
     errors: dict[str, Errors]  # of each
     floor: Errors  # what noise alone makes
+    unit: Errors  # the same of other draws, which shares are counted in
     skills: dict[str, tuple[float, tuple[float, float]]]
 
 
@@ -99,7 +102,7 @@ def diagnose(
     beside = blocks.begin(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
     task = problem(vehicle, effects, log.runs, config.without)
     report("naming")
-    found = search(task, nominal(task), config.seed)
+    task, found = approach(task, config.seed)
     named = causes(task, found)
     left = unexplained(task, found, config.seed)
     judgement = judge(task, found, named, left, duration)
@@ -111,13 +114,8 @@ def diagnose(
 
 def what_is_wrong(found: Diagnosis, log: Log) -> Show:
     """Residual forces, parity, open-loop errors and all else that figures draw, of the `log` diagnosed."""
-    judged = found.gain.judged if found.gain else on_all(found.task, found.found)
+    judged = found.gain.judged if found.gain else on_all(found.task, found.found, found.config.seed)
     return show(found.vehicle, found.task, log.runs, found.found, judged, found.config.seed)
-
-
-def nominal(task: Problem) -> Fit:
-    """The car without any effect."""
-    return priced(task, np.zeros(len(task.lower)))
 
 
 def measured(
@@ -134,25 +132,30 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     if not len(held):
         return None
     train, test = task.part(use), task.part(held)
-    found = search(train, nominal(train), config.seed)
+    near, found = approach(train, config.seed)
+    followed = test
+    if near is not train:
+        followed = observed(test, found.nominal.theta, found.base.noise)
+        test = observed(test, found.fit.theta, near.noise)
     effects = [effect.name for effect in task.effects]
     columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    tuned = settle(train, found.nominal, columns[task.asked[columns]])[0]
+    tuned = settle(found.base, found.nominal, columns[task.asked[columns]])[0]
     thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
-    ahead = {name: predict(test, theta) for name, theta in thetas.items()}
+    tests = {"nominal": followed, "retuned": followed, "extended": test}
+    ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
-        ahead[name] = predict(test, thetas[base], learnt(train, thetas[base], config.seed))
+        ahead[name] = predict(tests[base], thetas[base], learnt(train, thetas[base], config.seed))
     errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
-    least = floor(test, found.fit.theta)
-    floored = at_horizons(test, np.where(np.isfinite(ahead["nominal"].error), least, np.nan))
-    skills = {name: skill(errors["nominal"], one, floored, config.seed) for name, one in errors.items()}
+    noise = floor(test, found.fit.theta, ahead["extended"], config.seed)
+    least, unit = (at_horizons(test, squares) for squares in noise)
+    skills = {name: skill(errors["nominal"], one, least, unit, config.seed) for name, one in errors.items()}
     del skills["nominal"]
     named = tuple(effects[i] for i in found.members)
-    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, least), errors, floored, skills)
+    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, noise.least), errors, least, unit, skills)
 
 
-def on_all(task: Problem, found: Selection) -> Judged:
+def on_all(task: Problem, found: Selection, seed: int) -> Judged:
     """Nominal and extended car on the runs that the extension was named from, where none is held out."""
     thetas = {"nominal": found.nominal.theta, "extended": found.fit.theta}
-    ahead = {name: predict(task, theta) for name, theta in thetas.items()}
-    return Judged(task, ahead, floor(task, found.fit.theta))
+    ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", found.base), ("extended", task))}
+    return Judged(task, ahead, floor(task, found.fit.theta, ahead["extended"], seed).least)

@@ -74,18 +74,37 @@ def problem(
     Effects `without` which the question is put stay neutral, as do those whose columns a run lacks.
     """
     model, data = universal(vehicle, effects), pieces(vehicle, runs)
-    seen = jnp.asarray(data.track.seen)
-    sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
-    start = Noise(sigma, FIRST * sigma, CORRELATION)
-    theta = np.zeros(len(model.theta))
-    fixed, has = held(data), frozenset.intersection(*(frozenset(run.extra) for run in runs))
+    has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
-    path = follow(model, data, theta, fixed)
-    noise = estimate(derivatives(model, data, theta, path, asked), path.e, fixed, seen, start, data.dt)
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner = np.array([i for i, _ in parameters])
-    return Problem(model, data, lower, upper, owner, has, asked, noise, gains(model, data, noise.row(), fixed))
+    owner, fixed = np.array([i for i, _ in parameters]), held(data)
+    task = Problem(model, data, lower, upper, owner, has, asked, first_guess(data), fixed)
+    return tuned(task, np.zeros(len(owner)), asked)
+
+
+def first_guess(data: Pieces) -> Noise:
+    """Noise before any model is asked."""
+    sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
+    return Noise(sigma, FIRST * sigma, CORRELATION)
+
+
+def tuned(task: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
+    """The problem with the noise that the car `theta` needs, and gains along its path.
+
+    What parameters that are `profiled` (K,) out could explain is not taken for noise.
+    """
+    model, data, fixed = task.model, task.data, held(task.data)
+    path = follow(model, data, theta, fixed)
+    steps = derivatives(model, data, theta, path, profiled)
+    noise = estimate(steps, path.e, fixed, jnp.asarray(data.track.seen), first_guess(data), data.dt)
+    return observed(task, theta, noise)
+
+
+def observed(task: Problem, theta: np.ndarray, noise: Noise) -> Problem:
+    """The problem with this noise, and gains along the path of the car `theta`."""
+    data = task.data
+    return task._replace(noise=noise, gains=gains(task.model, data, theta, noise.row(), held(data)))
 
 
 def around(task: Problem, fit: Fit) -> Followed:

@@ -9,8 +9,8 @@ from jax import Array
 
 from driftjax.core import Control, State, features
 from driftjax.diagnose.fit import Problem
-from driftjax.diagnose.observer import Track, expected
-from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, spans, transitions
+from driftjax.diagnose.observer import Track
+from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, spans
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
@@ -25,6 +25,7 @@ class Ahead(NamedTuple):
     """Open-loop predictions of one model: P pieces of runs, S starts in each, N steps ahead."""
 
     starts: np.ndarray  # (S,) samples at which they start
+    z: Array  # (P, T, 6) where the model's observer stands: state and what is felt
     told: np.ndarray  # (P, S, N, 3) what sensors would tell of V, beta, r
     error: np.ndarray  # (P, S, N, 3) that less the measurement, NaN where there is none or the run is over
 
@@ -67,7 +68,6 @@ def ahead_of(
 
 
 ahead = beside(ahead_of, None, None, 0, 0, None, None, None, None)
-_expected = beside(expected, 0, 0, None, None, None, None)
 
 
 def starts_of(task: Problem) -> tuple[np.ndarray, int]:
@@ -88,7 +88,7 @@ def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahe
     seen = (np.asarray(data.track.seen)[:, row] > 0) & (at < PIECE)[..., None]
     off = told - np.asarray(data.track.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
-    return Ahead(starts, told, np.where(seen, off, np.nan))
+    return Ahead(starts, path.z, told, np.where(seen, off, np.nan))
 
 
 def at_horizons(task: Problem, squares: np.ndarray) -> Errors:
@@ -104,37 +104,26 @@ def open_loop(task: Problem, theta: np.ndarray) -> Errors:
     return at_horizons(task, predict(task, theta).error ** 2)
 
 
-def floor(task: Problem, theta: np.ndarray) -> np.ndarray:
-    """Squares (P, S, N, 3) of the errors that measurement and process noise make of a true model, near `theta`.
-
-    To first order: in an unstable drift this grows beyond what a car can do.
-    """
-    data, (starts, num) = task.data, starts_of(task)
-    where = jnp.asarray(theta)
-    A = transitions(task.model, data, where, follow(task.model, data, theta, task.gains))
-    noise = jnp.asarray(task.noise.row())
-    one = lambda A, P: _expected(A, P, noise, jnp.asarray(starts), num, data.dt)
-    return np.asarray(each_piece(one, len(data.run), A, task.gains.P))
-
-
 def root_mean(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     """Root of the mean of `squares` over `axis`, of those that are not NaN; NaN where all are."""
     num = np.isfinite(squares).sum(axis)
     return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
-def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[float, tuple[float, float]]:
+def skill(
+    before: Errors, after: Errors, least: Errors, unit: Errors, seed: int = 0
+) -> tuple[float, tuple[float, float]]:
     """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
 
-    Explainable is what exceeds the `least`, the floor that noise makes; errors count in units of it. NaN where no run
+    Explainable is what exceeds the `least`, the floor that noise makes; errors count in `unit`. NaN where no run
     lasts that long, or where the data leave it in doubt that anything is explainable: no share of that has a meaning.
     """
     at = before.horizons.index(SKILL)
-    cut = [errors.squares[:, at] for errors in (before, after, least)]
+    cut = [errors.squares[:, at] for errors in (before, after, least, unit)]
     keep = np.all([np.isfinite(squares).all(axis=1) for squares in cut], axis=0)
     if not keep.any():
         return np.nan, (np.nan, np.nan)
-    old, new = (np.sum(squares[keep] / cut[2][keep] - 1.0, axis=1) for squares in cut[:2])
+    old, new = (np.sum((squares - cut[2])[keep] / cut[3][keep], axis=1) for squares in cut[:2])
     names = np.unique(before.block[keep], return_inverse=True)[1]
     old, new = (np.bincount(names, values) for values in (old, new))
     draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))

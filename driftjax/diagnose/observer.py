@@ -130,29 +130,6 @@ def transition(A: Float[Array, "3 3"], left: Array, dt: float) -> Float[Array, "
     return jnp.block([[A, dt * (eye + A) / 2], [zero, left * eye]])
 
 
-def expected(
-    A: Float[Array, "T 3 3"], P: Float[Array, "T 6 6"], noise: Float[Array, "7"], starts: Array, num: int, dt: float
-) -> Float[Array, "n num 3"]:
-    """Squares of the open-loop errors 1..num steps after samples `starts` that noise alone makes of a true model.
-
-    The error of the start grows along the run's transitions `A`, disturbances that nobody foresees act on it, and
-    the measurement compared with is noisy itself; to first order.
-    """
-    left = jnp.exp(-dt / noise[6])
-    grown = jnp.diag(noise[3:6] ** 2)
-    Q = kicks(noise[3:6], left)
-
-    def one(k):
-        def on(M, j):
-            F = transition(A[jnp.minimum(k + j, len(A) - 1)], left, dt)
-            M = F @ M @ F.T + Q
-            return M, jnp.diagonal(M)[:3] + noise[:3] ** 2
-
-        return jax.lax.scan(on, P[k].at[3:, 3:].set(grown), jnp.arange(num))[1]  # predictions know no disturbance
-
-    return jax.vmap(one)(starts)
-
-
 class Steps(NamedTuple):
     """Derivatives along a run: of every step by itself, and of the start."""
 

@@ -161,9 +161,9 @@ def held(data: Pieces, share: float = HOLD) -> Gains:
     return Gains(L, jnp.zeros((num, PIECE, 3, 3)), nothing, jnp.zeros((num, PIECE, 6, 6)), nothing)
 
 
-def gains(model: Universal, data: Pieces, noise: np.ndarray, first: Gains) -> Gains:
-    """Gains along the path of the nominal car, that of `first` and then their own; `noise` (7,) as `Noise.row`."""
-    theta, found = jnp.zeros(len(model.theta)), first
+def gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
+    """Gains along the path of the car `theta`, that of `first` and then their own; `noise` (7,) as `Noise.row`."""
+    found = first
     for _ in range(2):
         A = transitions(model, data, theta, follow(model, data, theta, found))
         riccati_of = lambda A, seen: _riccati_of(A, seen, jnp.asarray(noise), data.dt)
@@ -171,9 +171,9 @@ def gains(model: Universal, data: Pieces, noise: np.ndarray, first: Gains) -> Ga
     return found
 
 
-def transitions(model: Universal, data: Pieces, theta: Array, path: Path) -> Array:
+def transitions(model: Universal, data: Pieces, theta: np.ndarray | Array, path: Path) -> Array:
     """Derivatives (P, T, 3, 3) of the state after each step by that before it."""
-    return _each_sample(model, theta, path, data).A[..., :3, :3]
+    return _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
 
 
 def follow(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:

@@ -5,10 +5,12 @@ chance gives whatever the dependence within a block and between effects (Romano 
 Miller 2008).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
+from scipy.stats import chi2, norm
 
 from driftjax.diagnose.fit import Problem, information
 from driftjax.diagnose.runs import Followed
@@ -18,22 +20,24 @@ CONDITION = 1e-8  # share of an effect's information that must be its own for it
 
 
 class Scores(NamedTuple):
-    """One-parameter tests of everything that is not in the hypothesis yet."""
+    """Tests of everything that is not in the hypothesis yet."""
 
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
+    joint: np.ndarray  # (G,) as |T|, of effects of several parameters of any sign, all of them together
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
-    chance: np.ndarray  # (DRAWS,) largest |T| that random signs gave, in ascending order
+    chance: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
 
     @property
     def p_value(self) -> float:
-        """Probability that chance gives the largest |T|."""
-        return float((1 + np.sum(self.chance >= np.abs(self.T).max(initial=0.0))) / (DRAWS + 1))
+        """Probability that chance gives the largest score."""
+        largest = max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0))
+        return float((1 + np.sum(self.chance >= largest)) / (DRAWS + 1))
 
     @property
     def threshold(self) -> float:
-        """Of |T|, which chance passes in one data set of twenty."""
+        """Of scores, which chance passes in one data set of twenty."""
         return float(np.quantile(self.chance, 0.95))
 
 
@@ -65,9 +69,13 @@ def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, .
     U = effective.sum(axis=0)
     allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
     T = np.where(allowed, studentised(effective, own), 0.0)
-    chance = largest_by_chance(effective, own, task.lower >= theta, seed)
+    one_sided = task.lower >= theta
+    together = [task.columns((i,)) for i in range(len(task.effects)) if i not in members]
+    together = [c for c in together if len(c) > 1 and own[c].all() and not one_sided[c].any()]
+    joint = np.array([joint_size(effective[:, c], U[None, c])[0] for c in together])
+    chance = largest_by_chance(effective, own, one_sided, seed, together)
     gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
-    return Scores(H, blocks, T, gains, chance)
+    return Scores(H, blocks, T, joint, gains, chance)
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -76,12 +84,25 @@ def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
     return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 
 
-def largest_by_chance(effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int) -> np.ndarray:
-    """Largest |T| (DRAWS,) when blocks have random signs, ascending; `one_sided` scores count where positive."""
+def joint_size(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """How far sums `U` (n, k) of k scores (C, k) are from zero together: the |T| of one parameter that is as rare.
+
+    Hotelling's statistic with the sum of squares of the blocks, which random signs leave as it is.
+    """
+    squares = np.einsum("ni,ij,nj->n", U, np.linalg.pinv(effective.T @ effective, hermitian=True), U)
+    return norm.isf(chi2.sf(squares, U.shape[1]) / 2)
+
+
+def largest_by_chance(
+    effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int, together: Sequence[np.ndarray] = ()
+) -> np.ndarray:
+    """Largest score (DRAWS,) when blocks have random signs, ascending: of |T|, where `one_sided` ones count if they are
+    positive, and of the parameters `together`."""
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
     drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
     drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
-    return np.sort(drawn.max(axis=1, initial=0.0))
+    joint = [joint_size(effective[:, c], signs @ effective[:, c]) for c in together]
+    return np.sort(np.max([drawn.max(axis=1, initial=0.0), *joint], axis=0))
 
 
 def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:

@@ -1,10 +1,11 @@
 """Which effects are named: forward, swap and backward steps between refits of the whole nonlinear model."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.core import BadInput
 from driftjax.diagnose.fit import Fit, Problem, around, priced, refine, settle
 from driftjax.diagnose.runs import Followed
 from driftjax.diagnose.score import Scores, scores
@@ -14,6 +15,7 @@ MOST = 4  # effects that one diagnosis may name
 REFITS = 6  # candidates refitted at each step
 WORTH = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
 MATERIAL = 0.08  # size below which an effect is left out, in typical sizes
+NONE: Mapping[int, float] = MappingProxyType({})
 
 
 class Selection(NamedTuple):
@@ -24,6 +26,7 @@ class Selection(NamedTuple):
     at: Followed
     scores: Scores  # of what is left out
     p_values: dict[int, float]
+    base: Problem  # in which the observer of the nominal car follows it: the one searched in, where that does
     nominal: Fit
     first: Scores  # of everything, at the nominal car
 
@@ -55,12 +58,13 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     return new, trial
 
 
-def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
-    """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each."""
-    members: tuple[int, ...] = ()
-    if not np.isfinite(start.cost):
-        raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
-    fit, at, p_values = start, around(task, start), dict[int, float]()
+def search(task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] = NONE) -> Selection:
+    """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each.
+
+    The search begins with the effects `known` from `start`, given with their p-values.
+    """
+    members, p_values = tuple(known), dict(known)
+    fit, at = settle(task, start, task.columns(members))
     left = first = scores(task, at, fit.theta, members, seed)
     while len(members) < MOST and left.p_value < LEVEL:
         grown, trial = best_of(task, fit, members, at, left.gain)
@@ -71,7 +75,7 @@ def search(task: Problem, start: Fit, seed: int = 0) -> Selection:
         p_values.update({i: left.p_value for i in new if i not in p_values})
         members, fit, at = new, trial, there
         left = scores(task, at, fit.theta, members, seed + len(members))
-    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, start, first)
+    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, task, start, first)
 
 
 def without(

@@ -58,16 +58,17 @@ def show(
     vehicle: VehicleConfig, task: Problem, runs: Sequence[Run], found: Selection, judged: Judged, seed: int
 ) -> Show:  # fmt: skip
     """Everything about the errors of the nominal and the extended car on all `runs`, those of `task`."""
-    zero = np.zeros_like(found.fit.theta)
-    along = {"nominal": linearised(task, zero), "extended": (found.at.path, found.at.steps)}
-    noise = needed(task, *along["nominal"])
+    zero, base = found.nominal.theta, found.base
+    along = {"nominal": linearised(base, zero), "extended": (found.at.path, found.at.steps)}
+    noise = needed(base, *along["nominal"])
     residual = {name: look(residuals(vehicle, task, *path, noise, runs), seed) for name, path in along.items()}
+    whiteness = {"nominal": white(base, along["nominal"][0]), "extended": white(task, found.at.path)}
     measured = np.isfinite(judged.ahead["nominal"].error)
     return Show(
-        limits(vehicle), noise, open_loop(task, zero), judged,
+        limits(vehicle), noise, open_loop(base, zero), judged,
         root_mean(np.where(measured, judged.least, np.nan), (0, 1)), tuple(run.name for run in runs), residual,
         parity(vehicle, runs, task.noise.sigma), found.first,
-        {name: white(task, path) for name, (path, _) in along.items()}, worst(residual["nominal"], vehicle),
+        whiteness, worst(residual["nominal"], vehicle),
     )  # fmt: skip
 
 

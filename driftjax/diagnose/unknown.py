@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from driftjax.data.columns import MEASURED
-from driftjax.diagnose.fit import Problem, around
+from driftjax.diagnose.fit import Problem, around, priced
 from driftjax.diagnose.observer import Path, Steps, pushed, slip_angles
 from driftjax.diagnose.runs import Followed, chained
 from driftjax.diagnose.score import CONDITION, Scores, largest_by_chance, partial_out, studentised, sums_by_block
@@ -106,10 +106,11 @@ def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
     Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
     """
     left = generic(task, found.at, found.scores, found.members, seed)
-    whole = generic(task, around(task, found.nominal), found.first, (), seed) if found.members else left
+    base = found.base
+    whole = generic(base, around(base, found.nominal), found.first, (), seed) if found.members else left
     gain, term = best(task, left)
     most, force = best(task, whole)
-    earned = found.nominal.cost - price(task, found.fit, found.members)
+    earned = found.nominal.cost - price(base, priced(base, found.fit.theta), found.members)
     simpler = force if len(found.members) > 1 and most - WORTH >= earned else None
     return Unexplained(left.p_value, gain, drivers(left), term, simpler, drivers(whole))
 

@@ -80,7 +80,7 @@ def error_over_horizon(data: xr.Dataset) -> Figure:
             colour, words = COMPARED[model]
             axis.plot(data["horizon"], errors.sel(compared=model), color=colour, label=words)
         floor = data["floor"].sel(channel=channel) * factor
-        axis.plot(data["horizon"], floor, color="black", ls="--", lw=1.2, label="a right model (to first order)")
+        axis.plot(data["horizon"], floor, color="black", ls="--", lw=1.2, label="a right model")
         sigma = float(data["sigma"].sel(channel=channel)) * factor
         axis.axhline(sigma, color="0.5", ls=":", lw=1.2, label="measurement noise")
         axis.set(xlabel="time ahead [s]", ylabel=f"RMS error of {label}")

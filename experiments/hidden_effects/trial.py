@@ -58,7 +58,8 @@ def examine(
         return told | {"height": height(case.car)}
     if found.gain and case.effects:
         test, truth = found.task.part(split(len(runs), config.held_out)[1]), case.theta(effects)
-        best = skill(found.gain.errors["nominal"], open_loop(test, truth), found.gain.floor, config.seed)
+        gain = found.gain
+        best = skill(gain.errors["nominal"], open_loop(test, truth), gain.floor, gain.unit, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
     if set(told["named"]) != set(case.names):
         told |= {"prices": prices(found, case)}

@@ -63,11 +63,12 @@ def standard(seed: int) -> Manoeuvre:
     return jax.tree.map(lambda *a: jnp.stack(a), *rows)
 
 
-def recorded(theta: np.ndarray, seed: int, noise_seed: int) -> tuple[Run, ...]:
+def recorded(theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0) -> tuple[Run, ...]:
     """The standard manoeuvres of `seed` on a sedan with the parameters `theta`; runs that spin are left out."""
     t, manoeuvres = np.arange(ROWS) * DT, standard(seed)
     keys = jax.random.split(jax.random.key(noise_seed), len(RICH))
-    conditions = Conditions(*map(jnp.asarray, truth()))
+    noise = truth()._replace(disturbance=disturbed * truth().disturbance)
+    conditions = Conditions(*map(jnp.asarray, noise))
     found = jax.tree.map(np.asarray, _drive(catalogue(), jnp.asarray(theta), manoeuvres, conditions, keys))
     runs = []
     for i, name in enumerate(RICH):

@@ -1,12 +1,13 @@
 """Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, verdict sentences."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
 from driftjax.diagnose.diagnosis import split
-from driftjax.diagnose.gain import Errors, skill
-from driftjax.diagnose.observer import expected, riccati, transition
+from driftjax.diagnose.fit import observed, problem
+from driftjax.diagnose.floor import floor
+from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4)
@@ -27,21 +28,21 @@ def test_rmse_is_the_root_of_the_mean_over_what_was_measured():
 
 def test_skill_is_one_for_a_model_at_the_noise_floor_and_zero_for_no_change():
     nominal, mended = errors(5.0), errors(0.0, seed=1)
-    value, (low, high) = skill(nominal, mended, FLOOR)
+    value, (low, high) = skill(nominal, mended, FLOOR, FLOOR)
     assert value == pytest.approx(1.0, abs=0.03) and low < value < high
-    value, (low, high) = skill(nominal, nominal, FLOOR)
+    value, (low, high) = skill(nominal, nominal, FLOOR, FLOOR)
     assert value == pytest.approx(0.0, abs=1e-12) and low == high == pytest.approx(0.0, abs=1e-9)
 
 
 def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_gain():
-    assert skill(errors(2.0), errors(3.0, seed=1), FLOOR)[0] < -0.5
-    found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
+    assert skill(errors(2.0), errors(3.0, seed=1), FLOOR, FLOOR)[0] < -0.5
+    found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR, FLOOR) for k in range(40)]
     assert sum(low < 0 < high for _, (low, high) in found) >= 34
     assert np.abs([value for value, _ in found]).max() < 0.35
 
 
 def test_no_share_is_told_where_noise_explains_everything():
-    value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
+    value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR, FLOOR)
     assert np.isnan([value, *interval]).all()
 
 
@@ -53,26 +54,17 @@ def test_every_third_run_is_held_out_and_none_of_too_few():
         assert list(use) == list(range(num)) and not len(held)
 
 
-def test_the_floor_is_what_noise_makes_of_a_true_model():
-    """A linear car with disturbed rates, followed and predicted many times over."""
-    rng, dt, T, num, start, many = np.random.default_rng(3), 0.02, 60, 30, 25, 4000
-    noise = np.array([*SIGMA, 0.3, 0.1, 0.4, 0.2])
-    left, A = np.exp(-dt / noise[6]), np.eye(3) + dt * np.array([[-0.2, 1, 0], [0, 1.5, -1], [0.3, 2, 0.5]])
-    A_all, seen = jnp.broadcast_to(jnp.asarray(A), (T, 3, 3)), jnp.ones((T, 3))
-    gains = riccati(A_all, seen, jnp.asarray(noise[:3]), jnp.asarray(noise[3:6]), jnp.asarray(left), dt)
-    F = np.asarray(transition(jnp.asarray(A), jnp.asarray(left), dt))
-    told = 2 * SIGMA * rng.standard_normal((many, 3))
-    w = np.concatenate([told, noise[3:6] * rng.standard_normal((many, 3))], axis=1)
-    known, errors = np.zeros((many, 6)), []
-    for k in range(start + num + 1):
-        y = w[:, :3] + SIGMA * rng.standard_normal((many, 3))
-        if k <= start:
-            known = known + (y - known[:, :3]) @ np.asarray(gains.L[k]).T
-            known = np.concatenate([known[:, :3], 0 * known[:, 3:]], axis=1) if k == start else known
-        else:
-            errors.append(((known[:, :3] - y) ** 2).mean(axis=0))
-        kick = np.sqrt(1 - left**2) * noise[3:6] * rng.standard_normal((many, 3))
-        w, known = w @ F.T + np.concatenate([np.zeros((many, 3)), kick], axis=1), known @ F.T
-    found = expected(A_all, gains.P, jnp.asarray(noise), jnp.array([start]), num, dt)[0]
-    np.testing.assert_allclose(np.asarray(found), np.array(errors), rtol=0.12)
-    assert (np.diff(np.asarray(found), axis=0) > 0).all()
+def test_the_floor_is_what_the_true_car_gets_wrong():
+    """Predictions by the car that was driven, with its own noise: their errors are as large as the floor says."""
+    runs = [run for seed in (1, 2) for run in recorded(hidden(), seed=seed, noise_seed=seed + 10)]
+    task = problem(sedan(), EFFECTS, tuple(runs))
+    neutral = np.zeros(len(ORDER))
+    task = observed(task, neutral, truth())
+    ahead = predict(task, neutral)
+    least, unit = (at_horizons(task, squares) for squares in floor(task, neutral, ahead, seed=3))
+    made = at_horizons(task, ahead.error**2)
+    for one in (least, unit):
+        ratio = np.nanmean(made.squares / one.squares.mean(axis=0), axis=0)[:3]
+        assert (0.6 < ratio).all() and (ratio < 1.6).all(), ratio
+    value, _ = skill(made, made, least, unit)
+    assert np.isnan(value)  # nothing is left to explain

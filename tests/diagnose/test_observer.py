@@ -12,7 +12,7 @@ from recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, seda
 from driftjax.diagnose.fit import problem
 from driftjax.diagnose.runs import BLOCK, PIECE, SPAN, differentiate, follow, gains, held, pieces, spans, whiten
 
-EVERY = np.ones(len(ORDER), bool)
+NEUTRAL, EVERY = np.zeros(len(ORDER)), np.ones(len(ORDER), bool)
 SKIP = 50  # samples until the observer has forgotten its guess of the start
 RUN, GAP = 1, slice(200, 260)  # where samples are taken away
 VARIED = ("friction_rear", "steer_lag", "gyro_bias", "load_transfer_long", "relaxation_length")
@@ -29,8 +29,8 @@ def nominal_runs():
 def watched():
     """Data, gains for the true noise, and whitened innovations (P, T, 3)."""
     data = pieces(sedan(), nominal_runs())
-    known = gains(catalogue(), data, truth().row(), held(data))
-    path = follow(catalogue(), data, np.zeros(len(ORDER)), known)
+    known = gains(catalogue(), data, NEUTRAL, truth().row(), held(data))
+    path = follow(catalogue(), data, NEUTRAL, known)
     return data, known, np.asarray(whiten(known, path.e))
 
 
@@ -60,8 +60,8 @@ def test_missing_samples_leave_no_trace(channels):
     gappy = pieces(sedan(), (*nominal_runs()[:RUN], replace(run, **values), *nominal_runs()[RUN + 1 :]))
     part = jax.tree.map(lambda a: a[RUN : RUN + 1], gappy.track)
     alone = gappy._replace(track=part, run=gappy.run[RUN : RUN + 1])
-    filling = gains(catalogue(), alone, truth().row(), held(alone))
-    found = np.asarray(whiten(filling, follow(catalogue(), alone, np.zeros(len(ORDER)), filling).e))[0]
+    filling = gains(catalogue(), alone, NEUTRAL, truth().row(), held(alone))
+    found = np.asarray(whiten(filling, follow(catalogue(), alone, NEUTRAL, filling).e))[0]
     columns = [index.index(name) for name in channels]
     assert np.isfinite(found).all() and not found[GAP][:, columns].any()
     np.testing.assert_allclose(found[: GAP.start], e[RUN, : GAP.start], atol=1e-6)  # the past knows no gap
@@ -96,8 +96,8 @@ def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     braking = np.where(V > 0.3, -7000.0, 0.0)
     run = replace(nominal_runs()[0], V=V, beta=still, r=still, delta=still, Fxr=braking, extra={})
     data = pieces(sedan(), (run,))
-    known = gains(catalogue(), data, truth().row(), held(data))
-    found = differentiate(catalogue(), data, np.zeros(len(ORDER)), known, EVERY)
+    known = gains(catalogue(), data, NEUTRAL, truth().row(), held(data))
+    found = differentiate(catalogue(), data, NEUTRAL, known, EVERY)
     assert np.isfinite(known.L).all() and np.isfinite(found.e).all() and np.isfinite(found.J).all()
     assert not np.asarray(found.e)[:, ROWS:].any() and not np.asarray(found.J)[:, ROWS:].any()
 

@@ -116,6 +116,24 @@ def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
     assert found.gain[3] == pytest.approx(explained, rel=0.2)
 
 
+def test_several_parameters_of_an_effect_are_tested_together():
+    """Four that act in six blocks each, so that no |T| can pass the root of six; together they do."""
+    task = made_up()._replace(owner=np.array([0, 0, 0, 0, 1]))
+    rng, J, shape = np.random.default_rng(13), np.zeros((1, BLOCKS * LENGTH, 3, SIZE)), (1, BLOCKS * LENGTH, 3)
+    for k in range(4):
+        J[:, k * 6 * LENGTH : (k + 1) * 6 * LENGTH, :, k] = 1.0
+    by_chance, found = [], []
+    for seed in range(100):
+        e = rng.normal(size=shape)
+        J[..., 4] = rng.normal(size=shape)
+        by_chance.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed).p_value)
+        found.append(scores(task, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
+    assert np.mean(np.array(by_chance) < 0.05) < 0.12  # p < 1e-3 at a rate of 5 %
+    assert max(np.abs(one.T[:4]).max() for one in found) < np.sqrt(6) + 1e-9
+    assert np.median([one.joint[0] for one in found]) > np.sqrt(6) + 1
+    assert np.median([one.p_value for one in found]) < 0.01
+
+
 def test_signs_that_an_effect_cannot_have_are_not_tested():
     rng, task = np.random.default_rng(11), made_up(ONE_SIDED)
     at = noise(rng)

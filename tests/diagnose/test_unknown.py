@@ -25,7 +25,7 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     fit = priced(task, np.zeros(len(ORDER)))
     at = around(task, fit)
     left = scores(task, at, fit.theta, (), 0)
-    return task, Selection((), fit, at, left, {}, fit, left)
+    return task, Selection((), fit, at, left, {}, task, fit, left)
 
 
 def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():

@@ -1,0 +1,83 @@
+"""What a right model would still get wrong: its predictions beside drives of the same car with the noise of the data.
+
+Each drive starts where the car may have been when the prediction was made, and its rates are disturbed at random.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import State
+from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.gain import Ahead
+from driftjax.diagnose.observer import Track, slip_angles
+from driftjax.diagnose.runs import beside, each_piece
+from driftjax.sim.rollout import acting, move, told
+from driftjax.vehicle.universal import Universal
+
+DRAWS = 8  # drives in each half
+ROUNDING = 1e-9  # added to correlations, so that they have a root
+
+
+class Floor(NamedTuple):
+    """Mean squares (P, S, N, 3) of the errors of a right model from two halves of the drives, which share no chance."""
+
+    least: np.ndarray  # what is to be subtracted
+    unit: np.ndarray  # what errors are counted in
+
+
+def root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A matrix that makes white noise noise of covariance `M`."""
+    size = jnp.sqrt(jnp.diagonal(M))
+    return size[:, None] * jnp.linalg.cholesky(M / (size[:, None] * size) + ROUNDING * jnp.eye(len(M)))
+
+
+def strays(
+    model: Universal, theta: Array, run: Track, z: Float[Array, "T 6"], P: Float[Array, "T 6 6"],
+    ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], noise: Float[Array, "7"], dt: float,
+    seed: Array,
+) -> Float[Array, "2 S N 3"]:  # fmt: skip
+    """Mean squares by which what is told of disturbed drives differs from the predictions `ahead`, per half.
+
+    Drives start at samples `starts` about the states `z` with the covariances `P`; predictions know no disturbance.
+    """
+    model, step = model.at(theta), jnp.asarray(dt)
+    u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
+    left = jnp.exp(-dt / noise[6])
+    kick = jnp.sqrt(1 - left**2) * noise[3:6]
+
+    def drive(k, ahead, key):
+        first, later = jax.random.split(key)
+        w = root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
+        x = z[k, :3] + w[:3]
+        felt = z[k, 3:5] + slip_angles(model, x, u[k]) - slip_angles(model, z[k, :3], u[k])
+
+        def on(carry, row):
+            (z, d), (j, kicked) = carry, row
+            at = jnp.minimum(k + j, len(run.y) - 1)
+            after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
+            return (after, left * d + kick * kicked), told(model, after[:3], (after[:3] - z[:3]) / step)
+
+        rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
+        off = jax.lax.scan(on, (jnp.concatenate([x, felt, z[k, 5:]]), w[3:]), rows)[1] - ahead
+        return off.at[:, 1].set(jnp.angle(jnp.exp(1j * off[:, 1]))) ** 2
+
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), number), (2, DRAWS, len(starts)))
+    each = jax.vmap(jax.vmap(jax.vmap(drive), (None, None, 0)), (None, None, 0))(starts, ahead, keys)
+    return each.mean(axis=1) + noise[:3] ** 2
+
+
+_strays = beside(strays, None, None, 0, 0, 0, 0, 0, None, None, None, None)
+
+
+def floor(task: Problem, theta: np.ndarray, ahead: Ahead, seed: int) -> Floor:
+    """The floor of the predictions `ahead` if the car `theta` that they are of is right."""
+    data, where, starts = task.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
+    noise, number = jnp.asarray(task.noise.row()), np.arange(len(data.run))
+    one = lambda *rows: _strays(task.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
+    found = np.asarray(each_piece(one, len(data.run), data.track, ahead.z, task.gains.P, ahead.told, number))
+    return Floor(found[:, 0], found[:, 1])
