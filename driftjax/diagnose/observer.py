@@ -15,7 +15,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import acting, begin, move, told
+from driftjax.sim.rollout import acting, begin, late, move, slip_of, told
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
@@ -62,7 +62,7 @@ def driven(seen: Float[Array, "T 3"]) -> Array:
 
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "2"]:
     """Geometric slip angles of front and rear [rad]."""
-    return jnp.stack(model.car.nominal.slip_angles(State(x[0], x[1], x[2]), Control(u[0], u[1])))
+    return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))
 
 
 def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
@@ -138,6 +138,7 @@ class Steps(NamedTuple):
     D: Float[Array, "T 3 3"]  # what is told, by the state
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
+    share: Float[Array, " T"]  # of a change of the slip during a step that tyres feel at its end
     first: Float[Array, "6 K"]  # state and what is felt at the first sample, by theta
 
 
@@ -149,7 +150,7 @@ def felt(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n
 def pushed(steps: Steps, dt: float) -> Float[Array, "T 6 3"]:
     """State and what is felt one step later, by a push of the rates during the step."""
     half = dt * (jnp.eye(3) + steps.A[:, :3, :3] + steps.A[:, :3, 3:5] @ steps.slip) / 2
-    return jax.vmap(felt)(steps.slip, half)
+    return jax.vmap(felt)(steps.share[:, None, None] * steps.slip, half)
 
 
 def chain(
@@ -163,13 +164,13 @@ def chain(
 
     def on(carry, row):
         S, d = carry
-        A, C, D, F, slip, L, seen, push, extra, alive = row
+        A, C, D, F, slip, _, L, seen, push, extra, alive = row
         e = -seen[:, None] * (D @ S[:3] + F)
         update = L @ e + extra
         S, d = S + felt(slip, update[:3]), d + update[3:]
         return (jnp.where(alive, A @ S + C + push @ d, S), gains.left * d), e
 
-    rows = (*steps[:5], gains.L, seen, pushed(steps, dt), extra, driven(seen))
+    rows = (*steps[:6], gains.L, seen, pushed(steps, dt), extra, driven(seen))
     return jax.lax.scan(on, (steps.first, jnp.zeros_like(steps.first[:3])), rows)[1]
 
 
@@ -190,6 +191,7 @@ class Local(NamedTuple):
     D: Float[Array, "n 3 3"]
     F: Float[Array, "n 3 K"]
     slip: Float[Array, "n 2 3"]
+    share: Float[Array, " n"]
 
 
 def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> Local:
@@ -197,10 +199,11 @@ def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -
     car, step = model.at(theta), jnp.asarray(dt)
 
     def one(path: Path, place: Place):
-        by = move_with_derivatives(car, path.z, path.u, place, step).by
+        by = move_with_derivatives(car, path.z, path.u, place, step, path.d).by
         D, F = jax.jacrev(lambda x, p: told(model.at(p), x, path.rate), (0, 1))(path.before[:3], theta)
         slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
-        return Local(by[:, :6], by[:, 6:8], by[:, 8:], D, F, slip)
+        share = 1 - late(car, State(*path.z[:3]), step)
+        return Local(by[:, :6], by[:, 6:8], by[:, 8:], D, F, slip, share)
 
     return jax.vmap(one)(path, place)
 

@@ -207,7 +207,7 @@ def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, a
     one = _each_sample(model, where, path, data)
     by_u, first = each_piece(lambda run: _by_commands(model, where, run, data.dt), len(data.run), data.track)
     only = jnp.asarray(asked, float)
-    return Steps(one.A, only * (one.by_theta + one.by_u @ by_u), one.D, only * one.F, one.slip, only * first)
+    return Steps(one.A, only * (one.by_theta + one.by_u @ by_u), one.D, only * one.F, one.slip, one.share, only * first)
 
 
 def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, asked: np.ndarray) -> Followed:

@@ -54,21 +54,36 @@ def motion(model: Universal, x: State, u: Control, place: Place, aux: Aux) -> tu
     return jax.lax.optimization_barrier((rates(flow), flow.ay))
 
 
+def slip_of(model: Universal, x: State, u: Control) -> Float[Array, "2"]:
+    """Geometric slip angles of front and rear [rad]."""
+    return jnp.stack(model.car.nominal.slip_angles(x, u))
+
+
+def time_of(model: Universal, x: State) -> Array:
+    """Time of the relaxation at this speed [s]."""
+    return model.car.relaxation / jnp.maximum(x.V, SLOWEST)
+
+
+def late(model: Universal, x: State, dt: Array) -> Array:
+    """Share of a slip that moves evenly over a step that tyres do not feel at its end."""
+    return lag_step(jnp.ones(()), jnp.zeros(()), time_of(model, x), dt)[0]
+
+
+def fading(model: Universal, x: State, felt: Felt, u: Control, dt: Array) -> Aux:
+    """What the tyres are behind in the mean over a step if the slip stands still: no rates are needed for that."""
+    mean, _ = lag_step(felt.slip - slip_of(model, x, u), jnp.zeros(2), time_of(model, x), dt)
+    return Aux(mean, jnp.zeros(()))
+
+
 def follow(model: Universal, x: State, u: Control, dx: State, ay: Array) -> Targets:
-    """Geometric slip angles, their rates, and the lateral acceleration, from the rates `dx` without any lag."""
-    slip = lambda y: jnp.stack(model.car.nominal.slip_angles(y, u))
-    alpha, alpha_dot = jax.jvp(slip, (x,), (dx,))
-    return Targets(alpha, alpha_dot, ay, model.car.relaxation / jnp.maximum(x.V, SLOWEST))
-
-
-def targets(model: Universal, x: State, u: Control, place: Place) -> Targets:
-    """What slip angles and roll would be, and how they move, if nothing lagged."""
-    return follow(model, x, u, *motion(model, x, u, place, Aux(jnp.zeros(2), jnp.zeros(()))))
+    """Geometric slip angles, their rates at the rates `dx`, and the lateral acceleration."""
+    alpha, alpha_dot = jax.jvp(lambda y: slip_of(model, y, u), (x,), (dx,))
+    return Targets(alpha, alpha_dot, ay, time_of(model, x))
 
 
 def settled(model: Universal, x: State, u: Control, place: Place) -> Felt:
     """What is felt where the state has been moving as it does now for longer than the lags."""
-    at = targets(model, x, u, place)
+    at = follow(model, x, u, *motion(model, x, u, place, Aux(jnp.zeros(2), jnp.zeros(()))))
     return Felt(at.slip - at.time * at.slip_rate, at.ay)
 
 
@@ -80,9 +95,11 @@ def lagged(model: Universal, felt: Felt, at: Targets, dt: Array) -> tuple[Aux, F
     return Aux(mean - behind, ay_mean - at.ay), Felt(end - behind, ay_end)
 
 
-def felt_at(model: Universal, x: State, u: Control, end: Felt) -> Felt:
-    """What is felt at the end of a step, from what `lagged` says is behind there."""
-    return Felt(jnp.stack(model.car.nominal.slip_angles(x, u)) + end.slip, end.ay)
+def felt_after(model: Universal, felt: Felt, at: Targets, x: State, u: Control, dt: Array) -> Felt:
+    """What is felt at the end `x` of a step that began at `at`: the slip has moved there evenly."""
+    slip = slip_of(model, x, u)
+    behind = lagged(model, felt, at._replace(slip_rate=(slip - at.slip) / dt), dt)[1]
+    return Felt(slip + behind.slip, behind.ay)
 
 
 def advance(
@@ -97,16 +114,17 @@ def advance(
 ) -> tuple[State, Felt]:
     """State and what is felt one step `dt` [s] later, under `u` held.
 
-    `push` is added to the rates; `step` is the integrator.
+    `push` is added to the rates; `step` is the integrator. The error is of second order in `dt` with tyres that lag.
     """
-    aux, end = lagged(model, felt, targets(model, x, u, place), dt)
+    at = follow(model, x, u, *motion(model, x, u, place, fading(model, x, felt, u, dt)))
+    aux, _ = lagged(model, felt, at, dt)
 
     def rate(y: State) -> State:
         dx = motion(model, y, u, place, aux)[0]
         return dx if push is None else axpy(1.0, push, dx)
 
     x = step(rate, x, dt)
-    return x, felt_at(model, x, u, end)
+    return x, felt_after(model, felt, at, x, u, dt)
 
 
 def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "2"], place: Place) -> Float[Array, "6"]:

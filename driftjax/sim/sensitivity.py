@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import Felt, felt_at, follow, lagged
+from driftjax.sim.rollout import Felt, fading, felt_after, follow, lagged
 from driftjax.vehicle.effect.flow import Aux, Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -39,11 +39,11 @@ def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
 
 
 def move_with_derivatives(
-    model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array
+    model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array, push: Float[Array, "3"]
 ) -> Dual:
     """State and what is felt one step later (6,), and its derivatives (6, 8 + K) by z, u and theta.
 
-    The same step as `rollout.move`.
+    The same step as `rollout.move`; `push` is added to the rates.
     """
     K = len(model.theta)
     every = jnp.eye(8 + K)
@@ -53,31 +53,38 @@ def move_with_derivatives(
         flow = model.at(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
         return jnp.stack([*rates(flow), flow.ay])
 
+    def fade(v, theta):
+        aux = fading(model.at(theta), _state(v), Felt(v[3:5], v[5]), _control(v[6:]), dt)
+        return jnp.concatenate([aux.slip, aux.ay[None]])
+
     def behind(v, theta):
         car, x, u = model.at(theta), _state(v), _control(v[6:])
-        at = follow(car, x, u, _state(v[8:]), v[11])
-        aux, end = lagged(car, Felt(v[3:5], v[5]), at, dt)
-        return jnp.concatenate([aux.slip, aux.ay[None], end.slip, end.ay[None]])
+        aux, _ = lagged(car, Felt(v[3:5], v[5]), follow(car, x, u, _state(v[8:]), v[11]), dt)
+        return jnp.concatenate([aux.slip, aux.ay[None]])
 
     def reach(v, theta):
-        end = felt_at(model.at(theta), _state(v), _control(v[3:]), Felt(v[5:7], v[7]))
-        return jnp.concatenate([v[:3], end.slip, end.ay[None]])
+        car, x, u, still = model.at(theta), _state(v), _control(v[6:]), State(*jnp.zeros(3))
+        at = follow(car, x, u, still, v[8])
+        felt = felt_after(car, Felt(v[3:5], v[5]), at, _state(v[9:]), u, dt)
+        return jnp.concatenate([v[9:], felt.slip, felt.ay[None]])
 
-    nothing = Dual(jnp.zeros(3), jnp.zeros((3, 8 + K)))
-    there = through(force, join(state, nothing, inputs), model.theta, direct)
-    late = through(behind, join(state, felt, inputs, there), model.theta, direct)
-    aux, end = (Dual(late.value[part], late.by[part]) for part in (slice(3), slice(3, 6)))
+    began = join(state, felt, inputs)
+    fades = through(fade, began, model.theta, direct)
+    there = through(force, join(state, fades, inputs), model.theta, direct)
+    aux = through(behind, join(began, there), model.theta, direct)
 
     def stage(carry, row):
         k, total = carry
         node, weight = row
         y = jax.tree.map(lambda a, b: a + node * dt * b, state, k)
         found = through(force, join(y, aux, inputs), model.theta, direct)
-        k = Dual(found.value[:3], found.by[:3])
+        k = Dual(found.value[:3] + push, found.by[:3])
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
 
+    nothing = Dual(jnp.zeros(3), jnp.zeros((3, 8 + K)))
     (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
-    return through(reach, join(after, inputs, end), model.theta, direct)
+    ay = Dual(there.value[3:], there.by[3:])
+    return through(reach, join(began, ay, after), model.theta, direct)
 
 
 def _state(v: Array) -> State:

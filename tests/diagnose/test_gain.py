@@ -1,13 +1,17 @@
-"""Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, verdict sentences."""
+"""Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, runs mixed up."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
-from driftjax.diagnose.diagnosis import split
+from driftjax.data import Log
+from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split
 from driftjax.diagnose.fit import observed, problem
 from driftjax.diagnose.floor import floor
 from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
+from driftjax.diagnose.verdict import Verdict
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4)
@@ -68,3 +72,18 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
         assert (0.6 < ratio).all() and (ratio < 1.6).all(), ratio
     value, _ = skill(made, made, least, unit)
     assert np.isnan(value)  # nothing is left to explain
+
+
+def test_runs_mixed_up_show_no_gain():
+    """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
+    runs = recorded(hidden(drive_gain=-1.2, friction_rear=1.0), seed=11, noise_seed=12)
+    mixed = [
+        replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)
+    ]
+    found = {}
+    for name, log in (("whole", runs), ("mixed", tuple(mixed))):
+        told = diagnose(sedan(), Log(log, "", (), ()), DiagnoseConfig(gp=False), effects=EFFECTS)
+        assert isinstance(told, Diagnosis) and told.gain
+        found[name] = told.judgement.verdict, told.gain.skills["extended"][1][0]
+    assert found["whole"][1] > 0.5
+    assert found["mixed"][0] is Verdict.UNKNOWN and not found["mixed"][1] > 0, found

@@ -61,7 +61,8 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     D, none = np.eye(3), np.zeros((3, 1))
     full = np.zeros((6, 6))
     full[:3, :3] = A
-    steps = many(full), many(np.zeros((6, 1))), many(D), many(none), many(np.zeros((2, 3))), jnp.zeros((1, 6, 1))
+    first = jnp.zeros((1, 6, 1))
+    steps = many(full), many(np.zeros((6, 1))), many(D), many(none), many(np.zeros((2, 3))), many(np.ones(())), first
     return path, Steps(*steps), seen
 
 

@@ -13,7 +13,7 @@ from driftjax.track import load_track
 from driftjax.vehicle import build_car, load_vehicle
 from driftjax.vehicle.parameters import FoundParameter
 
-CONFIG = PlanConfig(entry_speed=3.016, V_min=0.8, V_max=8.0, drift=False, num_nodes=201, front_slip=0.1)
+CONFIG = PlanConfig(entry_speed=3.016, V_min=0.8, V_max=8.0, drift=False, num_nodes=121, front_slip=0.1)
 
 
 def vehicle(**found):

@@ -8,12 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from driftjax.core import Control, State, rk4_step
 from driftjax.sim.rollout import SETTLE, Felt, acting, advance, begin, move, settled, told
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import Place, effects_named
+from driftjax.vehicle.effect.flow import Aux
 from driftjax.vehicle.universal import Universal, universal
 
 NUM, DT = 12, 0.01
@@ -22,6 +24,7 @@ BENT = (  # every lag, and effects of every station that a step runs through
     "roll_lag roll_steer side_wind drive_split"
 ).split()
 QUICK = {"xla_disable_hlo_passes": "fusion"}  # compiles several times faster
+PUSH = jnp.array([0.3, -0.1, 0.4])  # on the rates
 STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
 
 
@@ -172,10 +175,10 @@ def test_derivatives_of_a_step_are_those_of_forward_mode():
 
     def both(z, u, place):
         def f(z, u, theta):
-            return move(model.at(theta), z, u, place, jnp.asarray(DT))
+            return move(model.at(theta), z, u, place, jnp.asarray(DT), State(*PUSH))
 
         by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2))(z, u, model.theta), axis=1)
-        return f(z, u, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT))
+        return f(z, u, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT), PUSH)
 
     value, exact, found = jax.jit(jax.vmap(both), compiler_options=QUICK)(z, u, place)
     np.testing.assert_allclose(found.value, value, rtol=1e-12, atol=1e-13)
@@ -183,3 +186,35 @@ def test_derivatives_of_a_step_are_those_of_forward_mode():
     assert (largest.max(axis=0) > 0).all()  # a column of zeros would tell nothing
     largest = np.where(largest > 0, largest, 1.0)
     np.testing.assert_allclose(found.by / largest, exact / largest, atol=1e-10)
+
+
+@functools.cache
+def late_tyres(dt):
+    """A car whose tyres need 0.15 m, steered at random from straight on at 2.5 m/s; states (n, 5) every 10 ms."""
+    model, delta = car_with("rc", relaxation_length=0.04), np.random.default_rng(4).normal(0.0, 0.08, 60)
+    num = round(DT / dt)
+    z0 = begin(model, jnp.array([2.5, 0.0, 0.0]), jnp.zeros(2), STILL)
+    one = lambda z, d: jax.lax.fori_loop(
+        0, num, lambda _, z: move(model, z, jnp.stack([d, jnp.asarray(1.0)]), STILL, jnp.asarray(dt)), z
+    )
+    return delta, np.asarray(jax.jit(lambda z: jax.lax.scan(lambda z, d: (one(z, d),) * 2, z, delta)[1])(z0))[:, :5]
+
+
+def test_late_tyres_are_those_of_the_differential_equation():
+    """tau alpha_felt' + alpha_felt = alpha with the motion that the felt slip makes (SciPy), to second order."""
+    model = car_with("rc", relaxation_length=0.04)
+
+    @jax.jit
+    def rates(y, delta):
+        x, u = State(y[0], y[1], y[2]), Control(delta, jnp.asarray(1.0))
+        alpha = jnp.stack(model.car.nominal.slip_angles(x, u))
+        dx = model.rates(x, u, STILL, Aux(y[3:] - alpha, jnp.zeros(())))
+        return jnp.concatenate([jnp.stack(dx), (alpha - y[3:]) * x.V / model.car.relaxation])
+
+    y, true = np.array([2.5, 0.0, 0.0, 0.0, 0.0]), []
+    for delta in late_tyres(DT)[0]:
+        y = solve_ivp(lambda _, y: rates(y, delta), (0, DT), y, rtol=1e-9, atol=1e-11).y[:, -1]  # noqa: B023
+        true.append(y)
+    size = np.ptp(true, axis=0)
+    errors = [np.abs((late_tyres(dt)[1] - true) / size).max() for dt in (DT, DT / 4, DT / 16)]
+    assert errors[0] < 0.15 and errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8, errors
