@@ -11,7 +11,7 @@ import tyro
 import yaml
 
 from driftjax.cli.console import default_out, peek, typed, within
-from driftjax.control.campaign import Campaign, Truth, record_runs
+from driftjax.control.campaign import LATER, Campaign, Truth, record_runs
 from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder, write_log
@@ -135,7 +135,7 @@ def described(truth: Truth, vehicle: VehicleConfig, typed_in: Simulate) -> dict:
 def drive_again(truth: Path, manoeuvre: str, path: Path) -> None:
     """One more run, of `manoeuvre`, on the car that `truth` describes, into a log at `path`; with a seed of its own."""
     vehicle, theta, before = read_truth(truth)
-    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + 2**20)
+    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + LATER)
     runs, _ = record_runs(vehicle, theta, campaign)
     if not runs:
         raise BadInput(f"{truth}: the car spun or came to a stop in every draw of '{manoeuvre}'.")

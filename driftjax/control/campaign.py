@@ -24,6 +24,7 @@ SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this
 STEP = 1e-3  # longest step of the plant [s]
 PLACE = (0.007, 0.0035)  # typical noise of positions over the wheelbase, of the heading [rad]
 ACCELERATION = 0.005  # typical noise of accelerations, over gravity [-]
+LATER = 2**20  # between the seeds of a campaign and of what is driven after it
 
 
 @dataclass(frozen=True)

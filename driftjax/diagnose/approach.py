@@ -20,6 +20,13 @@ def misfit(task: Problem, fit: Fit) -> float:
     return fit.cost / float(np.sum(np.asarray(task.data.track.seen)))
 
 
+def kept(fit: Fit) -> Fit:
+    """`fit`, if its observer has not lost the car."""
+    if not np.isfinite(fit.cost):
+        raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
+    return fit
+
+
 def approach(task: Problem, seed: int = 0) -> tuple[Problem, Selection]:
     """What is found in `task`, with the problem that it was found in: the same one but where that leads nowhere.
 
@@ -40,12 +47,10 @@ def round_about(task: Problem, seed: int) -> tuple[Problem, Selection]:
     """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
     observer of the car found."""
     loose = tuned(task, np.zeros(len(task.lower)), np.zeros_like(task.asked))
-    start = nominal(loose)
-    if not np.isfinite(start.cost):
-        raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
+    start = kept(nominal(loose))
     rough = search(loose, start, seed)
     anew = tuned(task, rough.fit.theta, task.asked)
     fit = settle(anew, priced(anew, rough.fit.theta), anew.columns(rough.members))[0]
-    members, fit = prune(anew, rough.members, fit)
+    members, fit = prune(anew, rough.members, kept(fit))
     found = search(anew, fit, seed, {i: rough.p_values[i] for i in members})
     return anew, found._replace(base=loose, nominal=start, first=rough.first)

@@ -54,7 +54,6 @@ class Gain:
     judged: Judged  # models compared on them
     errors: dict[str, Errors]  # of each
     floor: Errors  # what noise alone makes
-    unit: Errors  # the same of other draws, which shares are counted in
     skills: dict[str, tuple[float, tuple[float, float]]]
 
 
@@ -147,15 +146,15 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
         ahead[name] = predict(tests[base], thetas[base], learnt(train, thetas[base], config.seed))
     errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
     noise = floor(test, found.fit.theta, ahead["extended"], config.seed)
-    least, unit = (at_horizons(test, squares) for squares in noise)
-    skills = {name: skill(errors["nominal"], one, least, unit, config.seed) for name, one in errors.items()}
+    least = at_horizons(test, noise)
+    skills = {name: skill(errors["nominal"], one, least, config.seed) for name, one in errors.items()}
     del skills["nominal"]
     named = tuple(effects[i] for i in found.members)
-    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, noise.least), errors, least, unit, skills)
+    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, noise), errors, least, skills)
 
 
 def on_all(task: Problem, found: Selection, seed: int) -> Judged:
     """Nominal and extended car on the runs that the extension was named from, where none is held out."""
     thetas = {"nominal": found.nominal.theta, "extended": found.fit.theta}
     ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", found.base), ("extended", task))}
-    return Judged(task, ahead, floor(task, found.fit.theta, ahead["extended"], seed).least)
+    return Judged(task, ahead, floor(task, found.fit.theta, ahead["extended"], seed))

@@ -36,6 +36,7 @@ class Errors(NamedTuple):
     squares: np.ndarray
     horizons: tuple[float, ...]
     block: np.ndarray  # number of the block of each start
+    piece: np.ndarray  # and of its piece of a run
 
     @property
     def rms(self) -> np.ndarray:
@@ -96,7 +97,9 @@ def at_horizons(task: Problem, squares: np.ndarray) -> Errors:
     horizons = (task.data.dt, *HORIZONS)
     steps = np.array([max(round(h / task.data.dt), 1) for h in horizons])
     chosen = squares[:, :, steps - 1]
-    return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, spans(task.data)[:, starts_of(task)[0]].ravel())
+    starts = starts_of(task)[0]
+    piece = np.repeat(np.arange(len(squares)), len(starts))
+    return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, spans(task.data)[:, starts].ravel(), piece)
 
 
 def open_loop(task: Problem, theta: np.ndarray) -> Errors:
@@ -110,20 +113,21 @@ def root_mean(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
-def skill(
-    before: Errors, after: Errors, least: Errors, unit: Errors, seed: int = 0
-) -> tuple[float, tuple[float, float]]:
+def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[float, tuple[float, float]]:
     """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
 
-    Explainable is what exceeds the `least`, the floor that noise makes; errors count in `unit`. NaN where no run
-    lasts that long, or where the data leave it in doubt that anything is explainable: no share of that has a meaning.
+    Explainable is what exceeds the `least`, the floor that noise makes; errors count in its mean over their piece of a
+    run, for on a drift some starts spin and others do not. NaN where no run lasts that long, or where the data leave it
+    in doubt that anything is explainable: no share of that has a meaning.
     """
     at = before.horizons.index(SKILL)
-    cut = [errors.squares[:, at] for errors in (before, after, least, unit)]
+    cut = [errors.squares[:, at] for errors in (before, after, least)]
     keep = np.all([np.isfinite(squares).all(axis=1) for squares in cut], axis=0)
     if not keep.any():
         return np.nan, (np.nan, np.nan)
-    old, new = (np.sum((squares - cut[2])[keep] / cut[3][keep], axis=1) for squares in cut[:2])
+    piece = np.unique(before.piece[keep], return_inverse=True)[1]
+    unit = np.stack([np.bincount(piece, column) for column in cut[2][keep].T], axis=1) / np.bincount(piece)[:, None]
+    old, new = (np.sum((squares - cut[2])[keep] / unit[piece], axis=1) for squares in cut[:2])
     names = np.unique(before.block[keep], return_inverse=True)[1]
     old, new = (np.bincount(names, values) for values in (old, new))
     draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))

@@ -1,7 +1,6 @@
 """Which effects are named: forward, swap and backward steps between refits of the whole nonlinear model."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ MOST = 4  # effects that one diagnosis may name
 REFITS = 6  # candidates refitted at each step
 WORTH = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
 MATERIAL = 0.08  # size below which an effect is left out, in typical sizes
-NONE: Mapping[int, float] = MappingProxyType({})
 
 
 class Selection(NamedTuple):
@@ -58,12 +56,13 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     return new, trial
 
 
-def search(task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] = NONE) -> Selection:
+def search(task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] | None = None) -> Selection:
     """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each.
 
     The search begins with the effects `known` from `start`, given with their p-values.
     """
-    members, p_values = tuple(known), dict(known)
+    p_values = dict(known or {})
+    members = tuple(p_values)
     fit, at = settle(task, start, task.columns(members))
     left = first = scores(task, at, fit.theta, members, seed)
     while len(members) < MOST and left.p_value < LEVEL:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from driftjax.control.campaign import LATER
 from driftjax.core.config import to_dict
 from driftjax.data import Log, Run
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split
@@ -20,8 +21,6 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 from experiments.hidden_effects.case import Case
 from experiments.hidden_effects.foreign import height
 from experiments.hidden_effects.measured import measured, nominal
-
-LATER = 2**20  # between the seeds of a log and of the manoeuvre driven after it
 
 
 def run_case(case: Case) -> dict[str, Any]:
@@ -59,7 +58,7 @@ def examine(
     if found.gain and case.effects:
         test, truth = found.task.part(split(len(runs), config.held_out)[1]), case.theta(effects)
         gain = found.gain
-        best = skill(gain.errors["nominal"], open_loop(test, truth), gain.floor, gain.unit, config.seed)
+        best = skill(gain.errors["nominal"], open_loop(test, truth), gain.floor, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
     if set(told["named"]) != set(case.names):
         told |= {"prices": prices(found, case)}
