@@ -47,19 +47,23 @@ def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
     return Course(str(plant), found.build(), config)
 
 
-def neutral(vehicle: VehicleConfig) -> VehicleConfig:
-    """The nominal car, as the extended one with its effects at 0: the same car, and the same compiled program."""
-    effects = tuple(dataclasses.replace(one, value=0.0, ci95_half=None) for one in vehicle.effects)
-    return dataclasses.replace(vehicle, effects=effects, covariance=())
+def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
+    """The car `vehicle` as the `extended` one with its effects where they started: the same car, and the same compiled
+    program."""
+    start = {one.name: one.value for one in vehicle.effects}
+    effects = (dataclasses.replace(e, value=start.get(e.name, 0.0), ci95_half=None) for e in extended.effects)
+    return dataclasses.replace(extended, effects=tuple(effects), covariance=())
 
 
-def closed_loop(course: Course, extended: VehicleConfig) -> dict[str, Any]:
+def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
     """What diagnosis.json holds under `closed_loop`: laps of the nominal and the `extended` car as models.
 
     Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the
     same sensor noise, so that their difference is paired.
     """
-    models = {"nominal": neutral(extended)} | ({"extended": extended} if extended.effects else {})
+    models = {"nominal": before(nominal, extended)}
+    if extended.effects != nominal.effects:
+        models |= {"extended": extended}
     tell(extended)
     laps: dict[str, Stage] = {}
     told: dict[str, Any] = {}

@@ -10,7 +10,7 @@ import yaml
 from driftjax.cli.closed_loop import Course, closed_loop, load_course
 from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.cli.simulate import drive_again
-from driftjax.core import BadInput, num_workers, workers, write_atomically
+from driftjax.core import num_workers, workers, write_atomically
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
@@ -30,7 +30,8 @@ class Diagnose:
     """CSV or Parquet files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s)."""
     options: Annotated[DiagnoseConfig, tyro.conf.arg(name="")] = DiagnoseConfig()
     vehicle: Path = Path("sedan")
-    """Nominal car: a shipped name or a vehicle YAML."""
+    """Nominal car: a shipped name or a vehicle YAML, the extended.yaml of an earlier diagnosis among them: its effects
+    are where this one starts."""
     combined_slip: float | None = None
     """Friction ellipse of the nominal car, 0 none (as published), 1 a circle; left out: the vehicle's own [-]."""
     columns: str | None = None
@@ -51,8 +52,6 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(asked.vehicle)
     if asked.combined_slip is not None:
         vehicle = vehicle.with_slip(asked.combined_slip)
-    if vehicle.effects:
-        raise BadInput(f"{asked.vehicle}: key 'effects': a diagnosis starts from a nominal car; leave the effects out.")
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
     log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
@@ -103,7 +102,7 @@ def work(
         print(gain_table(content["gain"]))
     if course and isinstance(found, Diagnosis):
         print(f"closed loop: driving on {course.name}", flush=True)
-        driven = closed_loop(course, load_vehicle(folder.path / "extended.yaml"))
+        driven = closed_loop(course, vehicle, load_vehicle(folder.path / "extended.yaml"))
         print(closed_loop_table(_kept(folder, content | {"closed_loop": driven})["closed_loop"]))
     print(f"report: {write_diagnosis(folder)}")
     return found

@@ -15,13 +15,14 @@ from contextlib import contextmanager
 
 from driftjax import __version__
 
-VERBS = ("learn", "diagnose", "simulate", "plan", "equilibria", "runs", "report")
+VERBS = ("learn", "diagnose", "inspect", "simulate", "plan", "equilibria", "runs", "report")
 HELP = """usage: driftjax VERB [options]
 
 A differentiable, jit-compiled car in JAX that learns to drift.
 
   learn        plan, nominal laps, GP laps and active exploration on a batch of plants: table, figures, run folder
   diagnose LOG what measured logs say the model gets wrong, why, and what mending it gains
+  inspect LOG  what is in a measured log, and whether its channels agree
   simulate     drive manoeuvres on a car with any effects and noise: a log in the log format, and the truth beside it
   plan         minimum-time plan of a car on a track: plan.nc, plan.csv, figures
   equilibria   map of a car's steady states: grip and drift branches

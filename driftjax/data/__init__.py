@@ -1,5 +1,6 @@
 """What is on disk: run folders with configs, plans, laps and results, and measured logs."""
 
+from driftjax.data.columns import CHANNELS as CHANNELS
 from driftjax.data.columns import ColumnMap as ColumnMap
 from driftjax.data.columns import load_columns as load_columns
 from driftjax.data.folder import RunFolder as RunFolder

@@ -11,8 +11,8 @@ FAR = 1.5  # and from which a fit is not one: noise is what no effects explain, 
 
 
 def nominal(task: Problem) -> Fit:
-    """The car without any effect."""
-    return priced(task, np.zeros(len(task.lower)))
+    """The car before anything is named."""
+    return priced(task, task.start)
 
 
 def misfit(task: Problem, fit: Fit) -> float:
@@ -46,7 +46,7 @@ def approach(task: Problem, seed: int = 0) -> tuple[Problem, Selection]:
 def round_about(task: Problem, seed: int) -> tuple[Problem, Selection]:
     """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
     observer of the car found."""
-    loose = tuned(task, np.zeros(len(task.lower)), np.zeros_like(task.asked))
+    loose = tuned(task, task.start, np.zeros_like(task.asked))
     start = kept(nominal(loose))
     rough = search(loose, start, seed)
     anew = tuned(task, rough.fit.theta, task.asked)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from driftjax.core import BadInput
 from driftjax.data import Run
 from driftjax.diagnose.noise import CORRELATION, FIRST, PRIOR, Noise, estimate, measurement_noise
 from driftjax.diagnose.observer import Gains
@@ -23,10 +24,12 @@ from driftjax.diagnose.runs import (
 )
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Effect
+from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
+STABLE = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
 SLOW = 0.3  # fall of the cost, over that of the step before, from which derivatives are had anew
 
 
@@ -37,9 +40,10 @@ class Problem(NamedTuple):
     data: Pieces
     lower: np.ndarray  # (K,) bounds of theta, in typical sizes
     upper: np.ndarray
+    start: np.ndarray  # (K,) theta of the nominal car, 0 but for the effects that its file names already
     owner: np.ndarray  # (K,) index of the effect that a parameter belongs to
     has: frozenset[str]  # further columns that every run has
-    asked: np.ndarray  # (K,) whether the parameter is in question: others stay at 0
+    asked: np.ndarray  # (K,) whether the parameter is in question: others stay where they start
     noise: Noise
     gains: Gains
 
@@ -73,14 +77,36 @@ def problem(
 
     Effects `without` which the question is put stay neutral, as do those whose columns a run lacks.
     """
-    model, data = universal(vehicle, effects), pieces(vehicle, runs)
+    data = pieces(vehicle, runs)
+    model = universal(vehicle, effects, substeps(vehicle, runs))
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner, fixed = np.array([i for i, _ in parameters]), held(data)
-    task = Problem(model, data, lower, upper, owner, has, asked, first_guess(data), fixed)
-    return tuned(task, np.zeros(len(owner)), asked)
+    owner, fixed, start = np.array([i for i, _ in parameters]), held(data), named_already(vehicle, model)
+    task = Problem(model, data, lower, upper, start, owner, has, asked, first_guess(data), fixed)
+    return tuned(task, start, asked)
+
+
+def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
+    """In how many parts a step between samples is to be integrated, at nearly the slowest speed of `runs`.
+
+    On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates.
+    """
+    V = np.nanquantile(np.concatenate([run.V for run in runs]), 0.05)
+    stiffness = vehicle.mu * vehicle.B * vehicle.C * G / max(V, 0.1 * np.sqrt(G * (vehicle.a + vehicle.b)))
+    fastest = stiffness * max(1.0, vehicle.m * vehicle.a * vehicle.b / vehicle.Iz)
+    return max(int(np.ceil(runs[0].dt * fastest / STABLE)), 1)
+
+
+def named_already(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
+    """Theta (K,) of the effects in the file of `vehicle`."""
+    values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
+    each = [(effect.name, p.name) for effect in model.effects for p in effect.parameters]
+    lost = sorted({effect for effect, _ in values} - {effect for effect, _ in each})
+    if lost:
+        raise BadInput(f"vehicle '{vehicle.name}' has the effects {', '.join(lost)}, which this catalogue lacks.")
+    return np.array([values.get(key, 0.0) for key in each]) / np.asarray(model.scale)
 
 
 def first_guess(data: Pieces) -> Noise:
@@ -115,7 +141,7 @@ def around(task: Problem, fit: Fit) -> Followed:
 def priced(task: Problem, theta: np.ndarray) -> Fit:
     """The hypothesis `theta` with its cost, infinite where the observer loses the car."""
     e = np.asarray(whiten(task.gains, follow(task.model, task.data, theta, task.gains).e))
-    cost = float(np.sum(e**2)) + float(np.sum(theta**2)) / PRIOR**2
+    cost = float(np.sum(e**2)) + float(np.sum((theta - task.start) ** 2)) / PRIOR**2
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 
@@ -141,7 +167,7 @@ def refine(task: Problem, fit: Fit, columns: np.ndarray, near: Followed, num: in
     last, J = np.inf, np.asarray(near.J)[..., columns]
     for _ in range(num):
         H = information(J) + np.eye(len(columns)) / PRIOR**2
-        score = np.einsum("ptij,pti->j", J, fit.e) - fit.theta[columns] / PRIOR**2
+        score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - task.start)[columns] / PRIOR**2
         step = np.zeros_like(fit.theta)
         step[columns] = np.linalg.solve(H, score)
         if not score @ step[columns] > TOLERANCE:  # what the step promises

@@ -18,7 +18,7 @@ RIDGE = 1e-9  # share of an effect's information that keeps its own parameters a
 
 def naive(task: Problem) -> np.ndarray:
     """Fall (E,) of the sum of squared one-step errors, in units of their spread, by the best of each effect alone."""
-    data, theta = task.data, np.zeros(len(task.lower))
+    data, theta = task.data, task.start
     believing = held(data, 1.0)
     e, seen = (np.asarray(a) for a in (follow(task.model, data, theta, believing).e, data.track.seen))
     spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1))

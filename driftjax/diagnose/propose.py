@@ -67,7 +67,7 @@ def in_catalogue(task: Problem, theta: np.ndarray) -> np.ndarray:
 def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> list[np.ndarray]:
     """Information (K, K) that each of `runs` would add, around the fit."""
     data = pieces(vehicle, runs)
-    own = gains(task.model, data, np.zeros(len(task.lower)), task.noise.row(), held(data))
+    own = gains(task.model, data, task.start, task.noise.row(), held(data))
     at = differentiate(task.model, data, found.fit.theta, own, task.asked)
     return [information(at.J[data.run == i]) for i in range(len(runs))]
 

@@ -35,8 +35,8 @@ def price(task: Problem, fit: Fit, members: tuple[int, ...]) -> float:
 
 
 def material(task: Problem, fit: Fit, effect: int) -> bool:
-    """Whether an effect has a size that anyone would care for."""
-    return bool(np.abs(fit.theta[task.columns((effect,))]).max() >= MATERIAL)
+    """Whether an effect differs from where it starts by what anyone would care for."""
+    return bool(np.abs((fit.theta - task.start)[task.columns((effect,))]).max() >= MATERIAL)
 
 
 def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gain: np.ndarray) -> tuple[tuple, Fit]:
@@ -82,7 +82,7 @@ def without(
 ) -> tuple[tuple[int, ...], Fit]:
     """The hypothesis refitted without the effect `gone`; `near` are the derivatives of a fit nearby."""
     theta, rest = fit.theta.copy(), tuple(i for i in members if i != gone)
-    theta[task.columns((gone,))] = 0.0
+    theta[task.columns((gone,))] = task.start[task.columns((gone,))]
     return rest, refine(task, priced(task, theta), task.columns(rest), near)
 
 

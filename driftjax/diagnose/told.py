@@ -100,9 +100,12 @@ def extended(found: Diagnosis) -> dict[str, Any]:
     """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads.
 
     The nominal car; its named effects with half-widths; and the covariance of all their parameters, SI, whose rows go
-    through effects and parameters in the catalogue's order, as `parameters` says beside it.
+    through effects and parameters in the catalogue's order, as `parameters` says beside it. Effects that the car had
+    before are kept; the covariance is left out then, for these data do not tell it.
     """
-    task, effects, names = found.task, {}, []
+    task, effects, names = found.task, dict[str, Any](), []
+    for one in found.vehicle.effects:
+        effects.setdefault(one.effect, {})[one.parameter] = {"value": one.value, "ci95_half": one.ci95_half}
     scale = np.asarray(task.model.scale)
     for cause in sorted(found.causes, key=lambda cause: cause.effect):
         effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
@@ -111,8 +114,8 @@ def extended(found: Diagnosis) -> dict[str, Any]:
         names += [f"{effect.name}.{p.name}" for p in effect.parameters]
     nominal = dataclasses.asdict(found.vehicle)
     car = {"nominal": {key: nominal[key] for key in nominal if key not in ("effects", "covariance")}}
-    if not names:
-        return car | {"effects": {}}
+    if not names or found.vehicle.effects:
+        return car | {"effects": effects}
     columns = task.columns(found.found.members)
     last = found.found.scores
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])

@@ -138,9 +138,13 @@ def move(
     model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array, push: State | None = None
 ) -> Float[Array, "6"]:
     """State and what is felt one step later, under `u` acting; `push` is added to the rates."""
-    x, felt = State(z[0], z[1], z[2]), Felt(z[3:5], z[5])
-    x, felt = advance(model, x, felt, Control(u[0], u[1]), place, dt, push)
-    return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]])
+
+    def on(z, _):
+        x, felt = State(z[0], z[1], z[2]), Felt(z[3:5], z[5])
+        x, felt = advance(model, x, felt, Control(u[0], u[1]), place, dt / model.substeps, push)
+        return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]]), None
+
+    return on(z, None)[0] if model.substeps == 1 else jax.lax.scan(on, z, length=model.substeps)[0]
 
 
 def told(model: Universal, x: Float[Array, "3"], rate: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -45,9 +45,18 @@ def move_with_derivatives(
 
     The same step as `rollout.move`; `push` is added to the rates.
     """
-    K = len(model.theta)
-    every = jnp.eye(8 + K)
-    direct, state, felt, inputs = every[8:], Dual(z[:3], every[:3]), Dual(z[3:], every[3:6]), Dual(u, every[6:8])
+    every = jnp.eye(8 + len(model.theta))
+    inputs, direct = Dual(u, every[6:8]), every[8:]
+    on = lambda z, _: (substep(model, z, inputs, place, dt / model.substeps, push, direct), None)
+    start = Dual(z, every[:6])
+    return on(start, None)[0] if model.substeps == 1 else jax.lax.scan(on, start, length=model.substeps)[0]
+
+
+def substep(
+    model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Float[Array, "3"], direct: Array
+) -> Dual:
+    """State and what is felt (6,) one substep after `z`, under `inputs` (2,)."""
+    state, felt = (Dual(z.value[part], z.by[part]) for part in (slice(3), slice(3, 6)))
 
     def force(v, theta):
         flow = model.at(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
@@ -81,7 +90,7 @@ def move_with_derivatives(
         k = Dual(found.value[:3] + push, found.by[:3])
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
 
-    nothing = Dual(jnp.zeros(3), jnp.zeros((3, 8 + K)))
+    nothing = jax.tree.map(jnp.zeros_like, state)
     (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
     ay = Dual(there.value[3:], there.by[3:])
     return through(reach, join(began, ay, after), model.theta, direct)

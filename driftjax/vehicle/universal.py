@@ -19,6 +19,7 @@ class Universal(eqx.Module):
     effects: tuple[Effect, ...] = eqx.field(static=True)
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
+    substeps: int = eqx.field(static=True, default=1)  # in which a step of the log is integrated
 
     def values(self) -> dict[str, tuple[Array, ...]]:
         """Parameters of each effect, SI."""
@@ -82,7 +83,7 @@ def base_car(nominal: SingleTrack) -> Car:
     )  # fmt: skip
 
 
-def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...]) -> Universal:
+def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
     """The car with these effects, all neutral."""
     scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
-    return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)))
+    return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)), substeps)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from driftjax.cli import main
-from driftjax.cli.closed_loop import closed_loop, compare, figures, load_course, neutral
+from driftjax.cli.closed_loop import before, closed_loop, compare, figures, load_course
 from driftjax.control.campaign import Campaign
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
@@ -51,9 +51,11 @@ def test_the_plant_is_the_car_that_was_simulated_or_a_double_track():
 
 
 def test_the_nominal_car_is_the_extended_one_without_its_values():
-    car: Any = build_car(neutral(EXTENDED))
+    car: Any = build_car(before(SEDAN, EXTENDED))
     assert isinstance(car, Extended) and car.names == ("load_transfer_long",) and not car.theta.any()
-    assert not named_lags(neutral(EXTENDED)).any() and float(named_lags(EXTENDED)[0]) == 0.07
+    assert not named_lags(before(SEDAN, EXTENDED)).any() and float(named_lags(EXTENDED)[0]) == 0.07
+    half = dataclasses.replace(EXTENDED, effects=(FOUND[0], dataclasses.replace(FOUND[1], value=0.03)))
+    assert before(half, EXTENDED).effects == half.effects  # a diagnosis of a car extended before starts there
 
 
 def driven(errors, speeds, codes):
@@ -119,7 +121,7 @@ def test_data_that_say_nothing_are_not_driven():
 
 @pytest.mark.slow
 def test_with_its_effects_in_the_model_the_car_stays_nearer_to_its_plan(capsys):
-    told = closed_loop(load_course(Path(truth()), SEDAN), EXTENDED)
+    told = closed_loop(load_course(Path(truth()), SEDAN), SEDAN, EXTENDED)
     assert [one["completed"] for one in told["models"].values()] == [[4, 4], [4, 4]]
     apart = told["difference"]["lateral_error"]
     assert apart["pairs"] == 4 and apart["ci95"][1] < -0.05

@@ -5,6 +5,7 @@ The cases of a failed run come back with `DRIFTJAX_SEED` set to the printed seed
 
 import functools
 import os
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
+from driftjax.core import BadInput
 from driftjax.diagnose.fit import TOLERANCE, Problem, information, normal, priced, problem
 from driftjax.diagnose.noise import PRIOR
 from driftjax.diagnose.runs import Followed, Pieces
 from driftjax.diagnose.score import covariance, partial_out, scores, sums_by_block
 from driftjax.diagnose.select import search
+from driftjax.vehicle.parameters import FoundParameter
 
 CLEAR = ("friction_rear", "stiffness_front", "drive_gain", "yaw_inertia", "steer_offset", "steer_lag", "gyro_bias")
 BLOCKS, LENGTH, SIZE = 24, 8, 5  # of the synthetic data: blocks, samples in each, parameters
@@ -62,13 +65,26 @@ def test_nothing_is_named_where_nothing_is_hidden():
     assert sum(len(members) > 0 for members in named) <= 1, named
 
 
+def test_a_search_begins_where_the_file_of_the_car_does():
+    """What an earlier diagnosis named is neither named again nor lost; what changed since is."""
+    known = FoundParameter("drive_gain", "p", 0.06 * 1.2)
+    vehicle = replace(sedan(), effects=(known,))
+    for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
+        task = problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
+        found = search(task, priced(task, task.start))
+        assert [ORDER[i] for i in found.members] == names
+        assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
+    with pytest.raises(BadInput, match="lacks"):
+        problem(replace(vehicle, effects=(FoundParameter("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23))
+
+
 def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
     """A problem of which only the bookkeeping is used: one piece, `SIZE` effects of one parameter."""
     block = np.repeat(np.arange(blocks), LENGTH)[None]
     data = Pieces(None, np.zeros(1, int), block, blocks, 0.01)  # type: ignore[arg-type]
     model = SimpleNamespace(effects=EFFECTS[:SIZE])
     nothing: Any = None
-    known = np.arange(SIZE), frozenset[str](), np.ones(SIZE, bool)
+    known = np.zeros(SIZE), np.arange(SIZE), frozenset[str](), np.ones(SIZE, bool)
     return Problem(model, data, lower, np.full(SIZE, 4.0), *known, nothing, nothing)  # type: ignore[arg-type]
 
 

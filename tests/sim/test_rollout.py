@@ -169,8 +169,9 @@ def test_sensors_tell_the_yaw_rate_with_its_bias():
     np.testing.assert_allclose(found, [10.0, -0.3, 0.53], rtol=1e-14)
 
 
-def test_derivatives_of_a_step_are_those_of_forward_mode():
-    model, (z, u, place) = bent(), rich()
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
+    model, (z, u, place) = replace(bent(), substeps=substeps), rich()
     assert float(model.car.relaxation) > 0.1 and float(model.car.roll_lag) > 0.05
 
     def both(z, u, place):
