@@ -32,6 +32,11 @@ def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     return axpy(dt / 2, axpy(1.0, k1, k2), x)
 
 
+def repeated(step: Callable[[T], T], x: T, num: int) -> T:
+    """`x` after `num` times `step`, which is traced once."""
+    return step(x) if num == 1 else jax.lax.scan(lambda y, _: (step(y), None), x, length=num)[0]
+
+
 def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array, Array]:
     """Mean over a step `dt` [s] and end of it of a first-order lag of time constant `lag` [s] towards `target`.
 

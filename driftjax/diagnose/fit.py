@@ -75,7 +75,7 @@ def problem(
 ) -> Problem:
     """Everything that questions need, the noise estimated from the data.
 
-    Effects `without` which the question is put stay neutral, as do those whose columns a run lacks.
+    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
     """
     data = pieces(vehicle, runs)
     model = universal(vehicle, effects, substeps(vehicle, runs))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from driftjax.core import State
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.gain import Ahead
-from driftjax.diagnose.observer import Track, slip_angles
+from driftjax.diagnose.observer import Track, put
 from driftjax.diagnose.runs import beside, each_piece
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
@@ -44,8 +44,7 @@ def strays(
     def drive(k, ahead, key):
         first, later = jax.random.split(key)
         w = root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
-        x = z[k, :3] + w[:3]
-        felt = z[k, 3:5] + slip_angles(model, x, u[k]) - slip_angles(model, z[k, :3], u[k])
+        start = put(model, z[k], z[k, :3] + w[:3], u[k])
 
         def on(carry, row):
             (z, d), (j, kicked) = carry, row
@@ -54,7 +53,7 @@ def strays(
             return (after, left * d + kick * kicked), told(model, after[:3], (after[:3] - z[:3]) / step)
 
         rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
-        off = jax.lax.scan(on, (jnp.concatenate([x, felt, z[k, 5:]]), w[3:]), rows)[1] - ahead
+        off = jax.lax.scan(on, (start, w[3:]), rows)[1] - ahead
         return off.at[:, 1].set(jnp.angle(jnp.exp(1j * off[:, 1]))) ** 2
 
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), number), (DRAWS, len(starts)))

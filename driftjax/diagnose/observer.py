@@ -65,6 +65,11 @@ def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "2"]) ->
     return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))
 
 
+def put(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "6"]:
+    """State and what is felt with the state `x`: tyres feel it at once; what lags in them stays as far behind."""
+    return jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
+
+
 def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
     """Commands acting (T, 2), and state with what is felt (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
@@ -85,8 +90,7 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
         e = seen * (y - told(model, z[:3], rate))
         update = L @ e
         x, d = z[:3] + update[:3], d + update[3:]
-        # tyres feel a corrected state at once; what lags in them stays as far behind
-        after = jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
+        after = put(model, z, x, u)
         ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
         next_one = ahead, gains.left * d, (ahead[:3] - x) / step, slope
         next_one = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_one, carry)

@@ -110,8 +110,10 @@ def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
     whole = generic(base, around(base, found.nominal), found.first, (), seed) if found.members else left
     gain, term = best(task, left)
     most, force = best(task, whole)
-    earned = found.nominal.cost - price(base, priced(base, found.fit.theta), found.members)
-    simpler = force if len(found.members) > 1 and most - WORTH >= earned else None
+    simpler = None
+    if len(found.members) > 1:
+        earned = found.nominal.cost - price(base, priced(base, found.fit.theta), found.members)
+        simpler = force if most - WORTH >= earned else None
     return Unexplained(left.p_value, gain, drivers(left), term, simpler, drivers(whole))
 
 

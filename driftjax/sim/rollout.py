@@ -8,7 +8,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State, lag_step, rk4_step
-from driftjax.core.integrate import axpy
+from driftjax.core.integrate import axpy, repeated
 from driftjax.vehicle.effect.flow import Aux, Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -139,12 +139,12 @@ def move(
 ) -> Float[Array, "6"]:
     """State and what is felt one step later, under `u` acting; `push` is added to the rates."""
 
-    def on(z, _):
+    def on(z):
         x, felt = State(z[0], z[1], z[2]), Felt(z[3:5], z[5])
         x, felt = advance(model, x, felt, Control(u[0], u[1]), place, dt / model.substeps, push)
-        return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]]), None
+        return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]])
 
-    return on(z, None)[0] if model.substeps == 1 else jax.lax.scan(on, z, length=model.substeps)[0]
+    return repeated(on, z, model.substeps)
 
 
 def told(model: Universal, x: Float[Array, "3"], rate: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -13,6 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
+from driftjax.core.integrate import repeated
 from driftjax.sim.rollout import Felt, fading, felt_after, follow, lagged
 from driftjax.vehicle.effect.flow import Aux, Place, rates
 from driftjax.vehicle.universal import Universal
@@ -47,9 +48,8 @@ def move_with_derivatives(
     """
     every = jnp.eye(8 + len(model.theta))
     inputs, direct = Dual(u, every[6:8]), every[8:]
-    on = lambda z, _: (substep(model, z, inputs, place, dt / model.substeps, push, direct), None)
-    start = Dual(z, every[:6])
-    return on(start, None)[0] if model.substeps == 1 else jax.lax.scan(on, start, length=model.substeps)[0]
+    on = lambda z: substep(model, z, inputs, place, dt / model.substeps, push, direct)
+    return repeated(on, Dual(z, every[:6]), model.substeps)
 
 
 def substep(

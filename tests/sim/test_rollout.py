@@ -191,7 +191,7 @@ def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
 
 @functools.cache
 def late_tyres(dt):
-    """A car whose tyres need 0.15 m, steered at random from straight on at 2.5 m/s; states (n, 5) every 10 ms."""
+    """A car whose tyres need 0.04 m, steered at random from straight on at 2.5 m/s; states (n, 5) every 10 ms."""
     model, delta = car_with("rc", relaxation_length=0.04), np.random.default_rng(4).normal(0.0, 0.08, 60)
     num = round(DT / dt)
     z0 = begin(model, jnp.array([2.5, 0.0, 0.0]), jnp.zeros(2), STILL)
