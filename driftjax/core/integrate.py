@@ -18,11 +18,16 @@ def axpy(a: ArrayLike, x: T, y: T) -> T:
 
 def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     """One step of the classical Runge-Kutta method of order 4 for x_dot = f(x), step `dt` [s]."""
+    return rk4_ends(f, x, dt)[0]
+
+
+def rk4_ends(f: Callable[[T], T], x: T, dt: float | Array) -> tuple[T, T, T]:
+    """The same step, with the slopes at its begin and at its end."""
     k1 = f(x)
     k2 = f(axpy(dt / 2, k1, x))
     k3 = f(axpy(dt / 2, k2, x))
     k4 = f(axpy(dt, k3, x))
-    return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4)
+    return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4), k1, k4
 
 
 def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
@@ -32,9 +37,10 @@ def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     return axpy(dt / 2, axpy(1.0, k1, k2), x)
 
 
-def repeated(step: Callable[[T], T], x: T, num: int) -> T:
-    """`x` after `num` times `step`, which is traced once."""
-    return step(x) if num == 1 else jax.lax.scan(lambda y, _: (step(y), None), x, length=num)[0]
+def remaining(lag: Array, dt: Array) -> Array:
+    """exp(-dt / lag), 0 for a lag of 0; its derivatives are finite."""
+    slow = lag > 1e-6 * dt
+    return jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
 
 
 def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array, Array]:
@@ -42,7 +48,17 @@ def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array,
 
     Exact for a target held over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
     """
-    slow = lag > 1e-6 * dt
-    left = jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
+    left = remaining(lag, dt)
     mean = (1 - left) * lag / dt
     return target + (value - target) * mean, target + (value - target) * left
+
+
+def lag_tilt(lag: Array, dt: Array) -> Array:
+    """Slope of exp(-t / `lag`) over a step `dt` [s], as half the rise of the straight line with the same first moment.
+
+    The line through the mean (`lag_step` of 1 towards 0) with this tilt acts on what integrates it as the exponential
+    does, up to third order in the step; 0 for a lag of 0.
+    """
+    left = remaining(lag, dt)
+    q = lag / dt
+    return 6 * q**2 * (1 - left) - 3 * q * (1 + left)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -123,7 +122,7 @@ def tuned(task: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
     model, data, fixed = task.model, task.data, held(task.data)
     path = follow(model, data, theta, fixed)
     steps = derivatives(model, data, theta, path, profiled)
-    noise = estimate(steps, path.e, fixed, jnp.asarray(data.track.seen), first_guess(data), data.dt)
+    noise = estimate(steps, path.e, fixed, first_guess(data), data.dt)
     return observed(task, theta, noise)
 
 
@@ -139,9 +138,16 @@ def around(task: Problem, fit: Fit) -> Followed:
 
 
 def priced(task: Problem, theta: np.ndarray) -> Fit:
-    """The hypothesis `theta` with its cost, infinite where the observer loses the car."""
-    e = np.asarray(whiten(task.gains, follow(task.model, task.data, theta, task.gains).e))
-    cost = float(np.sum(e**2)) + float(np.sum((theta - task.start) ** 2)) / PRIOR**2
+    """The hypothesis `theta` with its cost, infinite where the observer loses the car.
+
+    Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
+    costs: otherwise a delay would pay by itself.
+    """
+    path = follow(task.model, task.data, theta, task.gains)
+    e = np.asarray(whiten(task.gains, path.e))
+    used = path.seen * np.any(task.gains.white, axis=-1)
+    cost = float(np.sum(e**2)) + float(np.sum(task.data.track.seen - used))
+    cost += float(np.sum((theta - task.start) ** 2)) / PRIOR**2
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 

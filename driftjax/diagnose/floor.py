@@ -50,7 +50,7 @@ def strays(
             (z, d), (j, kicked) = carry, row
             at = jnp.minimum(k + j, len(run.y) - 1)
             after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
-            return (after, left * d + kick * kicked), told(model, after[:3], (after[:3] - z[:3]) / step)
+            return (after.z, left * d + kick * kicked), told(model, after.z[:3], after.rates, step)
 
         rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
         off = jax.lax.scan(on, (start, w[3:]), rows)[1] - ahead

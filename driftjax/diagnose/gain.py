@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import Control, State, features
+from driftjax.core import State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track
 from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, spans
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
+from driftjax.sim.step import acts_of
 from driftjax.vehicle.universal import Universal
 
 HORIZONS = (0.5, 1.0, 2.0)  # beside one step [s]
@@ -45,8 +46,9 @@ class Errors(NamedTuple):
 
 
 def ahead_of(
-    model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float, residual: GP | None
-) -> Array:
+    model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float,
+    residual: GP | None,
+) -> Array:  # fmt: skip
     """Predictions (starts, num, 3) of what sensors tell 1..num steps after samples `starts` at states `z` (T, 6).
 
     A `residual` is added to the rates.
@@ -58,10 +60,10 @@ def ahead_of(
     def one(k):
         def on(z, j):
             row = jnp.minimum(k + j, len(run.y) - 1)
-            at = features(State(*z[:3]), Control(*u[row]))
+            at = features(State(*z[:3]), acts_of(u[row]).mean)
             push = None if residual is None else State(*residual.bounded_mean(at))
             after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
-            return after, told(model, after[:3], (after[:3] - z[:3]) / step)
+            return after.z, told(model, after.z[:3], after.rates, step)
 
         return jax.lax.scan(on, z[k], jnp.arange(num))[1]
 
@@ -86,8 +88,8 @@ def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahe
     told = np.asarray(each_piece(one, len(data.run), data.track, path.z))
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, PIECE - 1)
-    seen = (np.asarray(data.track.seen)[:, row] > 0) & (at < PIECE)[..., None]
-    off = told - np.asarray(data.track.y)[:, row]
+    seen = (np.asarray(path.seen)[:, row] > 0) & (at < PIECE)[..., None]
+    off = told - np.asarray(path.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
     return Ahead(starts, path.z, told, np.where(seen, off, np.nan))
 

@@ -29,8 +29,8 @@ def residual_rates(task: Problem, theta: np.ndarray) -> tuple[Array, Array, Arra
     lacking = (path.z[:, starts + num, :3] - found) / WINDOW
     middle = starts + num // 2
     x, u = path.z[:, middle, :3], path.u[:, middle]
-    Z = jax.vmap(jax.vmap(lambda x, u: features(State(*x), Control(*u))))(x, u)
-    measured = np.asarray(data.track.seen)[:, starts + num].all(axis=-1)
+    Z = jax.vmap(jax.vmap(lambda x, u: features(State(*x), Control(u[0], u[1]))))(x, u)
+    measured = np.asarray(path.seen)[:, starts + num].all(axis=-1)
     return Z.reshape(-1, 5), lacking.reshape(-1, 3), jnp.asarray(measured.reshape(-1))
 
 

@@ -20,7 +20,8 @@ def naive(task: Problem) -> np.ndarray:
     """Fall (E,) of the sum of squared one-step errors, in units of their spread, by the best of each effect alone."""
     data, theta = task.data, task.start
     believing = held(data, 1.0)
-    e, seen = (np.asarray(a) for a in (follow(task.model, data, theta, believing).e, data.track.seen))
+    path = follow(task.model, data, theta, believing)
+    e, seen = np.asarray(path.e), np.asarray(path.seen)
     spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1))
     white = seen[..., None] * np.diag(1 / np.maximum(spread, 1e-12))
     at = differentiate(task.model, data, theta, believing._replace(white=jnp.asarray(white)), task.asked)

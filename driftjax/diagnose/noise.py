@@ -45,7 +45,7 @@ def measurement_noise(y: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _restricted(logs: Array, steps: Steps, e: Array, L: Array, seen: Array, dt: float) -> tuple[Array, Array]:
+def _restricted(logs: Array, steps: Steps, e: Array, L: Array, dt: float) -> tuple[Array, Array]:
     """Minus twice the restricted log-likelihood for seven log noises, and its gradient; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order.
@@ -55,13 +55,13 @@ def _restricted(logs: Array, steps: Steps, e: Array, L: Array, seen: Array, dt: 
         noise = jnp.exp(logs)
         left = jnp.exp(-dt / noise[6])
 
-        def piece(steps, e, L, seen):
-            gains = riccati(steps.A[:, :3, :3], seen, noise[:3], noise[3:6], left, dt)
-            J = chain(steps, gains, seen, dt)
-            e = deviate(steps, e, L, gains, seen, dt)
+        def piece(steps, e, L):
+            gains = riccati(steps.A[:, :3, :3], steps.seen, noise[:3], noise[3:6], left, dt)
+            J = chain(steps, gains, dt)
+            e = deviate(steps, e, L, gains, dt)
             return gains.log_det, jnp.einsum("tij,tj->ti", gains.white, e), jnp.einsum("tij,tjk->tik", gains.white, J)
 
-        log_det, e_w, J_w = jax.vmap(piece)(steps, e, L, seen)
+        log_det, e_w, J_w = jax.vmap(piece)(steps, e, L)
         K = J_w.shape[-1]
         H = jnp.einsum("ptik,ptil->kl", J_w, J_w) + jnp.eye(K) / PRIOR**2
         factor = jnp.linalg.cholesky(H)
@@ -72,14 +72,14 @@ def _restricted(logs: Array, steps: Steps, e: Array, L: Array, seen: Array, dt: 
     return jax.value_and_grad(value)(logs)
 
 
-def estimate(steps: Steps, e: Array, gains: Gains, seen: Array, start: Noise, dt: float) -> Noise:
+def estimate(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
     """Noise from innovations `e` (P, T, 3) under `gains`, searched from `start`."""
     sigma, first = start.sigma, np.log(start.row())
     low = np.concatenate([0.2 * sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * sigma, 1e3 * start.disturbance, [5.0]])
 
     def value(scaled):
-        f, g = _restricted(jnp.asarray(first + scaled / STIFF), steps, e, gains.L, seen, dt)
+        f, g = _restricted(jnp.asarray(first + scaled / STIFF), steps, e, gains.L, dt)
         return float(f), np.asarray(g) / STIFF
 
     bounds = list(zip((np.log(low) - first) * STIFF, (np.log(high) - first) * STIFF, strict=True))

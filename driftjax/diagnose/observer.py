@@ -15,8 +15,9 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import acting, begin, late, move, slip_of, told
+from driftjax.sim.rollout import acting, begin, move, told
 from driftjax.sim.sensitivity import move_with_derivatives
+from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
@@ -50,9 +51,11 @@ class Path(NamedTuple):
     e: Float[Array, "T 3"]  # innovations, zero where missing
     z: Float[Array, "T 6"]  # state and what is felt after the update
     before: Float[Array, "T 6"]  # and before it
-    rate: Float[Array, "T 3"]  # of the state, as the sensors feel it
-    u: Float[Array, "T 2"]  # commands acting
+    rates: Float[Array, "T 3 3"]  # of the state over the step before the sample, as `rollout.Moved` has them
+    u: Float[Array, "T 4"]  # commands acting: means and tilts
     d: Float[Array, "T 3"]  # disturbances of the rates after the update
+    y: Float[Array, "T 3"]  # what was measured of that sample, whenever it was told; zero where missing
+    seen: Float[Array, "T 3"]  # 1 where that was measured, 0 where not
 
 
 def driven(seen: Float[Array, "T 3"]) -> Array:
@@ -60,45 +63,59 @@ def driven(seen: Float[Array, "T 3"]) -> Array:
     return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(seen, axis=1)))) > 0
 
 
-def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "2"]:
+def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:
     """Geometric slip angles of front and rear [rad]."""
     return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))
 
 
-def put(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "6"]:
+def put(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "6"]:
     """State and what is felt with the state `x`: tyres feel it at once; what lags in them stays as far behind."""
     return jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
 
 
+def aligned(model: Universal, run: Track, dt: float) -> Track:
+    """The run with every measurement at the sample that it tells of: whole steps of delay are taken off its time.
+
+    Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
+    """
+    T, whole = len(run.y), model.delayed(dt)[0].astype(int)
+    at = jnp.arange(T)[:, None] + whole
+    of = lambda column: jnp.where(at < T, jnp.take_along_axis(column, jnp.minimum(at, T - 1), axis=0), 0.0)
+    y, seen = of(run.y), of(run.seen)
+    known = (whole > 0) & (jnp.min(seen[:3], axis=0) > 0)
+    return run._replace(y=y, seen=seen, start=jnp.where(known, jnp.median(y[:3], axis=0), run.start))
+
+
 def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
-    """Commands acting (T, 2), and state with what is felt (6,) at the first sample."""
+    """Commands acting (T, 4), and state with what is felt (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
-    T, zero = len(run.y), jnp.zeros(3)
-    x = 2 * run.start - told(model, run.start, zero)  # the state of which sensors tell the start, to first order
+    T, still = len(run.y), jnp.zeros((3, 3))
+    x = 2 * run.start - told(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
 def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
     """The observer along one run."""
     model, step = model.at(theta), jnp.asarray(dt)
+    run = aligned(model, run, dt)
     u, z = started(model, run, dt)
 
     def on(carry, row):
-        z, d, slope, before = carry
+        z, d, rates = carry
         u, place, y, seen, L, alive = row
-        rate = 1.5 * slope - 0.5 * before  # slopes are those of whole steps: this is the one at their end
-        e = seen * (y - told(model, z[:3], rate))
+        e = seen * (y - told(model, z[:3], rates, step))
         update = L @ e
-        x, d = z[:3] + update[:3], d + update[3:]
-        after = put(model, z, x, u)
+        d = d + update[3:]
+        after = put(model, z, z[:3] + update[:3], u)
         ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
-        next_one = ahead, gains.left * d, (ahead[:3] - x) / step, slope
+        next_one = ahead.z, gains.left * d, ahead.rates
         next_one = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_one, carry)
-        return next_one, (e, jnp.where(alive, after, z), z, rate, d)
+        return next_one, (e, jnp.where(alive, after, z), z, rates, d)
 
-    first = z, jnp.zeros(3), jnp.zeros(3), jnp.zeros(3)
-    e, z, predicted, rate, d = jax.lax.scan(on, first, (u, run.place, run.y, run.seen, gains.L, driven(run.seen)))[1]
-    return Path(e, z, predicted, rate, u, d)
+    first = z, jnp.zeros(3), jnp.zeros((3, 3))
+    rows = (u, run.place, run.y, run.seen, gains.L, driven(run.seen))
+    e, z, predicted, rates, d = jax.lax.scan(on, first, rows)[1]
+    return Path(e, z, predicted, rates, u, d, run.y, run.seen)
 
 
 def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:
@@ -142,7 +159,9 @@ class Steps(NamedTuple):
     D: Float[Array, "T 3 3"]  # what is told, by the state
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
-    share: Float[Array, " T"]  # of a change of the slip during a step that tyres feel at its end
+    push: Float[Array, "T 6 3"]  # next state and what is felt, by a push of the rates during the step
+    late: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
+    seen: Float[Array, "T 3"]  # as in `Path`
     first: Float[Array, "6 K"]  # state and what is felt at the first sample, by theta
 
 
@@ -151,72 +170,69 @@ def felt(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n
     return jnp.concatenate([x, slip @ x, jnp.zeros_like(x[:1])])
 
 
-def pushed(steps: Steps, dt: float) -> Float[Array, "T 6 3"]:
-    """State and what is felt one step later, by a push of the rates during the step."""
-    half = dt * (jnp.eye(3) + steps.A[:, :3, :3] + steps.A[:, :3, 3:5] @ steps.slip) / 2
-    return jax.vmap(felt)(steps.share[:, None, None] * steps.slip, half)
-
-
-def chain(
-    steps: Steps, gains: Gains, seen: Array, dt: float, extra: Float[Array, "T 6 #K"] | None = None
-) -> Float[Array, "T 3 K"]:
+def chain(steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] | None = None) -> Float[Array, "T 3 K"]:
     """Derivatives of the innovations by theta: those of state and disturbances run along with the observer.
 
     `extra` is added to the update of state and disturbances.
     """
-    extra = jnp.zeros((len(seen), 6, 1)) if extra is None else extra
+    extra = jnp.zeros((len(steps.A), 6, 1)) if extra is None else extra
 
     def on(carry, row):
-        S, d = carry
-        A, C, D, F, slip, _, L, seen, push, extra, alive = row
-        e = -seen[:, None] * (D @ S[:3] + F)
+        S, d, moved = carry
+        A, C, D, F, slip, push, late, seen, L, extra, alive = row
+        e = -seen[:, None] * (D @ (S[:3] - late[:, None] * moved) + F)
         update = L @ e + extra
         S, d = S + felt(slip, update[:3]), d + update[3:]
-        return (jnp.where(alive, A @ S + C + push @ d, S), gains.left * d), e
+        ahead = jnp.where(alive, A @ S + C + push @ d, S)
+        return (ahead, gains.left * d, ahead[:3] - S[:3]), e
 
-    rows = (*steps[:6], gains.L, seen, pushed(steps, dt), extra, driven(seen))
-    return jax.lax.scan(on, (steps.first, jnp.zeros_like(steps.first[:3])), rows)[1]
+    rows, still = (*steps[:8], gains.L, extra, driven(steps.seen)), jnp.zeros_like(steps.first[:3])
+    return jax.lax.scan(on, (steps.first, still, still), rows)[1]
 
 
-def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, seen: Array, dt: float) -> Array:
+def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
     """Innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
     still = jnp.zeros((6, 1))
     old = jnp.einsum("tij,tj->ti", L, e)
     steps = steps._replace(C=jnp.broadcast_to(still, (len(e), 6, 1)), F=-e[:, :, None], first=still)
-    return chain(steps, gains, seen, dt, -old[:, :, None])[:, :, 0]
+    return chain(steps, gains, dt, -old[:, :, None])[:, :, 0]
 
 
 class Local(NamedTuple):
     """Derivatives at single samples, as in `Steps`, with those by the commands and by theta at given commands."""
 
     A: Float[Array, "n 6 6"]
-    by_u: Float[Array, "n 6 2"]
+    by_u: Float[Array, "n 6 4"]
     by_theta: Float[Array, "n 6 K"]
     D: Float[Array, "n 3 3"]
     F: Float[Array, "n 3 K"]
     slip: Float[Array, "n 2 3"]
-    share: Float[Array, " n"]
+    push: Float[Array, "n 6 3"]
+    late: Float[Array, "n 3"]
 
 
 def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> Local:
     """Derivatives at single samples of `path` (leading axis)."""
     car, step = model.at(theta), jnp.asarray(dt)
+    late_by = car.delayed(step)[1].lateness() / step
 
     def one(path: Path, place: Place):
         by = move_with_derivatives(car, path.z, path.u, place, step, path.d).by
-        D, F = jax.jacrev(lambda x, p: told(model.at(p), x, path.rate), (0, 1))(path.before[:3], theta)
+        A, by_u, push, by_theta = jnp.split(by, (6, 10, 13), axis=1)
+        sensed = lambda x, p: told(model.at(p), x, path.rates, step)
+        D, F = jax.jacrev(sensed, (0, 1))(path.before[:3], theta)
         slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
-        share = 1 - late(car, State(*path.z[:3]), step)
-        return Local(by[:, :6], by[:, 6:8], by[:, 8:], D, F, slip, share)
+        return Local(A, by_u, by_theta, D, F, slip, push, late_by)
 
     return jax.vmap(one)(path, place)
 
 
 def by_commands(model: Universal, theta: Array, run: Track, dt: float) -> tuple[Array, Array]:
-    """Derivatives by theta of the commands acting (T, 2, K), and of state and what is felt at the start (6, K)."""
+    """Derivatives by theta of the commands acting (T, 4, K), and of state and what is felt at the start (6, K)."""
     stations = [effect.station for effect in model.effects for _ in effect.parameters]
     columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
+    run = aligned(model.at(theta), run, dt)
     value = lambda p: started(model.at(p), run, dt)
     each = jax.vmap(lambda d: jax.jvp(lambda p: value(p)[0], (theta,), (d,))[1])(jnp.eye(len(theta))[columns])
-    by_u = jnp.zeros((len(run.y), 2, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
+    by_u = jnp.zeros((len(run.y), 4, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
     return by_u, jax.jacrev(lambda p: value(p)[1])(theta)

@@ -63,15 +63,14 @@ def linearised(task: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
 def needed(task: Problem, path: Path, steps: Steps) -> Noise:
     """Noise that the nominal car needs on `path` when nothing else explains its errors: its defect as disturbances."""
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
-    seen = jnp.asarray(task.data.track.seen)
-    return estimate(bare, path.e, task.gains, seen, task.noise, task.data.dt)
+    return estimate(bare, path.e, task.gains, task.noise, task.data.dt)
 
 
 def residuals(
     vehicle: VehicleConfig, task: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
 ) -> Residuals:
     """What the model that went along `path` leaves over on `runs`, those of `task`, as forces of the nominal car."""
-    seen = np.asarray(task.data.track.seen)
+    seen = np.asarray(path.seen)
     x, push = smooth(path, steps, seen, noise, task.data.dt)
     u = np.asarray(path.u)
     forces = axle_forces(vehicle, x, u[..., 0], push)
@@ -85,7 +84,7 @@ def drivers(
 ) -> dict[str, np.ndarray]:
     """What residual forces may go with (P, T): heading and position where every run measured them."""
     nominal, place = vehicle.build(), task.data.track.place
-    front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u, -1, 0)))
+    front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
     found = {
         "slip_front": np.asarray(front), "slip_rear": np.asarray(rear), "drive": u[..., 1], "speed": x[..., 0],
         "time": np.asarray(place.t),

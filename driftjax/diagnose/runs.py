@@ -129,7 +129,7 @@ def beside(function, *axes: int | None):
 
 
 _local = eqx.filter_jit(local)
-_follow, _chain = beside(follow_run, None, None, 0, 0, None), beside(chain, 0, 0, 0, None)
+_follow, _chain = beside(follow_run, None, None, 0, 0, None), beside(chain, 0, 0, None)
 _riccati_of, _by_commands = beside(_riccati, 0, 0, None, None), beside(by_commands, None, None, 0, None)
 
 
@@ -165,15 +165,11 @@ def gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, 
     """Gains along the path of the car `theta`, that of `first` and then their own; `noise` (7,) as `Noise.row`."""
     found = first
     for _ in range(2):
-        A = transitions(model, data, theta, follow(model, data, theta, found))
+        path = follow(model, data, theta, found)
+        A = _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
         riccati_of = lambda A, seen: _riccati_of(A, seen, jnp.asarray(noise), data.dt)
-        found = each_piece(riccati_of, len(data.run), A, data.track.seen)
+        found = each_piece(riccati_of, len(data.run), A, path.seen)
     return found
-
-
-def transitions(model: Universal, data: Pieces, theta: np.ndarray | Array, path: Path) -> Array:
-    """Derivatives (P, T, 3, 3) of the state after each step by that before it."""
-    return _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
 
 
 def follow(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
@@ -207,17 +203,18 @@ def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, a
     one = _each_sample(model, where, path, data)
     by_u, first = each_piece(lambda run: _by_commands(model, where, run, data.dt), len(data.run), data.track)
     only = jnp.asarray(asked, float)
-    return Steps(one.A, only * (one.by_theta + one.by_u @ by_u), one.D, only * one.F, one.slip, one.share, only * first)
+    C, F = only * (one.by_theta + one.by_u @ by_u), only * one.F
+    return Steps(one.A, C, one.D, F, one.slip, one.push, one.late, path.seen, only * first)
 
 
 def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, asked: np.ndarray) -> Followed:
     """Whitened innovations and their derivatives by the parameters `asked` for (K,)."""
     path = follow(model, data, theta, gains)
     steps = derivatives(model, data, theta, path, asked)
-    return Followed(whiten(gains, path.e), chained(steps, data, gains), path, steps)
+    return Followed(whiten(gains, path.e), chained(steps, gains, data), path, steps)
 
 
-def chained(steps: Steps, data: Pieces, gains: Gains) -> Array:
+def chained(steps: Steps, gains: Gains, data: Pieces) -> Array:
     """Derivatives (P, T, 3, K) of the whitened predictions."""
-    one = lambda steps, gains, seen: _chain(steps, gains, seen, data.dt)
-    return -whiten(gains, each_piece(one, len(data.run), steps, gains, data.track.seen))
+    one = lambda steps, gains: _chain(steps, gains, data.dt)
+    return -whiten(gains, each_piece(one, len(data.run), steps, gains))

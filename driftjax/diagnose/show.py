@@ -75,7 +75,7 @@ def show(
 def white(task: Problem, path: Path) -> White:
     """Autocorrelation of one model's whitened innovations."""
     skip, num = round(SETTLE / task.data.dt), max(round(LAGS / task.data.dt), 1)
-    e, seen = np.asarray(whiten(task.gains, path.e))[:, skip:], np.asarray(task.data.track.seen)[:, skip:]
+    e, seen = np.asarray(whiten(task.gains, path.e))[:, skip:], np.asarray(path.seen)[:, skip:]
     power = (e**2).sum(axis=(0, 1)) / seen.sum(axis=(0, 1))
     pairs = lambda a, lag: (a[:, lag:] * a[:, :-lag]).sum(axis=(0, 1))
     rows = [pairs(e, lag) / np.maximum(pairs(seen, lag), 1) / power for lag in range(1, num + 1)]

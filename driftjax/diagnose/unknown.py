@@ -13,7 +13,7 @@ from jax import Array
 
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.fit import Problem, around, priced
-from driftjax.diagnose.observer import Path, Steps, pushed, slip_angles
+from driftjax.diagnose.observer import Path, Steps, slip_angles
 from driftjax.diagnose.runs import Followed, chained
 from driftjax.diagnose.score import CONDITION, Scores, largest_by_chance, partial_out, studentised, sums_by_block
 from driftjax.diagnose.select import LEVEL, WORTH, Selection, price
@@ -166,14 +166,14 @@ def sizes(model: Universal) -> dict[str, np.ndarray]:
 def _sensitivities(task: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
     """Whitened derivatives (P, T, 3, terms) of the predictions by terms, three of each function (P, T)."""
     size = {where: jnp.asarray(value) for where, value in sizes(task.model).items()}
-    push = jax.vmap(pushed, (0, None))(steps, task.data.dt) * size["rate"]
+    push = steps.push * size["rate"]
     moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
     told = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
     none = lambda like, num: jnp.zeros((*like.shape[:-1], num))
     C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
     F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
     terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
-    return np.asarray(chained(terms, task.data, task.gains))
+    return np.asarray(chained(terms, task.gains, task.data))
 
 
 def _worth(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:

@@ -12,8 +12,9 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import SETTLE, settled
-from driftjax.sim.travel import Travel, travel
+from driftjax.sim.rollout import SETTLE
+from driftjax.sim.step import settled
+from driftjax.sim.travel import Travel, recall, told, travel
 from driftjax.vehicle.effect.flow import Aux, Place, enter
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
@@ -92,13 +93,14 @@ def record(
     memory, held = jax.lax.scan(warm, plant.start(h), length=round(SETTLE / h))
     zero, reached = jnp.zeros(()), jax.tree.map(lambda a: a[-1], held)
     place, still = Place(zero, zero, zero, zero), State(zero, zero, zero)
-    car = Travel(first, settled(plant, first, reached, place), memory, place, jnp.zeros(2), zero, still, reached)
+    felt, past = settled(plant, first, reached, place), recall(plant, first, h)
+    car = Travel(first, felt, memory, place, jnp.zeros(2), zero, still, reached, past, jnp.asarray(h))
     start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3))
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row
         car = now.car
-        y = jnp.stack(plant.sense(car.x, car.rate)) + noise
+        y = jnp.stack(told(plant, car)) + noise
         seen = now.seen + smooth * (y - now.seen)
         command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - dt * rate, now.command + dt * rate)
         command = jnp.clip(command, lower, upper)

@@ -12,10 +12,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, State
-from driftjax.core.integrate import repeated
-from driftjax.sim.rollout import Felt, fading, felt_after, follow, lagged
-from driftjax.vehicle.effect.flow import Aux, Place, rates
+from driftjax.core import State
+from driftjax.sim.step import Begun, Felt, acts_of, begin_step, felt_after, lagging
+from driftjax.vehicle.effect.flow import Place, rates
 from driftjax.vehicle.universal import Universal
 
 NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6  # of the classical Runge-Kutta
@@ -40,65 +39,57 @@ def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
 
 
 def move_with_derivatives(
-    model: Universal, z: Float[Array, "6"], u: Float[Array, "2"], place: Place, dt: Array, push: Float[Array, "3"]
+    model: Universal, z: Float[Array, "6"], u: Float[Array, "4"], place: Place, dt: Array, push: Float[Array, "3"]
 ) -> Dual:
-    """State and what is felt one step later (6,), and its derivatives (6, 8 + K) by z, u and theta.
+    """State and what is felt one step later (6,), and its derivatives (6, 13 + K) by z, u, push and theta.
 
     The same step as `rollout.move`; `push` is added to the rates.
     """
-    every = jnp.eye(8 + len(model.theta))
-    inputs, direct = Dual(u, every[6:8]), every[8:]
-    on = lambda z: substep(model, z, inputs, place, dt / model.substeps, push, direct)
-    return repeated(on, Dual(z, every[:6]), model.substeps)
+    every, num = jnp.eye(13 + len(model.theta)), model.substeps
+    pushed, direct = Dual(push, every[10:13]), every[13:]
+
+    def on(z, middle):
+        of = lambda a: jnp.concatenate([a[:2] + middle * a[2:], a[2:] / num])  # `rollout.parts`
+        inputs = Dual(of(u), of(every[6:10]))
+        return substep(model, z, inputs, place, dt / num, pushed, direct), None
+
+    start = Dual(z, every[:6])
+    if num == 1:
+        return on(start, 0.0)[0]
+    return jax.lax.scan(on, start, (2 * jnp.arange(num) + 1) / num - 1)[0]
 
 
-def substep(
-    model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Float[Array, "3"], direct: Array
-) -> Dual:
-    """State and what is felt (6,) one substep after `z`, under `inputs` (2,)."""
-    state, felt = (Dual(z.value[part], z.by[part]) for part in (slice(3), slice(3, 6)))
+def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual, direct: Array) -> Dual:
+    """State and what is felt (6,) one substep after `z`, under `inputs` (4,), with `push` (3,) added to the rates."""
 
-    def force(v, theta):
-        flow = model.at(theta).flow(_state(v), _control(v[6:]), place, Aux(v[3:5], v[5]))
-        return jnp.stack([*rates(flow), flow.ay])
+    def begun(v):
+        return Begun(State(*v[:3]), Felt(v[3:5], v[5]), acts_of(v[6:10]), v[10:12], v[12])
 
-    def fade(v, theta):
-        aux = fading(model.at(theta), _state(v), Felt(v[3:5], v[5]), _control(v[6:]), dt)
-        return jnp.concatenate([aux.slip, aux.ay[None]])
+    def start(v, theta):
+        x, felt, acts, *_ = begun(v)
+        found = begin_step(model.at(theta), x, felt, acts, place, dt, State(*v[10:13]))
+        return jnp.concatenate([found.slip_rate, found.ay[None]])
 
-    def behind(v, theta):
-        car, x, u = model.at(theta), _state(v), _control(v[6:])
-        aux, _ = lagged(car, Felt(v[3:5], v[5]), follow(car, x, u, _state(v[8:]), v[11]), dt)
-        return jnp.concatenate([aux.slip, aux.ay[None]])
+    def force(v, theta, share):
+        car, at, y = model.at(theta), begun(v), State(*v[13:])
+        return jnp.stack(rates(car.flow(y, at.acts.at(share), place, lagging(car, at, y, share, dt))))
 
     def reach(v, theta):
-        car, x, u, still = model.at(theta), _state(v), _control(v[6:]), State(*jnp.zeros(3))
-        at = follow(car, x, u, still, v[8])
-        felt = felt_after(car, Felt(v[3:5], v[5]), at, _state(v[9:]), u, dt)
-        return jnp.concatenate([v[9:], felt.slip, felt.ay[None]])
+        felt = felt_after(model.at(theta), begun(v), State(*v[13:]), dt)
+        return jnp.concatenate([v[13:], felt.slip, felt.ay[None]])
 
-    began = join(state, felt, inputs)
-    fades = through(fade, began, model.theta, direct)
-    there = through(force, join(state, fades, inputs), model.theta, direct)
-    aux = through(behind, join(began, there), model.theta, direct)
+    began = join(z, inputs)
+    began = join(began, through(start, join(began, push), model.theta, direct))
+    state = jax.tree.map(lambda a: a[:3], z)
 
     def stage(carry, row):
         k, total = carry
         node, weight = row
         y = jax.tree.map(lambda a, b: a + node * dt * b, state, k)
-        found = through(force, join(y, aux, inputs), model.theta, direct)
-        k = Dual(found.value[:3] + push, found.by[:3])
+        found = through(lambda v, theta: force(v, theta, node), join(began, y), model.theta, direct)
+        k = jax.tree.map(jnp.add, found, push)
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
 
     nothing = jax.tree.map(jnp.zeros_like, state)
     (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
-    ay = Dual(there.value[3:], there.by[3:])
-    return through(reach, join(began, ay, after), model.theta, direct)
-
-
-def _state(v: Array) -> State:
-    return State(v[0], v[1], v[2])
-
-
-def _control(v: Array) -> Control:
-    return Control(v[0], v[1])
+    return through(reach, join(began, after), model.theta, direct)

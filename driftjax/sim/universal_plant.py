@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State, as_float
 from driftjax.sim.record import specific_force
-from driftjax.sim.rollout import settled
-from driftjax.sim.travel import Travel, travel
+from driftjax.sim.step import settled
+from driftjax.sim.travel import Travel, recall, told, travel
 from driftjax.vehicle import DoubleTrack, Motion, SingleTrack, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Place, effects_named
 from driftjax.vehicle.universal import Universal, base_car
@@ -45,7 +45,8 @@ class UniversalPlant(eqx.Module):
         felt = settled(model, state, idle, place)
         position = jnp.stack([as_float(x), as_float(y)])
         still = State(zero, zero, zero)
-        return Travel(state, felt, model.start(self.step), place, position, zero, still, idle)
+        past, step = recall(model, state, self.step), jnp.full_like(V, self.step)
+        return Travel(state, felt, model.start(self.step), place, position, zero, still, idle, past, step)
 
     def advance(self, state: Travel, command: Control, dt: ArrayLike, num_substeps: int) -> Travel:
         """State after `dt` [s] of held `command`, in `num_substeps` equal steps, none shorter than `step`."""
@@ -63,7 +64,7 @@ class UniversalPlant(eqx.Module):
 
     def told(self, state: Travel, motion: Motion) -> Motion:
         """`motion` as the car's own sensors tell it, noise apart; position and heading are told as they are."""
-        return motion._replace(**self.universal.sense(state.x, state.rate)._asdict())
+        return motion._replace(**told(self.universal, state)._asdict())
 
 
 AnyPlant = DoubleTrack | UniversalPlant

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -69,8 +70,26 @@ class Universal(eqx.Module):
             new.append(after)
         return tuple(new), u
 
+    @property
+    def _delays(self) -> np.ndarray:
+        """Indices of the parameters that are delays of V, beta and r; none where no effect makes any."""
+        return np.flatnonzero([effect.late for effect in self.effects for _ in effect.parameters])
+
+    def delayed(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:
+        """Whole steps `dt` [s] by which sensors tell V, beta and r late, and the car with the rest of the delays."""
+        at = self._delays
+        if not len(at):
+            return jnp.zeros(3), self
+        whole = jnp.floor(self.theta[at] * self.scale[at] / dt)
+        return whole, self.at(self.theta.at[at].add(-whole * dt / self.scale[at]))
+
+    def lateness(self) -> Float[Array, "3"]:
+        """Times by which the sensors tell V, beta and r late [s]."""
+        at = self._delays
+        return self.theta[at] * self.scale[at] if len(at) else jnp.zeros(3)
+
     def sense(self, x: State, dx: State) -> State:
-        """What the sensors tell of `x`, noise apart; `dx` its rate."""
+        """What the sensors tell of `x`, noise apart; `dx` its mean rate over what they are late."""
         return self._through("sensor", x, dx)
 
 

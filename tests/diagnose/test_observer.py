@@ -11,6 +11,8 @@ from recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, seda
 
 from driftjax.diagnose.fit import problem
 from driftjax.diagnose.runs import BLOCK, PIECE, SPAN, differentiate, follow, gains, held, pieces, spans, whiten
+from driftjax.vehicle.effect import effects_named
+from driftjax.vehicle.universal import universal
 
 NEUTRAL, EVERY = np.zeros(len(ORDER)), np.ones(len(ORDER), bool)
 SKIP = 50  # samples until the observer has forgotten its guess of the start
@@ -88,6 +90,35 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
         assert np.linalg.norm(expected) > 1.0, name  # it shows in the data
         off[name] = np.linalg.norm(J - expected) / np.linalg.norm(expected)
     assert max(off.values()) < 0.01, off
+
+
+@functools.cache
+def with_late_sensors():
+    """A model whose sensors may be late, nominal data and gains for it."""
+    model, data = universal(sedan(), effects_named(("gyro_bias", "channel_delay"))), watched()[0]
+    return model, gains(model, data, np.zeros(4), truth().row(), held(data))
+
+
+def test_whole_samples_of_delay_are_a_shift_of_the_data():
+    (model, known), late = with_late_sensors(), 3
+    told = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
+    theta = np.array([0.0, 0.0, 0.0, (late + 1e-9) * DT]) / np.asarray(model.scale)
+    data = pieces(sedan(), tuple(told))
+    found, path = follow(model, data, theta, known), follow(model, watched()[0], np.zeros(4), known)
+    np.testing.assert_array_equal(found.seen[:, : ROWS - late], path.seen[:, : ROWS - late])
+    np.testing.assert_allclose(found.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)
+    assert not found.seen[:, ROWS - late :, 2].any()
+
+
+def test_derivatives_where_sensors_are_late():
+    model, known = with_late_sensors()
+    theta, step = np.array([0.5, *np.array([0.004, 0.017, 0.035]) / np.asarray(model.scale)[1:]]), 1e-3
+    data = watched()[0]
+    value = lambda at: np.asarray(whiten(known, follow(model, data, at, known).e))
+    J = np.asarray(differentiate(model, data, theta, known, np.ones(4, bool)).J)
+    for k, change in enumerate(step * np.eye(4)):
+        expected = -(value(theta + change) - value(theta - change)) / (2 * step)
+        assert np.linalg.norm(J[..., k] - expected) < 0.05 * np.linalg.norm(expected), k
 
 
 def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():

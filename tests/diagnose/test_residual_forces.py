@@ -56,14 +56,15 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     seen[:, num - 9] = 1.0
     e = seen * rng.normal(size=(1, num, 3)) * 3 * NOISE.sigma
     zero = np.zeros((1, num, 6))
-    path = Path(*map(jnp.asarray, (e, zero, zero, zero[..., :3], zero[..., :2], zero[..., :3])))
+    still = zero[..., :3]
+    path = Path(*map(jnp.asarray, (e, zero, zero, zero, zero[..., :4], still, e, seen)))
     many = lambda a: jnp.asarray(np.broadcast_to(a, (1, num, *a.shape)))
     D, none = np.eye(3), np.zeros((3, 1))
     full = np.zeros((6, 6))
     full[:3, :3] = A
     first = jnp.zeros((1, 6, 1))
-    steps = many(full), many(np.zeros((6, 1))), many(D), many(none), many(np.zeros((2, 3))), many(np.ones(())), first
-    return path, Steps(*steps), seen
+    C, slip, push = many(np.zeros((6, 1))), many(np.zeros((2, 3))), many(np.eye(6, 3) * DT)
+    return path, Steps(many(full), C, many(D), many(none), slip, push, jnp.asarray(still), path.seen, first), seen
 
 
 def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():

@@ -134,3 +134,20 @@ def test_a_lane_that_spins_keeps_its_code_and_the_others_drive_on():
     assert np.isfinite(np.asarray(found.trace.s[0])).all()
     alive = np.asarray(found.trace.alive[0])
     np.testing.assert_allclose((found.trace.sensed.r - found.trace.r)[0][alive], 0.02, atol=1e-12)
+
+
+def test_a_late_sensor_tells_what_was():
+    delays = {"d_V": 0.0, "d_beta": 0.013, "d_r": 0.0475}
+    theta = [delays.get(p.name, 0.0) / p.scale(SEDAN) if name == "channel_delay" else 0.0 for name, p in EACH]
+    car, commands = plant_of(SEDAN, np.array(theta), LAP, DT / SUBSTEPS), np.repeat(wave(8), SUBSTEPS, axis=0)
+
+    def step(state, u):
+        state = car.advance(state, Control(u[0], u[1]), DT / SUBSTEPS, 1)
+        motion = car.motion(state, Control(u[0], u[1]))
+        return state, (motion, car.told(state, motion))
+
+    _, (motion, told) = jax.lax.scan(step, car.rolling(V0), jnp.asarray(commands))
+    np.testing.assert_array_equal(told.V, motion.V)
+    np.testing.assert_allclose(told.beta[13:], motion.beta[:-13], atol=1e-12)
+    np.testing.assert_allclose(told.r[48:], (motion.r[1:-47] + motion.r[:-48]) / 2, atol=1e-12)  # in between
+    assert not np.any(told.beta[:13]) and float(jnp.ptp(told.beta)) > 1e-3  # it rolled straight on before

@@ -1,4 +1,7 @@
-"""Delay of each measurement: y_i(t - d_i), to first order y_i - d_i y_i_dot (Ljung 1999)."""
+"""Delay of each measurement: y_i(t - d_i) (Ljung 1999, Sec. 4.5).
+
+Here y_i - d_i y_i_dot with the mean rate over the delay; whole steps of it are looked up where the past is known.
+"""
 
 from driftjax.core import State
 from driftjax.vehicle.effect.base import Effect, Parameter
@@ -14,12 +17,13 @@ EFFECT = Effect(
     number=43,
     station="sensor",
     parameters=(
-        Parameter("d_V", "s", 0.08, "time", lower=0.0),
-        Parameter("d_beta", "s", 0.08, "time", lower=0.0),
-        Parameter("d_r", "s", 0.08, "time", lower=0.0),
+        Parameter("d_V", "s", 0.08, "time", lower=0.0, upper=12.0),
+        Parameter("d_beta", "s", 0.08, "time", lower=0.0, upper=12.0),
+        Parameter("d_r", "s", 0.08, "time", lower=0.0, upper=12.0),
     ),
     apply=apply,
     source="Ljung 1999",
     sentence="some measurements are late",
     kinematic=True,
+    late=True,
 )
