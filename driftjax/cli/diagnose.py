@@ -36,6 +36,8 @@ class Diagnose:
     """Friction ellipse of the nominal car, 0 none (as published), 1 a circle; left out: the vehicle's own [-]."""
     columns: str | None = None
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
+    runs: tuple[str, ...] = ()
+    """Names of the runs to use, `*` stands for anything; all where left out."""
     drive: Path | None = None
     """truth.yaml of a simulated car: the manoeuvre proposed is driven on it, and the diagnosis made again with that run
     in the folder `next`."""
@@ -53,9 +55,9 @@ def run(argv: list[str]) -> int:
     if asked.combined_slip is not None:
         vehicle = vehicle.with_slip(asked.combined_slip)
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
-    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None)
+    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {"columns": asked.columns, "options": dataclasses.asdict(asked.options)}
+    options |= {"columns": asked.columns, "runs": list(asked.runs), "options": dataclasses.asdict(asked.options)}
     options |= {"closed_loop": course.name if course else None}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 

@@ -15,19 +15,20 @@ from contextlib import contextmanager
 
 from driftjax import __version__
 
-VERBS = ("learn", "diagnose", "inspect", "simulate", "plan", "equilibria", "runs", "report")
+VERBS = ("learn", "diagnose", "inspect", "calibrate", "simulate", "plan", "equilibria", "runs", "report")
 HELP = """usage: driftjax VERB [options]
 
 A differentiable, jit-compiled car in JAX that learns to drift.
 
-  learn        plan, nominal laps, GP laps and active exploration on a batch of plants: table, figures, run folder
-  diagnose LOG what measured logs say the model gets wrong, why, and what mending it gains
-  inspect LOG  what is in a measured log, and whether its channels agree
-  simulate     drive manoeuvres on a car with any effects and noise: a log in the log format, and the truth beside it
-  plan         minimum-time plan of a car on a track: plan.nc, plan.csv, figures
-  equilibria   map of a car's steady states: grip and drift branches
-  runs         list the run folders below runs/
-  report RUN   rebuild figures, table and report.html of a run
+  learn          plan, nominal laps, GP laps and active exploration on a batch of plants: table, figures, run folder
+  diagnose LOG   what measured logs say the model gets wrong, why, and what mending it gains
+  inspect LOG    what is in a measured log, and whether its channels agree
+  calibrate LOG  the nominal car fitted to runs in which it should be right, before others are asked
+  simulate       drive manoeuvres on a car with any effects and noise: a log in the log format, and the truth beside it
+  plan           minimum-time plan of a car on a track: plan.nc, plan.csv, figures
+  equilibria     map of a car's steady states: grip and drift branches
+  runs           list the run folders below runs/
+  report RUN     rebuild figures, table and report.html of a run
 
 `driftjax VERB --help` lists the options of a verb with their units; `driftjax --version` says the version.
 """

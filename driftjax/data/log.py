@@ -1,9 +1,11 @@
 """Measured logs: runs in the log format, read from CSV and Parquet, checked and put on an even time base."""
 
 import csv
+import dataclasses
 import hashlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +56,16 @@ class Log:
     def rows(self) -> int:
         """Samples in all runs."""
         return sum(len(run.t) for run in self.runs)
+
+    def only(self, patterns: Sequence[str]) -> "Log":
+        """The runs whose names match one of the `patterns` (`*` stands for anything); all, where there is none."""
+        if not patterns:
+            return self
+        kept = tuple(run for run in self.runs if any(fnmatchcase(run.name, pattern) for pattern in patterns))
+        if not kept:
+            names = ", ".join(run.name for run in self.runs[:6])
+            raise BadInput(f"runs: no run is called {' or '.join(patterns)}; the log holds {names}.")
+        return dataclasses.replace(self, runs=kept)
 
 
 def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:

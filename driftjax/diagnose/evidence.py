@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from driftjax.diagnose.fit import Problem, information, settle
-from driftjax.diagnose.score import covariance, partial_out, scores
+from driftjax.diagnose.score import Scores, covariance, partial_out, scores
 from driftjax.diagnose.select import WORTH, Selection, price, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of
@@ -32,18 +32,22 @@ def causes(task: Problem, found: Selection) -> list[Cause]:
     columns = task.columns(found.members)
     if not len(columns):
         return []
-    constant = invariance(task, found)
-    spread = np.sqrt(np.diag(covariance(found.scores.H, found.scores.blocks, columns)))
-    quantile = student.ppf(0.975, max(task.data.num_blocks - len(columns), 1))
+    constant, widths = invariance(task, found), half_widths(task, found.scores, found.members)
     each = []
     for member in found.members:
         own = task.columns((member,))
         at = np.searchsorted(columns, own)
         probability, rivals = odds(task, found, member)
         alike = confusable(task, found, member)
-        width = quantile * spread[at]
-        each.append(Cause(member, found.fit.theta[own], width, probability, rivals, alike, constant[member]))
+        each.append(Cause(member, found.fit.theta[own], widths[at], probability, rivals, alike, constant[member]))
     return each
+
+
+def half_widths(task: Problem, last: Scores, members: tuple[int, ...]) -> np.ndarray:
+    """Half-widths (k,) of the 95 % intervals of the parameters of `members`, in typical sizes."""
+    columns = task.columns(members)
+    spread = np.sqrt(np.diag(covariance(last.H, last.blocks, columns)))
+    return student.ppf(0.975, max(task.data.num_blocks - len(columns), 1)) * spread
 
 
 def invariance(task: Problem, found: Selection) -> dict[int, float]:

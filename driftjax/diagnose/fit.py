@@ -72,7 +72,15 @@ class Fit(NamedTuple):
 def problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Everything that questions need, the noise estimated from the data.
+    """Everything that questions need, the noise estimated from the data: what no effect in question explains."""
+    task = posed(vehicle, effects, runs, without)
+    return tuned(task, task.start, task.asked)
+
+
+def posed(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
+) -> Problem:
+    """Everything but the noise, which is a first guess, and gains, which hold any car to the data.
 
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
     """
@@ -83,8 +91,7 @@ def problem(
     asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
     owner, fixed, start = np.array([i for i, _ in parameters]), held(data), named_already(vehicle, model)
-    task = Problem(model, data, lower, upper, start, owner, has, asked, first_guess(data), fixed)
-    return tuned(task, start, asked)
+    return Problem(model, data, lower, upper, start, owner, has, asked, first_guess(data), fixed)
 
 
 def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:

@@ -8,10 +8,13 @@ import numpy as np
 from driftjax.data import Log
 from driftjax.data.columns import MEASURED
 from driftjax.diagnose.diagnosis import Diagnosis, Gain
-from driftjax.diagnose.score import covariance
+from driftjax.diagnose.evidence import half_widths
+from driftjax.diagnose.fit import Problem
+from driftjax.diagnose.score import Scores, covariance
 from driftjax.diagnose.show import Show, show_json
 from driftjax.diagnose.unknown import Unexplained
 from driftjax.diagnose.verdict import Judgement
+from driftjax.vehicle import VehicleConfig
 
 
 def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, Any]:
@@ -97,26 +100,34 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
 
 
 def extended(found: Diagnosis) -> dict[str, Any]:
-    """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads.
+    """The extended car as a mapping for `extended.yaml`, which `load_vehicle` reads: nominal car and named effects."""
+    last = found.found
+    return extended_car(found.vehicle, found.task, last.members, last.fit.theta, last.scores)
 
-    The nominal car; its named effects with half-widths; and the covariance of all their parameters, SI, whose rows go
+
+def extended_car(
+    vehicle: VehicleConfig, task: Problem, members: tuple[int, ...], theta: np.ndarray, last: Scores
+) -> dict[str, Any]:
+    """The car with the effects `members` at `theta` (K,), in typical sizes, as a mapping that `load_vehicle` reads.
+
+    The nominal car; these effects with half-widths; and the covariance of all their parameters, SI, whose rows go
     through effects and parameters in the catalogue's order, as `parameters` says beside it. Effects that the car had
-    before are kept; the covariance is left out then, for these data do not tell it.
+    before are kept; where there are such the covariance is left out, for these data do not tell it.
     """
-    task, effects, names = found.task, dict[str, Any](), []
-    for one in found.vehicle.effects:
+    effects, names, before = dict[str, Any](), [], {task.effects[i].name for i in members}
+    for one in vehicle.effects:
         effects.setdefault(one.effect, {})[one.parameter] = {"value": one.value, "ci95_half": one.ci95_half}
-    scale = np.asarray(task.model.scale)
-    for cause in sorted(found.causes, key=lambda cause: cause.effect):
-        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
-        values = zip(effect.parameters, cause.theta * scale[columns], cause.half_width * scale[columns], strict=True)
-        effects[effect.name] = {p.name: {"value": float(x), "ci95_half": float(w)} for p, x, w in values}
+    scale, columns = np.asarray(task.model.scale), task.columns(members)
+    width = dict(zip(columns, half_widths(task, last, members), strict=True))
+    for member in sorted(members):
+        effect, own = task.effects[member], task.columns((member,))
+        values = zip(effect.parameters, own, strict=True)
+        sizes = {p.name: (theta[k] * scale[k], width[k] * scale[k]) for p, k in values}
+        effects[effect.name] = {name: {"value": float(x), "ci95_half": float(w)} for name, (x, w) in sizes.items()}
         names += [f"{effect.name}.{p.name}" for p in effect.parameters]
-    nominal = dataclasses.asdict(found.vehicle)
+    nominal = dataclasses.asdict(vehicle)
     car = {"nominal": {key: nominal[key] for key in nominal if key not in ("effects", "covariance")}}
-    if not names or found.vehicle.effects:
+    if not names or set(effects) != before:
         return car | {"effects": effects}
-    columns = task.columns(found.found.members)
-    last = found.found.scores
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
     return car | {"effects": effects, "covariance": {"parameters": names, "matrix": matrix.tolist()}}

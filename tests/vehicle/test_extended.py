@@ -157,7 +157,7 @@ BAD = {
     "effect 'magic': no such effect": {"effects": {"magic": {"p": 1.0}}},
     "friction has no parameter 'mu'; it has p": {"effects": {"friction": {"mu": 0.1}}},
     "load_transfer_lat lacks 'k_r'": {"effects": {"load_transfer_lat": {"k_f": 0.01}}},
-    "friction.p is 0.5; the value lies in -0.24..0.24": {"effects": {"friction": {"p": 0.5}}},
+    "friction.p is 0.7; the value lies in -0.84..0.6": {"effects": {"friction": {"p": 0.7}}},
     "load_transfer_long.h is -0.1": {"effects": {"load_transfer_long": {"h": {"value": -0.1}}}},
     "friction.p is nan; it needs a number": {"effects": {"friction": {"p": float("nan")}}},
     "friction.p is 'much'": {"effects": {"friction": {"p": "much"}}},

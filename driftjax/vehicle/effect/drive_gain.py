@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="drive_gain",
     number=17,
     station="command",
-    parameters=(Parameter("p", "1", 0.06),),
+    parameters=(Parameter("p", "1", 0.06, lower=-12.0, upper=15.0),),
     apply=apply,
     source="Rajamani 2012, Ch. 5",
     sentence="the drive force is another than the one commanded",

@@ -21,7 +21,7 @@ EFFECT = Effect(
     name="drive_lag",
     number=18,
     station="command",
-    parameters=(Parameter("tau", "s", 0.14, "time", lower=0.0),),
+    parameters=(Parameter("tau", "s", 0.14, "time", lower=0.0, upper=12.0),),
     apply=apply,
     source="first-order actuator; Rajamani 2012, Ch. 5",
     sentence="the drive force lags behind its command",

@@ -22,7 +22,7 @@ EFFECT = Effect(
     name="engine_drag",
     number=16,
     station="force",
-    parameters=(Parameter("F", "N", 0.03, "force", lower=0.0),),
+    parameters=(Parameter("F", "N", 0.03, "force", lower=0.0, upper=10.0),),
     apply=apply,
     source="Gillespie 1992, Ch. 2",
     sentence="with the throttle closed the engine holds the car back",

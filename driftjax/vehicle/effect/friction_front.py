@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="friction_front",
     number=2,
     station="friction",
-    parameters=(Parameter("p", "1", 0.06),),
+    parameters=(Parameter("p", "1", 0.06, lower=-14.0, upper=10.0),),
     apply=apply,
     source="Pacejka 2012, Sec. 4",
     sentence="the front tyres have another friction than the model's",

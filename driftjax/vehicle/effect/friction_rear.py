@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="friction_rear",
     number=3,
     station="friction",
-    parameters=(Parameter("p", "1", 0.06),),
+    parameters=(Parameter("p", "1", 0.06, lower=-14.0, upper=10.0),),
     apply=apply,
     source="Pacejka 2012, Sec. 4",
     sentence="the rear tyres have another friction than the model's",

@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="rolling_resistance",
     number=14,
     station="force",
-    parameters=(Parameter("f", "1", 0.02, lower=0.0),),
+    parameters=(Parameter("f", "1", 0.02, lower=0.0, upper=10.0),),
     apply=apply,
     source="Gillespie 1992, Ch. 4",
     sentence="rolling costs more force than in the model",

@@ -31,7 +31,7 @@ EFFECT = Effect(
     name="steer_delay",
     number=32,
     station="command",
-    parameters=(Parameter("d", "s", 0.1, "time", lower=0.0),),
+    parameters=(Parameter("d", "s", 0.1, "time", lower=0.0, upper=12.0),),
     apply=apply,
     source="Ljung 1999",
     sentence="the steering answers its command after a delay",

@@ -21,7 +21,7 @@ EFFECT = Effect(
     name="steer_lag",
     number=31,
     station="command",
-    parameters=(Parameter("tau", "s", 0.13, "time", lower=0.0),),
+    parameters=(Parameter("tau", "s", 0.13, "time", lower=0.0, upper=12.0),),
     apply=apply,
     start=start,
     source="first-order actuator; Pacejka 2012, Sec. 1.3",

@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="stiffness_rear",
     number=5,
     station="car",
-    parameters=(Parameter("p", "1", 0.15),),
+    parameters=(Parameter("p", "1", 0.15, lower=-5.5, upper=12.0),),
     apply=apply,
     source="Pacejka 2012, Sec. 4.3",
     sentence="the rear tyres build up their side force with slip faster or slower than the model's",

@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="yaw_inertia",
     number=24,
     station="car",
-    parameters=(Parameter("p", "1", 0.15),),
+    parameters=(Parameter("p", "1", 0.15, upper=8.0),),
     apply=apply,
     source="Gillespie 1992, Ch. 1",
     sentence="the car resists turning more or less than the model",
