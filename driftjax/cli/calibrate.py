@@ -37,6 +37,8 @@ class Calibrate:
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
     runs: tuple[str, ...] = ()
     """Names of the runs to use, `*` stands for anything; all where left out."""
+    cut: float | None = None
+    """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
     effects: tuple[str, ...] = USUAL
     """Effects of the catalogue to fit."""
     held_out: int = 3
@@ -56,9 +58,9 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(asked.vehicle)
     if asked.combined_slip is not None:
         vehicle = vehicle.with_slip(asked.combined_slip)
-    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs)
+    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs).cut(asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {"columns": asked.columns, "runs": list(asked.runs), "effects": list(asked.effects)}
+    options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut, "effects": list(asked.effects)}
     folder = RunFolder.create(
         asked.out or default_out("calibrate", vehicle.name), options | {"held_out": asked.held_out}, "calibrate"
     )

@@ -38,6 +38,8 @@ class Diagnose:
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
     runs: tuple[str, ...] = ()
     """Names of the runs to use, `*` stands for anything; all where left out."""
+    cut: float | None = None
+    """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
     drive: Path | None = None
     """truth.yaml of a simulated car: the manoeuvre proposed is driven on it, and the diagnosis made again with that run
     in the folder `next`."""
@@ -55,9 +57,14 @@ def run(argv: list[str]) -> int:
     if asked.combined_slip is not None:
         vehicle = vehicle.with_slip(asked.combined_slip)
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
-    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs)
+    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs).cut(asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {"columns": asked.columns, "runs": list(asked.runs), "options": dataclasses.asdict(asked.options)}
+    options |= {
+        "columns": asked.columns,
+        "runs": list(asked.runs),
+        "cut": asked.cut,
+        "options": dataclasses.asdict(asked.options),
+    }
     options |= {"closed_loop": course.name if course else None}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 

@@ -67,6 +67,13 @@ class Log:
             raise BadInput(f"runs: no run is called {' or '.join(patterns)}; the log holds {names}.")
         return dataclasses.replace(self, runs=kept)
 
+    def cut(self, seconds: float | None) -> "Log":
+        """Runs as parts of about so many `seconds`, called run@begin, so that some of a long one can be held out."""
+        if seconds is None:
+            return self
+        parts = [part for run in self.runs for part in _cut(run, max(round(seconds / run.dt), 2))]
+        return dataclasses.replace(self, runs=tuple(parts))
+
 
 def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
     """Runs of all `paths` in the log format, or in that of `columns`; raises `BadInput` in one sentence.
@@ -93,6 +100,18 @@ def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
         raise BadInput(f"{', '.join(map(str, paths))}: no run has two samples in a row; give a longer log.")
     check_rates({name: run.dt for name, run in runs.items()})
     return Log(tuple(runs.values()), digest.hexdigest(), tuple(map(Path, paths)), tuple(notes))
+
+
+def _cut(run: Run, num: int) -> list[Run]:
+    """`run` in parts of at least `num` samples; one shorter than twice that stays whole."""
+    edges = list(range(0, len(run.t) - num + 1, num)) or [0]
+    parts = []
+    for start, stop in zip(edges, [*edges[1:], len(run.t)], strict=True):
+        of = lambda values: values[start:stop]  # noqa: B023
+        main = {name: of(getattr(run, name)) for name in CHANNELS}
+        name = f"{run.name}@{run.t[start] - run.t[0]:g}" if len(edges) > 1 else run.name
+        parts.append(Run(name, **main, dt=run.dt, extra={key: of(values) for key, values in run.extra.items()}))
+    return parts
 
 
 def _run(name: str, part: Part) -> Run:

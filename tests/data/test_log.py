@@ -435,3 +435,17 @@ def test_measured_logs_are_read_with_their_maps(folder, rate, samples, top):
         assert run.dt == pytest.approx(1 / rate, rel=1e-3) and np.nanmax(run.V) < top
         assert np.nanmax(np.abs(run.beta)) < math.pi / 2 and np.isfinite(run.Fxr).all() and np.isfinite(run.delta).all()
         np.testing.assert_allclose(np.diff(run.t), run.dt, rtol=0.011)
+
+
+def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):
+    path = write(tmp_path / "log.csv", columns(n=1000) | {"run": ["grip/a"] * 700 + ["ice/b"] * 300})
+    log = read_log([path])
+    assert [run.name for run in log.only(["ice*", "none"]).runs] == ["ice/b"] and log.only(()) is log
+    with pytest.raises(BadInput, match=r"no run is called lap\*; the log holds grip/a, ice/b"):
+        log.only(["lap*"])
+    cut = log.cut(3.0)
+    assert [(run.name, len(run.t)) for run in cut.runs] == [("grip/a@0", 300), ("grip/a@3", 400), ("ice/b", 300)]
+    whole, parts = log.runs[0], cut.runs[:2]
+    for name in CHANNELS:
+        np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(whole, name))
+    assert log.cut(None) is log and cut.rows == log.rows
