@@ -10,7 +10,7 @@ from jax import Array
 from driftjax.core import State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track
-from driftjax.diagnose.runs import PIECE, beside, each_piece, follow, spans
+from driftjax.diagnose.runs import beside, each_piece, follow, spans
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
 from driftjax.sim.step import acts_of
@@ -75,8 +75,8 @@ ahead = beside(ahead_of, None, None, 0, 0, None, None, None, None)
 
 def starts_of(task: Problem) -> tuple[np.ndarray, int]:
     """Samples that predictions start from, and over how many steps they go."""
-    dt = task.data.dt
-    return np.arange(round(0.5 / dt), PIECE - 1, round(APART / dt)), max(round(HORIZONS[-1] / dt), 1)
+    dt, size = task.data.dt, task.data.size
+    return np.arange(round(0.5 / dt), size - 1, round(APART / dt)), max(round(HORIZONS[-1] / dt), 1)
 
 
 def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahead:
@@ -87,8 +87,8 @@ def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahe
     one = lambda run, z: ahead(task.model, where, run, z, first, num, data.dt, residual)
     told = np.asarray(each_piece(one, len(data.run), data.track, path.z))
     at = starts[:, None] + np.arange(1, num + 1)
-    row = np.minimum(at, PIECE - 1)
-    seen = (np.asarray(path.seen)[:, row] > 0) & (at < PIECE)[..., None]
+    row = np.minimum(at, data.size - 1)
+    seen = (np.asarray(path.seen)[:, row] > 0) & (at < data.size)[..., None]
     off = told - np.asarray(path.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
     return Ahead(starts, path.z, told, np.where(seen, off, np.nan))

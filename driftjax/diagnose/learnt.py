@@ -8,7 +8,7 @@ from jax import Array
 from driftjax.core import Control, State, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.gain import ahead
-from driftjax.diagnose.runs import PIECE, each_piece, follow, held
+from driftjax.diagnose.runs import each_piece, follow, held
 from driftjax.gp import GP, fit, select_dictionary
 
 WINDOW = 0.2  # time over which a residual rate is measured: shorter drowns in noise, longer blurs [s]
@@ -22,7 +22,7 @@ def residual_rates(task: Problem, theta: np.ndarray) -> tuple[Array, Array, Arra
     that the model misses over one window, over its length.
     """
     data, num = task.data, round(WINDOW / task.data.dt)
-    starts = np.arange(num, PIECE - num, num)
+    starts = np.arange(num, data.size - num, num)
     path = follow(task.model, data, theta, held(data))
     one = lambda run, z: ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None)
     found = each_piece(one, len(data.run), data.track, path.z)[:, :, -1]

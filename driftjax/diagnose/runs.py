@@ -28,7 +28,7 @@ from driftjax.vehicle.effect import Place
 from driftjax.vehicle.effect.flow import heat_rate
 from driftjax.vehicle.universal import Universal
 
-PIECE = 1000  # samples of one piece of a run: longer runs are followed piece by piece
+PIECE, SHORT = 1000, 250  # samples of one piece: longer runs are followed piece by piece, many short ones in short ones
 LANES = 2  # pieces followed at once: more take longer on a CPU where runs are few
 SAMPLES = 2000  # samples differentiated in one call
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
@@ -44,6 +44,11 @@ class Pieces(NamedTuple):
     block: np.ndarray  # (P, T) number of the block of each sample
     num_blocks: int
     dt: float
+
+    @property
+    def size(self) -> int:
+        """Samples T of one piece."""
+        return self.block.shape[1]
 
     def part(self, keep: np.ndarray) -> "Pieces":
         """Only the pieces with the numbers `keep`."""
@@ -88,14 +93,21 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
     return Place(*map(jnp.asarray, columns))
 
 
+def piece_size(lengths: list[int]) -> int:
+    """Samples of one piece for runs of these `lengths`: short ones where they at least halve what is to be followed."""
+    whole = lambda size: sum(-(-n // size) * size for n in lengths)
+    return SHORT if 2 * whole(SHORT) <= whole(PIECE) else PIECE
+
+
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     """Runs cut where they are longer than a piece; before its first command a run counts as driven with it held."""
     dt, rows, blocks, number = runs[0].dt, [], [], []
+    size = piece_size([len(run.t) for run in runs])
     for i, (run, lap) in enumerate(zip(runs, lap_length(runs), strict=True)):
         n, place = len(run.t), places(vehicle, run, lap)
-        for k in range(0, n, PIECE):
-            rows.append(_piece_of(run, place, k))
-            sample = np.minimum(k + np.arange(PIECE), n - 1)  # padding belongs to the run's last block
+        for k in range(0, n, size):
+            rows.append(_piece_of(run, place, k, size))
+            sample = np.minimum(k + np.arange(size), n - 1)  # padding belongs to the run's last block
             blocks.append([(i, int(j * dt // BLOCK)) for j in sample])
             number.append(i)
     names = {name: at for at, name in enumerate(sorted({one for row in blocks for one in row}))}
@@ -103,12 +115,12 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     return Pieces(jax.tree.map(lambda *a: jnp.stack(a), *rows), np.array(number), block, len(names), dt)
 
 
-def _piece_of(run: Run, place: Place, k: int) -> Track:
-    """The piece of `run` that begins at sample `k`."""
+def _piece_of(run: Run, place: Place, k: int, size: int) -> Track:
+    """The piece of `run` of `size` samples that begins at sample `k`."""
     measured, w = np.stack([run.V, run.beta, run.r], axis=1), round(SETTLE / run.dt)
     lead = lambda values: np.concatenate([np.repeat(values[:1], w, axis=0), values])
-    part = measured[k : k + PIECE]
-    short = PIECE - len(part)
+    part = measured[k : k + size]
+    short = size - len(part)
     pad = lambda values: np.concatenate([values, np.repeat(values[-1:], short, axis=0)])
     window, here = slice(k, k + w + len(part)), slice(k, k + len(part))
     seen = np.concatenate([np.isfinite(part), np.zeros((short, 3), bool)])
@@ -156,9 +168,9 @@ class Followed(NamedTuple):
 def held(data: Pieces, share: float = HOLD) -> Gains:
     """A fixed gain that holds any car to the data, before any noise is known: it believes `share` of an innovation."""
     num = len(data.run)
-    L = jnp.zeros((num, PIECE, 6, 3)).at[..., :3, :].set(share * jnp.eye(3))
+    L = jnp.zeros((num, data.size, 6, 3)).at[..., :3, :].set(share * jnp.eye(3))
     nothing = jnp.zeros(num)
-    return Gains(L, jnp.zeros((num, PIECE, 3, 3)), nothing, jnp.zeros((num, PIECE, 6, 6)), nothing)
+    return Gains(L, jnp.zeros((num, data.size, 3, 3)), nothing, jnp.zeros((num, data.size, 6, 6)), nothing)
 
 
 def gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:

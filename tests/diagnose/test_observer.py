@@ -158,6 +158,13 @@ def test_long_runs_are_cut_and_the_rest_is_padding():
     np.testing.assert_allclose(data.track.place.t[1][:700], long.t[PIECE:])
 
 
+def test_many_short_runs_are_followed_in_short_pieces():
+    run = nominal_runs()[0]
+    cut = lambda n: replace(run, **{k: getattr(run, k)[:n] for k in ("t", "V", "beta", "r", "delta", "Fxr")}, extra={})
+    assert pieces(sedan(), (cut(120), cut(240), cut(600))).block.shape == (5, 250)
+    assert pieces(sedan(), (cut(600), cut(500))).block.shape == (2, PIECE)
+
+
 def test_blocks_go_on_from_piece_to_piece_and_not_from_run_to_run():
     run = nominal_runs()[0]
     n = 1700
