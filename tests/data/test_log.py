@@ -418,18 +418,24 @@ def test_column_maps_that_do_not_fit_the_file_are_told(tmp_path):
     ):
         with pytest.raises(BadInput, match=rf"log\.csv.*{sentence}"):
             read_log([tmp_path / "log.csv"], columns_)
-    with pytest.raises(BadInput, match="shipped columns names: dart_jetracer, ferrari_250lm, genesis_g80"):
+    with pytest.raises(BadInput, match="shipped columns names: dart_jetracer, dart_onboard, dart_steer_id"):
         load_columns("jetracer")
 
 
 @pytest.mark.parametrize(
-    ("folder", "rate", "samples", "top"),
-    [("dart_jetracer", 20, 11000, 4.2), ("ferrari_250lm", 100, 39900, 62), ("genesis_g80", 100, 35000, 13)],
+    ("files", "columns", "rate", "samples", "top"),
+    [
+        ("dart_jetracer/[!s]*.csv", "dart_jetracer", 20, 4500, 4.2),
+        ("dart_jetracer/s*.csv", "dart_steer_id", 20, 400, 1),
+        ("dart_jetracer/grip.csv", "dart_onboard", 10, 600, 4.2),
+        ("ferrari_250lm/*.csv", "ferrari_250lm", 100, 39900, 62),
+        ("genesis_g80/*.csv", "genesis_g80", 100, 35000, 13),
+    ],
 )
-def test_measured_logs_are_read_with_their_maps(folder, rate, samples, top):
-    if not (SHARED / folder).is_dir():
+def test_measured_logs_are_read_with_their_maps(files, columns, rate, samples, top):
+    if not (SHARED / files).parent.is_dir():
         pytest.skip("../shared/data is absent")
-    log = read_log(sorted((SHARED / folder).glob("*.csv")), load_columns(folder))
+    log = read_log(sorted(SHARED.glob(files)), load_columns(columns))
     assert log.rows > samples and any("stands for Fxr" in note for note in log.notes)
     for run in log.runs:
         assert run.dt == pytest.approx(1 / rate, rel=1e-3) and np.nanmax(run.V) < top
