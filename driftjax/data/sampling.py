@@ -15,7 +15,7 @@ SLACK = 0.5  # sample times by which jitter may stretch a gap
 def sample_time(t: np.ndarray) -> float:
     """Sample time [s]: mean of the steps of `t` that are no gaps, so that rounded time stamps do no harm."""
     steps = np.diff(t)
-    middle = float(np.median(steps))
+    middle = float(np.quantile(steps, 0.5, method="lower"))  # a step that there is: two of them may have none between
     return float(f"{np.mean(steps[np.abs(steps - middle) <= SLACK * middle]):.9g}")
 
 
@@ -55,16 +55,38 @@ def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -
     Where samples are lost, the channels named in `held` keep their value and the others are missing.
     """
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + SLACK) + 1)
-    left = np.clip(np.searchsorted(t, grid, side="right") - 1, 0, len(t) - 2)
-    after, before = grid - t[left], t[left + 1] - grid
-    lost = after + before > (1 + SLACK) * dt
+    inside = np.minimum(grid, t[-1])  # the last point may lie half a sample time past the last sample
 
     def at_grid(name: str, y: np.ndarray) -> np.ndarray:
-        between = y[left] + np.clip(after / (after + before), 0, 1) * (y[left + 1] - y[left])
-        between = np.where(lost, y[left] if name in held else np.nan, between)
-        return np.where(after <= UNIFORM * dt, y[left], np.where(before <= UNIFORM * dt, y[left + 1], between))
+        values = between(inside, t, y, dt)
+        return np.where(np.isnan(values), latest(inside, t, y, dt), values) if name in held else values
 
     return grid, {name: at_grid(name, y) for name, y in values.items()}
+
+
+def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.ndarray:
+    """`y`, sampled at `t` about every `dt` [s], at `times`: samples that lie there, else between their neighbours.
+
+    Missing where samples are lost, before the first and after the last one.
+    """
+    left = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    after, before = times - t[left], t[left + 1] - times
+    values = y[left] + np.clip(after / (after + before), 0, 1) * (y[left + 1] - y[left])
+    values = np.where(after + before > (1 + SLACK) * dt, np.nan, values)
+    values = np.where(after <= UNIFORM * dt, y[left], np.where(before <= UNIFORM * dt, y[left + 1], values))
+    return np.where((after < -UNIFORM * dt) | (before < -UNIFORM * dt), np.nan, values)
+
+
+def latest(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
+    """`y`, sampled at `t` about every `dt` [s], at `times`: the last sample; missing before the first one.
+
+    Where more than `lost` samples in a row are lost, the one before them stays for one sample time.
+    """
+    last = np.searchsorted(t, times + UNIFORM * dt, side="right") - 1
+    following = np.append(t, np.inf)[last + 1]
+    bridged = following - t[last] <= (lost + 1 + SLACK) * dt
+    there = (last >= 0) & (bridged | (times - t[last] < (1 - UNIFORM) * dt))
+    return np.where(there, y[last], np.nan)
 
 
 def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int) -> tuple[np.ndarray, Channels]:
