@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,8 @@ COMMANDS = ("delta", "Fxr")
 VELOCITIES = ("vx", "vy")
 EXTRA = ("x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
 RUN = "run"
+
+Stamps = Literal["header", "receipt"]
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,10 @@ class ColumnMap:
     """What stands for Fxr where there is no force channel."""
     rate: float | None = None
     """Sample rate to thin the log to [Hz]; left out: that of the log."""
+    base: str | None = None
+    """Of a recording (ROS bag, MCAP, MDF): the channel whose time stamps all get; left out: the fastest measured."""
+    stamps: Stamps = "header"
+    """Time stamps of messages: of their headers, where they have them, or of their receipt."""
 
     def __post_init__(self) -> None:
         names = [channel.name for channel in self.columns]
@@ -108,6 +114,11 @@ class ColumnMap:
         lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
         require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
+
+        require(
+            self.base is None or (self.base in names and self.base != "t"),
+            f"key 'base' is '{self.base}'; it must be a channel that 'columns' maps, such as '{MEASURED[-1]}'.",
+        )
 
     def skips(self, line: int) -> bool:
         """Whether line `line` of a CSV, from 1, is to be passed over."""

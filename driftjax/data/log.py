@@ -1,9 +1,9 @@
-"""Measured logs: runs in the log format, read from CSV and Parquet, checked and put on an even time base."""
+"""Measured logs: runs in the log format, read from tables and recordings, checked and put on an even time base."""
 
 import csv
 import dataclasses
 import hashlib
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -13,9 +13,13 @@ import numpy as np
 from driftjax.core import BadInput, write_atomically
 from driftjax.data.checks import check_rates
 from driftjax.data.columns import CHANNELS, EXTRA, RUN, ColumnMap
+from driftjax.data.extras import import_pyarrow
 from driftjax.data.prepare import Part, parts
 from driftjax.data.raw import raw_runs
-from driftjax.data.table import import_pyarrow, read_bytes
+from driftjax.data.recording import read_recording, recording_kind
+from driftjax.data.table import Table, parse_table, read_bytes, reading
+
+PIECE = 2**20  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,7 @@ class Log:
 
     runs: tuple[Run, ...]
     sha256: str
-    """Of the bytes of all files, in order."""
+    """Of the bytes of all files, in order, those of a folder by name."""
     paths: tuple[Path, ...]
     notes: tuple[str, ...]
     """Sentences about what was repaired or left out."""
@@ -78,20 +82,25 @@ class Log:
 def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
     """Runs of all `paths` in the log format, or in that of `columns`; raises `BadInput` in one sentence.
 
-    A run is what its `run` column says, else a file. It is cut where t jumps by more than 3 sample times and where
+    A log is a CSV or Parquet file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or MDF file.
+    A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
     a command is missing for longer than that; the parts are called name, name+1, ...
     """
     if not paths:
-        raise BadInput("No log was given; name one CSV or Parquet file at least.")
+        raise BadInput("No log was given; name one file or bag at least.")
     digest, seen = hashlib.sha256(), dict[bytes, Path]()
     runs: dict[str, Run] = {}
     notes: list[str] = []
     for path in map(Path, paths):
-        content = read_bytes(path)
-        if (twin := seen.setdefault(hashlib.sha256(content).digest(), path)) is not path:
+        kind = recording_kind(path)
+        content = read_bytes(path) if kind is None else b""
+        own = hashlib.sha256()
+        for piece in [content] if kind is None else _pieces(path):
+            own.update(piece)
+            digest.update(piece)
+        if (twin := seen.setdefault(own.digest(), path)) is not path:
             raise BadInput(f"{path}: holds the same as {twin}; give each log once.")
-        digest.update(content)
-        for raw in raw_runs(path, content, columns, notes):
+        for raw in raw_runs(_table(path, kind, content, columns, notes), columns, notes):
             name = raw.name if raw.name not in runs else f"{path.stem}/{raw.name}"
             for part in parts(raw, columns.rate if columns else None, notes):
                 free = _free_name(name, runs)
@@ -112,6 +121,20 @@ def _cut(run: Run, num: int) -> list[Run]:
         name = f"{run.name}@{run.t[start] - run.t[0]:g}" if len(edges) > 1 else run.name
         parts.append(Run(name, **main, dt=run.dt, extra={key: of(values) for key, values in run.extra.items()}))
     return parts
+
+
+def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | None, notes: list[str]) -> Table:
+    if kind is not None:
+        return read_recording(path, kind, columns, notes)
+    return parse_table(path, content, columns.skips if columns else lambda line: False)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    """What a file holds, or all files of a folder, a piece at a time: recordings may be larger than memory."""
+    for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
+        with reading(file), file.open("rb") as stream:
+            while piece := stream.read(PIECE):
+                yield piece
 
 
 def _run(name: str, part: Part) -> Run:

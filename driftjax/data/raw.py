@@ -1,4 +1,4 @@
-"""Runs as they stand in a file: its rows mapped to channels, filtered and told apart."""
+"""Runs as they stand in a log: its rows mapped to channels, filtered and told apart."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.data.columns import CHANNELS, EXTRA, RUN, VELOCITIES, ColumnMap, channels, own_columns
-from driftjax.data.table import Table, parse_table
+from driftjax.data.table import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class RawRun:
             raise BadInput(f"{self.path}, row {self.lines[i]}: {what}; {remedy}.")
 
 
-def raw_runs(path: Path, content: bytes, columns: ColumnMap | None, notes: list[str]) -> list[RawRun]:
-    """The runs of one file, in order of their first rows; what was left out goes to `notes`."""
-    table = parse_table(path, content, columns.skips if columns else lambda line: False)
+def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[RawRun]:
+    """The runs of one log, in order of their first rows; what was left out goes to `notes`."""
+    path = table.path
     if columns is None:
         columns = own_columns(table)
         known = (*CHANNELS, *VELOCITIES, *EXTRA, RUN)

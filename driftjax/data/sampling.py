@@ -80,12 +80,12 @@ def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.nd
 def latest(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
     """`y`, sampled at `t` about every `dt` [s], at `times`: the last sample; missing before the first one.
 
-    Where more than `lost` samples in a row are lost, the one before them stays for one sample time.
+    Where more than `lost` samples in a row are lost, the one before them stays for a sample time less jitter.
     """
     last = np.searchsorted(t, times + UNIFORM * dt, side="right") - 1
     following = np.append(t, np.inf)[last + 1]
     bridged = following - t[last] <= (lost + 1 + SLACK) * dt
-    there = (last >= 0) & (bridged | (times - t[last] < (1 - UNIFORM) * dt))
+    there = (last >= 0) & (bridged | (times - t[last] < (1 - JITTER) * dt))
     return np.where(there, y[last], np.nan)
 
 

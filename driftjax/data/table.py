@@ -1,9 +1,9 @@
 """Tables of measured values: CSV and Parquet as named columns, each row with its place in the file."""
 
 import csv
-import importlib
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.data.extras import import_pyarrow
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})  # cells that hold no value, in lower case
 DELIMITERS = (",", ";", "\t")
@@ -19,13 +20,13 @@ DELIMITERS = (",", ";", "\t")
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of one file: cells of a CSV as text, numeric columns of a Parquet file as arrays."""
+    """Columns of one log: cells of a CSV as text, numeric columns of a Parquet file or a recording as arrays."""
 
     path: Path
     names: tuple[str, ...]
     columns: tuple[Sequence[str] | np.ndarray, ...]
     lines: np.ndarray
-    """Where each row stands: line of the CSV, header included, or row of the Parquet file; from 1."""
+    """Where each row stands: line of the CSV, header included, row of the Parquet file or sample; from 1."""
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
@@ -73,14 +74,21 @@ class Table:
         return values
 
 
-def read_bytes(path: Path) -> bytes:
-    """What the file holds; raises `BadInput` where it cannot be read or is empty."""
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise `BadInput` where the file cannot be read."""
     try:
-        content = path.read_bytes()
+        yield
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file; check the path.") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions.") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """What the file holds; raises `BadInput` where it cannot be read or is empty."""
+    with reading(path):
+        content = path.read_bytes()
     if not content.strip():
         raise BadInput(f"{path}: is empty; give a log with a row of names and rows of numbers.")
     return content
@@ -98,7 +106,7 @@ def _csv(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise BadInput(f"{path}: is neither text in UTF-8 nor Parquet; save it as one of them.") from None
+        raise BadInput(f"{path}: is neither text in UTF-8 nor Parquet, ROS bag, MCAP or MDF; save it so.") from None
     lines, rows = [], []
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(text, skip))
     try:
@@ -144,14 +152,3 @@ def _parquet(path: Path, content: bytes) -> Table:
         raise BadInput(f"{path}: is no readable Parquet file ({error}); write it again.") from None
     columns = tuple(map(column, table.columns))
     return Table(path, tuple(table.column_names), columns, np.arange(1, table.num_rows + 1))
-
-
-def import_pyarrow(path: Path) -> Any:
-    """pyarrow with its Parquet module; raises `BadInput` that names the extra where it is not installed."""
-    try:
-        importlib.import_module("pyarrow.parquet")
-        return importlib.import_module("pyarrow")
-    except ImportError:
-        raise BadInput(
-            f"{path}: Parquet needs the extra 'parquet'; install it with pip install 'driftjax[parquet]', or use CSV."
-        ) from None

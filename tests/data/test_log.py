@@ -260,7 +260,7 @@ def test_files_that_are_no_log_are_told(tmp_path, content, sentence):
 
 
 def test_a_folder_no_log_and_the_same_log_twice_are_told(tmp_path):
-    with pytest.raises(BadInput, match="cannot be read"):
+    with pytest.raises(BadInput, match="is a folder without the metadata.yaml of a ROS 2 bag"):
         read_log([tmp_path])
     with pytest.raises(BadInput, match="No log was given"):
         read_log([])

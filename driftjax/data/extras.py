@@ -1,0 +1,38 @@
+"""Libraries that only some logs need: asked for by extra, and their refusals told in one sentence."""
+
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from textwrap import shorten
+from typing import Any
+
+from driftjax.core import BadInput
+
+
+def import_extra(path: Path, kind: str, extra: str, module: str) -> Any:
+    """The module that reads `path`, of this kind; raises `BadInput` that names the extra where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise BadInput(
+            f"{path}: {kind} needs the extra '{extra}'; install it with pip install 'driftjax[{extra}]', or use CSV."
+        ) from None
+
+
+def import_pyarrow(path: Path) -> Any:
+    """pyarrow with its Parquet module."""
+    import_extra(path, "Parquet", "parquet", "pyarrow.parquet")
+    return import_extra(path, "Parquet", "parquet", "pyarrow")
+
+
+@contextmanager
+def readable(path: Path, kind: str, remedy: str) -> Iterator[None]:
+    """Raise `BadInput` with `remedy` where a library cannot read `path`: damaged bytes make it raise anything."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except Exception as error:
+        reason = shorten(str(error), 120).rstrip(".") or type(error).__name__
+        raise BadInput(f"{path}: is no readable {kind} ({reason}); {remedy}.") from error

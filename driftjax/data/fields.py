@@ -1,0 +1,54 @@
+"""Fields of decoded messages: dicts of JSON, dataclasses of ROS, protobuf messages."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
+from typing import Any
+
+import numpy as np
+
+QUATERNION = ("x", "y", "z", "w")
+ABSENT = object()  # what a message has no place for
+
+
+def inside(part: Any, step: str | int) -> Any:
+    """Field or item `step` of `part`: None where it is not set, `ABSENT` where there is no such thing.
+
+    `yaw` of a quaternion is its heading [rad].
+    """
+    if isinstance(step, int):
+        return part[step] if is_list(part) and step < len(part) else ABSENT
+    there = fields(part)
+    if step not in there:
+        return _yaw(part) if step == "yaw" and all(name in there for name in QUATERNION) else ABSENT
+    if isinstance(part, dict):
+        return part[step]
+    unset = hasattr(part, "HasField") and there[step].has_presence and not part.HasField(step)
+    return None if unset else getattr(part, step)
+
+
+def fields(part: Any) -> Mapping[str, Any]:
+    """Fields by name; none where `part` is no message."""
+    if isinstance(part, dict):
+        return part
+    if is_dataclass(part):
+        return part.__dataclass_fields__
+    return part.DESCRIPTOR.fields_by_name if hasattr(part, "DESCRIPTOR") else {}
+
+
+def is_list(part: Any) -> bool:
+    """Whether `part` has items by number."""
+    return isinstance(part, Sequence | np.ndarray) and not isinstance(part, str | bytes)
+
+
+def is_number(part: Any) -> bool:
+    """Whether `part` is one value; true and false count as 1 and 0."""
+    return isinstance(part, bool | int | float | np.number | np.bool_)
+
+
+def _yaw(quaternion: Any) -> Any:
+    parts = [inside(quaternion, name) for name in QUATERNION]
+    if not all(map(is_number, parts)):
+        return None if None in parts else ABSENT
+    x, y, z, w = parts
+    unset = x == y == z == w == 0
+    return None if unset else float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))

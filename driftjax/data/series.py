@@ -1,0 +1,55 @@
+"""Columns of a recording, each at the times of its own."""
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.core import BadInput
+
+SHOWN = 6  # names that a message lists
+
+
+class Series(NamedTuple):
+    """One column of a recording."""
+
+    source: str
+    """Topic or group of channels that it comes with; what comes from one source has one clock."""
+    t: np.ndarray
+    """Time (n,) [s]."""
+    y: np.ndarray
+    """Values (n,), NaN where one is missing."""
+
+
+def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
+    """Raise `BadInput` where column `name` is too short, its time does not increase, or a value is infinite."""
+    source, t, y = series
+    if len(t) < fewest:
+        raise BadInput(
+            f"{path}: '{source}', which column '{name}' is read from, has {len(t)} samples, fewer than {fewest}; "
+            "record it or correct the column map."
+        )
+    if (bad := np.diff(t) <= 0).any():
+        i = int(np.argmax(bad)) + 1
+        raise BadInput(
+            f"{path}, sample {i + 1} of '{source}': its time stamp, {t[i]:.6f} s, is no later than that before; "
+            "mend the recording or, of messages, take other time stamps (key 'stamps' of the column map)."
+        )
+    if np.isinf(y).any():
+        raise BadInput(
+            f"{path}, sample {np.argmax(np.isinf(y)) + 1} of '{source}': column '{name}' is infinite; "
+            "leave the value out of the recording instead."
+        )
+
+
+def similar(name: str, there: Iterable[str]) -> str:
+    """A few of the names that are there, most similar to `name` first."""
+    names = sorted(set(there))
+    return few(get_close_matches(name, names, SHOWN, cutoff=0.0), len(names))
+
+
+def few(names: Sequence[str], num: int) -> str:
+    """The first of `num` names, in quotes."""
+    return ", ".join(f"'{one}'" for one in names[:SHOWN]) + (", ..." if num > SHOWN else "")
