@@ -163,7 +163,7 @@ BAD = {
     "--effects friction.q=1": "has no parameter 'q'; it has p.",
     "--effects friction": "effect 'friction': there is no number",
     "--effects friction.p=nan": "there is no number",
-    "--effects friction.p=0.5": "the value lies in -0.24..0.24.",
+    "--effects friction.p=0.9": "the value lies in -0.84..0.6.",
     "--effects load_transfer_long=-1": "the value lies in 0..4 typical sizes.",
     "--manoeuvres loop": "has 'loop'; choose from drift, steady_drift",
     "--manoeuvres": "name one at least",
