@@ -186,7 +186,8 @@ def picture(found: dict[str, Any]) -> Figure:
         axis.set_title(words)
         axis.axhline(1, color="0.6", lw=0.8)
     axes[0].set_ylabel("error after 1 s on runs held out,\nover that of the nominal car [-]")
-    axes[0].legend(fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     return figure
 
 
