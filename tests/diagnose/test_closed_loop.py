@@ -85,7 +85,7 @@ def car(name: str) -> str:
 
 BAD = {
     "absent": (lambda: ["--closed-loop", "absent.yaml"], "absent.yaml: no such file"),
-    "half a truth": (lambda: ["--closed-loop", truth(effects={"friction": {"p": 0.5}})], "the value lies in"),
+    "half a truth": (lambda: ["--closed-loop", truth(effects={"friction": {"p": 0.9}})], "the value lies in"),
     "effects that are none": (lambda: ["--closed-loop", truth(effects=[1])], "truth.yaml: key 'effects' is [1]"),
     "another car": (lambda: ["--closed-loop", truth(), "--vehicle", car("van")], "a car called 'van' is not known"),
     "no plant": (lambda: ["--closed-loop", car("sedan")], "car.yaml: unknown key"),
