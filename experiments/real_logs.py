@@ -7,7 +7,7 @@ folder with the whole report per question, `real_logs.json` and `real_logs.png` 
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 
@@ -28,6 +28,15 @@ LAGS = ("steer_lag", "drive_lag")
 SECOND = 1.0  # horizon that the figure shows [s]
 
 
+class Trained(NamedTuple):
+    """What a nominal car is calibrated on first."""
+
+    log: str
+    runs: tuple[str, ...]
+    effects: tuple[str, ...]
+    columns: str
+
+
 @dataclasses.dataclass(frozen=True)
 class Question:
     """Runs of a recording put to `driftjax diagnose`, and what others found in them."""
@@ -39,8 +48,8 @@ class Question:
     runs: tuple[str, ...] = ()
     cut: float | None = None
     """Length of the parts of a long run [s]."""
-    calibrated_on: tuple[str, tuple[str, ...], tuple[str, ...]] | None = None
-    """Log and runs on which the nominal car is calibrated first, and the effects fitted; None: the file's car."""
+    calibrated_on: Trained | None = None
+    """None: the file's car, as it is."""
     forgotten: tuple[str, ...] = ()
     """Effects taken out of the calibrated car again, for the diagnosis to find."""
     looked_for: tuple[str, ...] = ()
@@ -51,8 +60,10 @@ class Question:
     """Whether that is the factor 1 + p over that of the calibrated car."""
 
 
-GRIP = ("dart_jetracer/grip.csv", ("rubber_free/*",), (*TYRES, *LAGS, "rolling_resistance", "drive_gain",
-                                                      "steer_offset", "steer_gain"))  # fmt: skip
+GRIP = Trained(
+    "dart_jetracer/grip.csv", ("rubber_free/*",),
+    (*TYRES, *LAGS, "rolling_resistance", "drive_gain", "steer_offset", "steer_gain"), "dart_jetracer",
+)  # fmt: skip
 QUESTIONS = (
     Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart", ("slippery*",),
              calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True),
@@ -114,10 +125,10 @@ def nominal(question: Question, cfg: Config) -> Path:
     """The car that the question begins with: the file's, or one calibrated on other runs."""
     if question.calibrated_on is None:
         return Path(question.vehicle)
-    log, runs, effects = question.calibrated_on
+    log, runs, effects, columns = question.calibrated_on
     folder = cfg.out / f"{question.vehicle}_calibrated"
     if not (folder / "calibrated.yaml").is_file():
-        flags = ["--columns", "dart_jetracer", "--vehicle", question.vehicle, "--out", str(folder)]
+        flags = ["--columns", columns, "--vehicle", question.vehicle, "--out", str(folder)]
         run(["calibrate", str(cfg.data / log), *flags, "--runs", *runs, "--effects", *effects])
     if not question.forgotten:
         return folder / "calibrated.yaml"

@@ -8,13 +8,13 @@ import numpy as np
 import tyro
 import yaml
 
-from driftjax.cli.console import default_out, typed, within
+from driftjax.cli.console import default_out, measured_log, nominal_car, typed, within
 from driftjax.core import require, write_atomically
-from driftjax.data import RunFolder, load_columns, read_log
+from driftjax.data import RunFolder
 from driftjax.diagnose.calibrate import Calibration, calibrate
+from driftjax.diagnose.diagnosis import check_held_out
 from driftjax.diagnose.told import extended_car, gain_json
 from driftjax.report import gain_table
-from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_named
 
 USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
@@ -47,7 +47,7 @@ class Calibrate:
     """Output folder; runs/calibrate-CAR-TIME where left out."""
 
     def __post_init__(self) -> None:
-        require(self.held_out == 0 or self.held_out >= 2, f"key 'held_out' is {self.held_out}; give 0, or 2 or more.")
+        check_held_out(self.held_out)
         require(bool(self.effects), "key 'effects' is empty; name the effects to fit.")
         effects_named(self.effects)
 
@@ -55,10 +55,8 @@ class Calibrate:
 def run(argv: list[str]) -> int:
     """Read, fit, tell."""
     asked = typed(Calibrate, argv, "driftjax calibrate")
-    vehicle = load_vehicle(asked.vehicle)
-    if asked.combined_slip is not None:
-        vehicle = vehicle.with_slip(asked.combined_slip)
-    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs).cut(asked.cut)
+    vehicle = nominal_car(asked.vehicle, asked.combined_slip)
+    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut, "effects": list(asked.effects)}
     folder = RunFolder.create(

@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,8 +13,8 @@ import tyro
 
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput
-from driftjax.data import RunFolder
-from driftjax.vehicle import VehicleConfig, notes
+from driftjax.data import Log, RunFolder, load_columns, read_log
+from driftjax.vehicle import VehicleConfig, load_vehicle, notes
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -44,6 +44,19 @@ def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     both = {key: merged(base[key], value) for key, value in over.items()
             if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
     return base | over | both
+
+
+def measured_log(
+    logs: Sequence[Path], columns: str | None, runs: Sequence[str] = (), cut: float | None = None
+) -> Log:  # fmt: skip
+    """The runs called for of the `logs`, read with a column map where one is given, in parts of `cut` seconds."""
+    return read_log(logs, load_columns(columns) if columns else None).only(runs).cut(cut)
+
+
+def nominal_car(name: Path, combined_slip: float | None) -> VehicleConfig:
+    """The vehicle of this name, with another friction ellipse where one is given."""
+    vehicle = load_vehicle(name)
+    return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
 
 
 def default_out(verb: str, name: str) -> Path:

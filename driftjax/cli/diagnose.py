@@ -8,10 +8,10 @@ import tyro
 import yaml
 
 from driftjax.cli.closed_loop import Course, closed_loop, load_course
-from driftjax.cli.console import default_out, progress, typed, within
+from driftjax.cli.console import default_out, measured_log, nominal_car, progress, typed, within
 from driftjax.cli.simulate import drive_again
 from driftjax.core import num_workers, workers, write_atomically
-from driftjax.data import Log, RunFolder, load_columns, read_log
+from driftjax.data import Log, RunFolder, read_log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
 from driftjax.diagnose.told import bare_json, extended, to_json
@@ -54,19 +54,12 @@ class Diagnose:
 def run(argv: list[str]) -> int:
     """Read, name, measure, tell."""
     asked = typed(Diagnose, argv, "driftjax diagnose")
-    vehicle = load_vehicle(asked.vehicle)
-    if asked.combined_slip is not None:
-        vehicle = vehicle.with_slip(asked.combined_slip)
+    vehicle = nominal_car(asked.vehicle, asked.combined_slip)
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
-    log = read_log(asked.logs, load_columns(asked.columns) if asked.columns else None).only(asked.runs).cut(asked.cut)
+    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {
-        "columns": asked.columns,
-        "runs": list(asked.runs),
-        "cut": asked.cut,
-        "options": dataclasses.asdict(asked.options),
-    }
-    options |= {"closed_loop": course.name if course else None}
+    options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut}
+    options |= {"options": dataclasses.asdict(asked.options), "closed_loop": course.name if course else None}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     def both() -> int:

@@ -43,10 +43,15 @@ def approach(task: Problem, seed: int = 0) -> tuple[Problem, Selection]:
     return anew, found
 
 
+def loosened(task: Problem) -> Problem:
+    """The problem with the noise that the nominal car needs for itself: nothing is explained away."""
+    return tuned(task, task.start, np.zeros_like(task.asked))
+
+
 def round_about(task: Problem, seed: int) -> tuple[Problem, Selection]:
     """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
     observer of the car found."""
-    loose = tuned(task, task.start, np.zeros_like(task.asked))
+    loose = loosened(task)
     start = kept(nominal(loose))
     rough = search(loose, start, seed)
     anew = tuned(task, rough.fit.theta, task.asked)

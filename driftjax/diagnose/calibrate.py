@@ -6,12 +6,13 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.data import Run
-from driftjax.diagnose.approach import kept
-from driftjax.diagnose.diagnosis import Gain, split
+from driftjax.diagnose.approach import kept, loosened, nominal
+from driftjax.diagnose.diagnosis import Gain, compared, split
 from driftjax.diagnose.evidence import half_widths
 from driftjax.diagnose.fit import Fit, Problem, observed, posed, priced, settle, tuned
 from driftjax.diagnose.floor import floor
-from driftjax.diagnose.gain import at_horizons, predict, skill
+from driftjax.diagnose.gain import predict
+from driftjax.diagnose.runs import Followed
 from driftjax.diagnose.score import Scores, scores
 from driftjax.diagnose.show import Judged
 from driftjax.vehicle import VehicleConfig
@@ -46,8 +47,7 @@ def calibrate(
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs)
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
-    task, fit = fitted(task, members)
-    fit, at = settle(task, fit, task.columns(members))
+    task, fit, at = fitted(task, members)
     last = scores(task, at, fit.theta, members, seed)
     on = [f"{task.effects[i].name}.{p.name}" for i in members for p in task.effects[i].parameters]
     columns = task.columns(members)
@@ -62,29 +62,20 @@ def gained(task: Problem, members: tuple[int, ...], names: tuple[str, ...], held
     use, held = split(len(names), held_out)
     if not len(held):
         return None
-    near, fit = fitted(task.part(use), members)
-    test = observed(task.part(held), fit.theta, near.noise)
-    ahead = {"nominal": predict(followed(task.part(held), task.start), task.start), "fitted": predict(test, fit.theta)}
-    errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
-    noise = floor(test, fit.theta, ahead["fitted"], seed)
-    least = at_horizons(test, noise)
-    skills = {"fitted": skill(errors["nominal"], errors["fitted"], least, seed)}
-    named = tuple(task.effects[i].name for i in members)
-    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, noise), errors, least, skills)
+    near, fit, _ = fitted(task.part(use), members)
+    bare, test = loosened(task.part(held)), observed(task.part(held), fit.theta, near.noise)
+    ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
+    judged = Judged(test, ahead, floor(test, fit.theta, ahead["fitted"], seed))
+    return compared(judged, tuple(names[i] for i in held), members, seed)
 
 
-def followed(task: Problem, theta: np.ndarray) -> Problem:
-    """The problem with the noise that the car `theta` needs, nothing explained away."""
-    return tuned(task, theta, np.zeros_like(task.asked))
-
-
-def fitted(task: Problem, members: tuple[int, ...]) -> tuple[Problem, Fit]:
-    """The best fit over `members`, in the problem whose noise is what the car so fitted leaves.
+def fitted(task: Problem, members: tuple[int, ...]) -> tuple[Problem, Fit, Followed]:
+    """The best fit over `members` with its derivatives, in the problem whose noise is what the car so fitted leaves.
 
     The first car may be far off: it is followed with the disturbances that it needs for itself.
     """
     columns = task.columns(members)
-    loose = followed(task, task.start)
-    rough, _ = settle(loose, kept(priced(loose, task.start)), columns)
+    loose = loosened(task)
+    rough, _ = settle(loose, kept(nominal(loose)), columns)
     anew = tuned(task, rough.theta, np.isin(np.arange(len(task.owner)), columns))
-    return anew, settle(anew, kept(priced(anew, rough.theta)), columns)[0]
+    return anew, *settle(anew, kept(priced(anew, rough.theta)), columns)

@@ -24,6 +24,11 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
 
 
+def check_held_out(every: int) -> None:
+    """Raise `BadInput` where not every so-many-th run can be held out."""
+    require(every == 0 or every >= 2, f"key 'held_out' is {every}; give 0, or 2 or more.")
+
+
 @dataclass(frozen=True)
 class DiagnoseConfig:
     """Options of a diagnosis."""
@@ -39,7 +44,7 @@ class DiagnoseConfig:
     """Of the random signs of the test and of the resampling."""
 
     def __post_init__(self) -> None:
-        require(self.held_out == 0 or self.held_out >= 2, f"key 'held_out' is {self.held_out}; give 0, or 2 or more.")
+        check_held_out(self.held_out)
         require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
         unknown = sorted(set(self.without) - set(EFFECTS))
         require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
@@ -144,13 +149,17 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
         ahead[name] = predict(tests[base], thetas[base], learnt(train, thetas[base], config.seed))
-    errors = {name: at_horizons(test, one.error**2) for name, one in ahead.items()}
     noise = floor(test, found.fit.theta, ahead["extended"], config.seed)
-    least = at_horizons(test, noise)
-    skills = {name: skill(errors["nominal"], one, least, config.seed) for name, one in errors.items()}
-    del skills["nominal"]
-    named = tuple(effects[i] for i in found.members)
-    return Gain(tuple(names[i] for i in held), named, Judged(test, ahead, noise), errors, least, skills)
+    return compared(Judged(test, ahead, noise), tuple(names[i] for i in held), found.members, config.seed)
+
+
+def compared(judged: Judged, held: tuple[str, ...], members: tuple[int, ...], seed: int) -> Gain:
+    """Errors and skills of the models `judged` on the runs `held` out; `members` were fitted without them."""
+    task = judged.task
+    errors = {name: at_horizons(task, one.error**2) for name, one in judged.ahead.items()}
+    least = at_horizons(task, judged.least)
+    skills = {name: skill(errors["nominal"], one, least, seed) for name, one in errors.items() if name != "nominal"}
+    return Gain(held, tuple(task.effects[i].name for i in members), judged, errors, least, skills)
 
 
 def on_all(task: Problem, found: Selection, seed: int) -> Judged:

@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.core.integrate import rk4_ends
-from driftjax.sim.step import Acts, Felt, acts_of, begin_step, felt_after, rate_during, settled
+from driftjax.sim.step import Acts, Felt, acts_of, begin_step, felt_after, middles, part, rate_during, settled
 from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import Universal
 
 SETTLE = 1.0  # time after which actuators have forgotten where they began [s]
 FINE = 4  # parts of a step in which actuators are followed
-WHERE = (2 * np.arange(FINE) + 1) / FINE - 1  # their middles, from -1 at the begin of a step to 1 at its end
+WHERE = middles(FINE)
 
 
 class Moved(NamedTuple):
@@ -59,27 +59,21 @@ def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "4"], pl
     return jnp.concatenate([x0, felt.slip, felt.ay[None]])
 
 
-def parts(acts: Acts, num: int) -> Acts:
-    """The line over a step as those over its `num` equal parts, one after the other."""
-    middle = (2 * np.arange(num) + 1) / num - 1
-    mean = jax.tree.map(lambda mean, tilt: mean + middle * tilt, acts.mean, acts.tilt)
-    return Acts(mean, jax.tree.map(lambda tilt: jnp.broadcast_to(tilt / num, num), acts.tilt))
-
-
 def move(
     model: Universal, z: Float[Array, "6"], u: Float[Array, "4"], place: Place, dt: Array, push: State | None = None
 ) -> Moved:
     """State and what is felt one step later, under `u` acting (means and tilts); `push` is added to the rates."""
 
-    def on(z, acts):
+    def on(z, u):
         x, felt = State(z[0], z[1], z[2]), Felt(z[3:5], z[5])
-        x, felt, *ends = advance(model, x, felt, acts, place, dt / model.substeps, push)
+        x, felt, *ends = advance(model, x, felt, acts_of(u), place, dt / model.substeps, push)
         return jnp.concatenate([jnp.stack(x), felt.slip, felt.ay[None]]), jnp.stack([jnp.stack(end) for end in ends])
 
     if model.substeps == 1:
-        after, (first, last) = on(z, acts_of(u))
+        after, (first, last) = on(z, u)
     else:
-        after, each = jax.lax.scan(on, z, parts(acts_of(u), model.substeps))
+        one = lambda z, middle: on(z, part(u, middle, model.substeps))
+        after, each = jax.lax.scan(one, z, middles(model.substeps))
         first, last = each[0, 0], each[-1, 1]
     return Moved(after, jnp.stack([(after[:3] - z[:3]) / dt, first, last]))
 

@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import State
-from driftjax.sim.step import Begun, Felt, acts_of, begin_step, felt_after, lagging
+from driftjax.sim.step import Begun, Felt, acts_of, begin_step, felt_after, lagging, middles, part
 from driftjax.vehicle.effect.flow import Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -49,14 +49,13 @@ def move_with_derivatives(
     pushed, direct = Dual(push, every[10:13]), every[13:]
 
     def on(z, middle):
-        of = lambda a: jnp.concatenate([a[:2] + middle * a[2:], a[2:] / num])  # `rollout.parts`
-        inputs = Dual(of(u), of(every[6:10]))
+        inputs = Dual(part(u, middle, num), part(every[6:10], middle, num))
         return substep(model, z, inputs, place, dt / num, pushed, direct), None
 
     start = Dual(z, every[:6])
     if num == 1:
         return on(start, 0.0)[0]
-    return jax.lax.scan(on, start, (2 * jnp.arange(num) + 1) / num - 1)[0]
+    return jax.lax.scan(on, start, middles(num))[0]
 
 
 def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual, direct: Array) -> Dual:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -52,6 +53,16 @@ def held(u: Control) -> Acts:
 def acts_of(u: Float[Array, "4"]) -> Acts:
     """Mean steering [rad] and drive [N], and their tilts."""
     return Acts(Control(u[0], u[1]), Control(u[2], u[3]))
+
+
+def middles(num: int) -> np.ndarray:
+    """Middles of `num` equal parts of a step, from -1 at its begin to 1 at its end."""
+    return (2 * np.arange(num) + 1) / num - 1
+
+
+def part(u: Float[Array, "4 *k"], middle: Array, num: int) -> Float[Array, "4 *k"]:
+    """The line of `acts_of` over one of `num` equal parts of its step, about `middle`; or derivatives of such lines."""
+    return jnp.concatenate([u[:2] + middle * u[2:], u[2:] / num])
 
 
 def motion(model: Universal, x: State, u: Control, place: Place, aux: Aux) -> tuple[State, Array]:
