@@ -3,17 +3,18 @@
 Each drive starts where the car may have been when the prediction was made, and its rates are disturbed at random.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import State
+from driftjax.core import State, call
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.gain import Ahead
 from driftjax.diagnose.observer import Track, put
-from driftjax.diagnose.runs import beside, each_piece
+from driftjax.diagnose.runs import each_piece
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
 
@@ -60,12 +61,14 @@ def strays(
     return jax.vmap(jax.vmap(drive), (None, None, 0))(starts, ahead, keys).mean(axis=0) + noise[:3] ** 2
 
 
-_strays = beside(strays, None, None, 0, 0, 0, 0, 0, None, None, None, None)
+def _strays(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
+    axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None)
+    return eqx.filter_vmap(strays, in_axes=axes)(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed)
 
 
 def floor(task: Problem, theta: np.ndarray, ahead: Ahead, seed: int) -> np.ndarray:
     """Mean squares (P, S, N, 3) of the errors of the predictions `ahead`, if the car `theta` behind them is right."""
     data, where, starts = task.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
     noise, number = jnp.asarray(task.noise.row()), np.arange(len(data.run))
-    one = lambda *rows: _strays(task.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
+    one = lambda *rows: call(_strays, task.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
     return np.asarray(each_piece(one, len(data.run), data.track, ahead.z, task.gains.P, ahead.told, number))

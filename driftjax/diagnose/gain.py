@@ -2,15 +2,16 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import State, features
+from driftjax.core import State, call, features
 from driftjax.diagnose.fit import Problem
 from driftjax.diagnose.observer import Track
-from driftjax.diagnose.runs import beside, each_piece, follow, spans
+from driftjax.diagnose.runs import each_piece, follow, spans
 from driftjax.gp import GP
 from driftjax.sim.rollout import acting, move, told
 from driftjax.sim.step import acts_of
@@ -70,7 +71,14 @@ def ahead_of(
     return jax.vmap(one)(starts)
 
 
-ahead = beside(ahead_of, None, None, 0, 0, None, None, None, None)
+def _ahead(model, theta, runs, z, starts, num, dt, residual):
+    axes = (None, None, 0, 0, None, None, None, None)
+    return eqx.filter_vmap(ahead_of, in_axes=axes)(model, theta, runs, z, starts, num, dt, residual)
+
+
+def ahead(*args) -> Array:
+    """`ahead_of` for some pieces of runs, with their `z` (P, T, 6), at once."""
+    return call(_ahead, *args)
 
 
 def starts_of(task: Problem) -> tuple[np.ndarray, int]:

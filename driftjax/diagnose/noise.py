@@ -7,13 +7,13 @@ process noise as the measure of a model's defect).
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from scipy.optimize import minimize
 
+from driftjax.core import call
 from driftjax.diagnose.observer import Gains, Steps, chain, deviate, riccati
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
@@ -44,7 +44,6 @@ def measurement_noise(y: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.maximum(1.4826 * np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
 
 
-@eqx.filter_jit
 def _restricted(logs: Array, steps: Steps, e: Array, L: Array, dt: float) -> tuple[Array, Array]:
     """Minus twice the restricted log-likelihood for seven log noises, and its gradient; leading axis of pieces.
 
@@ -79,7 +78,7 @@ def estimate(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> N
     high = np.concatenate([5 * sigma, 1e3 * start.disturbance, [5.0]])
 
     def value(scaled):
-        f, g = _restricted(jnp.asarray(first + scaled / STIFF), steps, e, gains.L, dt)
+        f, g = call(_restricted, jnp.asarray(first + scaled / STIFF), steps, e, gains.L, dt)
         return float(f), np.asarray(g) / STIFF
 
     bounds = list(zip((np.log(low) - first) * STIFF, (np.log(high) - first) * STIFF, strict=True))

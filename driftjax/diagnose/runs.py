@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import State
+from driftjax.core import State, call
 from driftjax.data import Run
 from driftjax.diagnose.observer import (
     Gains,
@@ -135,14 +135,20 @@ def _riccati(A: Array, seen: Array, noise: Array, dt: float) -> Gains:
     return riccati(A, seen, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt)
 
 
-def beside(function, *axes: int | None):
-    """`function` compiled for a batch; `axes` as those of `jax.vmap`."""
-    return eqx.filter_jit(eqx.filter_vmap(function, in_axes=axes))
+def _riccatis(A: Array, seen: Array, noise: Array, dt: float) -> Gains:
+    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None))(A, seen, noise, dt)
 
 
-_local = eqx.filter_jit(local)
-_follow, _chain = beside(follow_run, None, None, 0, 0, None), beside(chain, 0, 0, None)
-_riccati_of, _by_commands = beside(_riccati, 0, 0, None, None), beside(by_commands, None, None, 0, None)
+def _follow(model: Universal, theta: Array, runs: Track, gains: Gains, dt: float) -> Path:
+    return eqx.filter_vmap(follow_run, in_axes=(None, None, 0, 0, None))(model, theta, runs, gains, dt)
+
+
+def _chain(steps: Steps, gains: Gains, dt: float) -> Array:
+    return eqx.filter_vmap(chain, in_axes=(0, 0, None))(steps, gains, dt)
+
+
+def _by_commands(model: Universal, theta: Array, runs: Track, dt: float) -> tuple[Array, Array]:
+    return eqx.filter_vmap(by_commands, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
 
 def each_piece(function, num: int, *trees):
@@ -179,14 +185,14 @@ def gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, 
     for _ in range(2):
         path = follow(model, data, theta, found)
         A = _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
-        riccati_of = lambda A, seen: _riccati_of(A, seen, jnp.asarray(noise), data.dt)
+        riccati_of = lambda A, seen: call(_riccatis, A, seen, jnp.asarray(noise), data.dt)
         found = each_piece(riccati_of, len(data.run), A, path.seen)
     return found
 
 
 def follow(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
     """The observer along every piece."""
-    one = lambda run, gains: _follow(model, jnp.asarray(theta), run, gains, data.dt)
+    one = lambda run, gains: call(_follow, model, jnp.asarray(theta), run, gains, data.dt)
     return each_piece(one, len(data.run), data.track, gains)
 
 
@@ -199,7 +205,7 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Lo
     parts = []
     for which in rows:
         samples, there = pick(flat, which)
-        parts.append(_local(model, theta, samples, there, data.dt))
+        parts.append(call(local, model, theta, samples, there, data.dt))
     return jax.tree.map(lambda a: a.reshape(*lead, *a.shape[1:]), joined(parts, num))
 
 
@@ -213,7 +219,7 @@ def derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, a
     that are not `asked` for (K,), so that any part of the catalogue runs in the same programs."""
     where = jnp.asarray(theta)
     one = _each_sample(model, where, path, data)
-    by_u, first = each_piece(lambda run: _by_commands(model, where, run, data.dt), len(data.run), data.track)
+    by_u, first = each_piece(lambda run: call(_by_commands, model, where, run, data.dt), len(data.run), data.track)
     only = jnp.asarray(asked, float)
     C, F = only * (one.by_theta + one.by_u @ by_u), only * one.F
     return Steps(one.A, C, one.D, F, one.slip, one.push, one.late, path.seen, only * first)
@@ -228,5 +234,5 @@ def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gain
 
 def chained(steps: Steps, gains: Gains, data: Pieces) -> Array:
     """Derivatives (P, T, 3, K) of the whitened predictions."""
-    one = lambda steps, gains: _chain(steps, gains, data.dt)
+    one = lambda steps, gains: call(_chain, steps, gains, data.dt)
     return -whiten(gains, each_piece(one, len(data.run), steps, gains))

@@ -1,7 +1,7 @@
 """What an effect is: one missing physics with its parameters, and the station of the car where it acts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from driftjax.vehicle.parameters import VehicleConfig
@@ -100,3 +100,12 @@ class Effect:
     """Memory of a command effect at rest."""
     late: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
+
+    def __repr__(self) -> str:
+        """Fields, this package's own functions by name: without addresses a compiled program can be kept."""
+        return f"Effect({', '.join(f'{field.name}={_named(getattr(self, field.name))}' for field in fields(self))})"
+
+
+def _named(value: Any) -> str:
+    own = callable(value) and value.__module__.startswith(f"{__name__.partition('.')[0]}.")
+    return f"{value.__module__}.{value.__qualname__}" if own and "<" not in value.__qualname__ else repr(value)
