@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from driftjax.cli.console import tell
@@ -15,11 +16,11 @@ from driftjax.learn.scenario import Scenario, build
 from driftjax.learn.stage import Stage
 from driftjax.learn.stages import drive_nominal
 from driftjax.report import CLOSED_LOOP
-from driftjax.sim import AnyPlant, LapCode, plant_of
+from driftjax.sim import AnyPlant, LapCode, batch_of, load_any_plant, plant_of
 from driftjax.track import load_track
-from driftjax.vehicle import PlantConfig, VehicleConfig, load_plant
+from driftjax.vehicle import VehicleConfig
 
-CARS = ("sedan", "rc")  # with shipped settings of `driftjax learn`
+CARS = ("sedan", "rc", "dart")  # with shipped settings of `driftjax learn`
 SEEDS = 4  # of the sensor noise, the same for each model
 
 
@@ -33,18 +34,18 @@ class Course:
 
 
 def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
-    """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant YAML or shipped name."""
+    """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or
+    vehicle YAML, or a shipped plant."""
     if vehicle.name not in CARS:
         raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
-                       f"needs 'name' {' or '.join(CARS)}.")  # fmt: skip
+                       f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
     config = load_learn_config(vehicle.name)
     config = dataclasses.replace(config, plants=1, noise_seeds=SEEDS, controllers=("path",), plant=())
-    if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant YAML holds
+    lap, step = float(load_track(config.track).length), config.mpc.dt / config.lap.substeps
+    if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant or vehicle YAML holds
         car, theta, _ = read_truth(plant)
-        lap = float(load_track(config.track).length)
-        return Course(str(plant), plant_of(car, theta, lap, config.mpc.dt / config.lap.substeps), config)
-    found: PlantConfig = load_plant(plant)
-    return Course(str(plant), found.build(), config)
+        return Course(str(plant), plant_of(car, theta, lap, step), config)
+    return Course(str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config)
 
 
 def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:

@@ -70,7 +70,7 @@ class LearnConfig:
     """The paper's experiment on one car: nominal laps, GP laps, exploration, over a batch of plants."""
 
     car: str = "sedan"
-    """Name of the car whose shipped settings are the defaults: sedan or rc."""
+    """Name of the car whose shipped settings are the defaults: sedan, rc, or dart, which needs --plant."""
     vehicle: Path = Path("sedan")
     """Nominal car: a shipped name or a vehicle YAML, such as the extended.yaml of a diagnosis."""
     track: Path = Path("sedan_corner")
@@ -82,7 +82,7 @@ class LearnConfig:
     plants: int = 4
     """Plants drawn from the car's distribution and driven side by side."""
     plant: tuple[Path, ...] = ()
-    """Plants by shipped name or YAML instead of drawn ones."""
+    """Plants instead of drawn ones: shipped names, plant YAMLs, or vehicle YAMLs such as an extended.yaml."""
     noise_seeds: int = 1
     """Noise seeds per plant."""
     seed: int = 0

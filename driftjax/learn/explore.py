@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import RESULTS, Control, State, features
-from driftjax.equilibrium import Branch, SlipSpeed, continuation
+from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
 from driftjax.learn.config import ExploreConfig
 from driftjax.learn.scenario import Scenario
@@ -38,17 +38,19 @@ class Drifts(eqx.Module):
     beta: Array
     x_eq: State
     u_eq: Control
+    branch: Array  # the kind of all
 
     def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
         """GP input z (5,) of the drift at speed `V`, and whether it exists."""
         fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
-        found = continuation(self.nominal, residual, fixed, guess, branch=Branch.COUNTERSTEER)
+        found = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
         return features(found.x, found.u), found.result == RESULTS.successful
 
 
 def drifts(scenario: Scenario) -> Drifts:
     """The corner's drift states."""
-    return Drifts(scenario.nominal, jnp.asarray(scenario.corner.beta), scenario.x_eq, scenario.u_eq)
+    beta, branch = jnp.asarray(scenario.corner.beta), jnp.asarray(scenario.branch)
+    return Drifts(scenario.nominal, beta, scenario.x_eq, scenario.u_eq, branch)
 
 
 def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidates:

@@ -8,7 +8,7 @@ from jax import Array
 from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, as_float
-from driftjax.equilibrium import Branch, SlipRadius, continuation
+from driftjax.equilibrium import SlipRadius, continuation
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
@@ -91,7 +91,7 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Pl
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
     guess = (scenario.x_eq, scenario.u_eq)
-    return _steps(scenario.nominal, residual, fixed, guess, scenario.table, V_shift)
+    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, V_shift)
 
 
 def entry_lanes(lanes: tuple[DriftOCP, Array], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
@@ -101,9 +101,11 @@ def entry_lanes(lanes: tuple[DriftOCP, Array], table: ReferenceTable, lead: floa
 
 
 @eqx.filter_jit
-def _steps(nominal, residual: Residual, fixed: SlipRadius, guess, table: ReferenceTable, V_shift: Array):
+def _steps(
+    nominal, residual: Residual, fixed: SlipRadius, guess, branch: Array, table: ReferenceTable, V_shift: Array
+) -> Planned:  # fmt: skip
     def one(d: Residual, shift: Array) -> Planned:
-        found = continuation(nominal, d, fixed, guess, branch=Branch.COUNTERSTEER)
+        found = continuation(nominal, d, fixed, guess, branch=branch)
         # r_b and beta_eq stay where V is explored: the same corner at another speed (Wu et al. 2025, Sec. IV-C)
         step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
         return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)

@@ -13,11 +13,11 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Blocks, Control, State
-from driftjax.equilibrium import Branch, SlipRadius, solve_steady
+from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_steady
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
-from driftjax.sim import AnyPlant
+from driftjax.sim import AnyPlant, batch_of, load_any_plant
 from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.solve import Options
 from driftjax.track import Track, load_track
@@ -26,12 +26,11 @@ from driftjax.vehicle import (
     Residual,
     VehicleConfig,
     build_car,
-    load_plant,
     load_vehicle,
     named_lags,
     sample_plants,
-    stack_plants,
 )
+from driftjax.vehicle.single_track import G
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +56,7 @@ class Scenario:
     corner: Corner
     x_eq: State  # nominal drift equilibrium of the corner
     u_eq: Control
+    branch: Branch  # its kind
     lanes: tuple[Lane, ...]
     plants: AnyPlant  # one per lane
     keys: Array  # noise key of each lane
@@ -92,24 +92,39 @@ def build(config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = N
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
-    steady = solve_steady(nominal, SlipRadius(where.beta, where.R), branch=Branch.COUNTERSTEER)
-    if not bool(steady.result == RESULTS.successful):
-        raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
-    plants = [load_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
+    steady, branch = held(nominal, where, config)
+    plants = [load_any_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
     each = [
         (Lane(p.name, controller, seed), p, index)
         for controller in config.controllers
         for index, p in enumerate(plants)
         for seed in range(config.noise_seeds)
     ]
+    batch = batch_of([p for _, p, _ in each], float(track.length), config.mpc.dt / config.lap.substeps)
     noise = jax.random.key(config.seed)
     keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, _, index in each]
     return Scenario(
-        config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u,
-        tuple(lane for lane, _, _ in each), stack_plants([p for _, p, _ in each]), jnp.stack(keys),
+        config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
+        tuple(lane for lane, _, _ in each), batch, jnp.stack(keys),
         load_sensors(config.sensors), entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt),
         blocks,
     )  # fmt: skip
+
+
+def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
+    """The steady state aimed at in the corner, and its kind: a drift or, where the tyres have no peak below such a
+    sideslip, as those of a car with driven wheels at both ends may, a slide within it."""
+    fixed = SlipRadius(where.beta, where.R)
+    steady = solve_steady(car, fixed, branch=Branch.COUNTERSTEER)
+    if bool(steady.result == RESULTS.successful):
+        return steady, Branch.COUNTERSTEER
+    grip = car.tyre.mu * G
+    V = jnp.sqrt(grip * abs(where.R))
+    guess = State(V, fixed.beta, V / where.R), Control(jnp.zeros(()), car.m * grip * jnp.sin(jnp.abs(fixed.beta)))
+    steady = solve(car, car, fixed, guess, branch=Branch.GRIP)
+    if bool(steady.result == RESULTS.successful):
+        return steady, Branch.GRIP
+    raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
 
 
 def problems(scenario: Scenario, residual: Residual) -> DriftOCP:

@@ -1,5 +1,7 @@
 """A plant with effects of the catalogue: the car that `driftjax simulate` describes, to be driven round a track."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,3 +83,17 @@ def plant_of(vehicle: VehicleConfig, theta: np.ndarray, lap: float, step: float)
     names = tuple(name for name in EFFECTS if name in active)
     scale = np.array([scale for _, scale in each])
     return UniversalPlant(vehicle.build(), names, jnp.asarray(scale[kept]), jnp.asarray(theta[kept]), lap, step)
+
+
+def plants_of(vehicles: Sequence[VehicleConfig], lap: float, step: float) -> UniversalPlant:
+    """The cars that `vehicles` describe, with the effects that their files name, as one batch of plants."""
+    names = tuple(name for name in EFFECTS if any(one.effect == name for car in vehicles for one in car.effects))
+    each = [(effect.name, p) for effect in effects_named(names) for p in effect.parameters]
+
+    def one(vehicle: VehicleConfig) -> UniversalPlant:
+        values = {(found.effect, found.parameter): found.value for found in vehicle.effects}
+        scale = np.array([p.scale(vehicle) for _, p in each])
+        theta = np.array([values.get((name, p.name), 0.0) for name, p in each]) / scale
+        return UniversalPlant(vehicle.build(), names, jnp.asarray(scale), jnp.asarray(theta), lap, step)
+
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(one, vehicles))

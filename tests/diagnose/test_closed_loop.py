@@ -83,12 +83,17 @@ def car(name: str) -> str:
     return "car.yaml"
 
 
+def wheels() -> str:
+    Path("wheels.yaml").write_text("wheels: 4\n")
+    return "wheels.yaml"
+
+
 BAD = {
     "absent": (lambda: ["--closed-loop", "absent.yaml"], "absent.yaml: no such file"),
     "half a truth": (lambda: ["--closed-loop", truth(effects={"friction": {"p": 0.9}})], "the value lies in"),
     "effects that are none": (lambda: ["--closed-loop", truth(effects=[1])], "truth.yaml: key 'effects' is [1]"),
     "another car": (lambda: ["--closed-loop", truth(), "--vehicle", car("van")], "a car called 'van' is not known"),
-    "no plant": (lambda: ["--closed-loop", car("sedan")], "car.yaml: unknown key"),
+    "no plant": (lambda: ["--closed-loop", wheels()], "wheels.yaml: unknown key"),
 }
 
 
@@ -103,6 +108,11 @@ def test_bad_input_is_one_sentence_before_anything_is_diagnosed(case, here, caps
     told = capsys.readouterr()
     (line,) = told.err.strip().splitlines()
     assert words in line and line.endswith(".") and told.out == "" and not Path("out").exists()
+
+
+def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
+    plant = load_course(Path(car("sedan")), SEDAN).plant
+    assert isinstance(plant, UniversalPlant) and plant.names == () and plant.nominal.m == SEDAN.m
 
 
 def test_a_key_that_is_missing_is_named():

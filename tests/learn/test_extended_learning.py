@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.core import Control, State
-from driftjax.learn.config import GPConfig
+from driftjax.equilibrium import Branch
+from driftjax.learn.config import GPConfig, load_learn_config
 from driftjax.learn.model import empty, learn
+from driftjax.learn.reference import Corner
 from driftjax.learn.residual import claims
+from driftjax.learn.scenario import held
 from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import FoundParameter
 
@@ -79,3 +82,13 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
         P = np.eye(mask.sum()) - J @ np.linalg.pinv(J)
         truth = P @ np.asarray(other(found.Z))[mask, d]
         assert np.linalg.norm(mean[mask, d] - truth) < 0.2 * np.linalg.norm(truth)
+
+
+def test_where_tyres_have_no_peak_the_corner_is_slid_through_within_it():
+    car: Any = build_car(load_vehicle("dart").with_slip(1.0))
+    config = load_learn_config("dart")
+    steady, branch = held(car, Corner(V_b=2.3, r_b=2.0, R=1.2, beta=-config.drift_beta), config)
+    assert branch == Branch.GRIP and abs(float(steady.x.beta)) == config.drift_beta
+    assert jnp.max(jnp.abs(jnp.stack(car(steady.x, steady.u)))) < 1e-6
+    peaks, slips = jnp.stack(car.peaks), jnp.abs(jnp.stack(car.slip_angles(steady.x, steady.u)))
+    assert jnp.all(slips < peaks) and slips[1] > 0.4

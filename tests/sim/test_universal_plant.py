@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Control, State, rk4_step
-from driftjax.sim import LapCode, LapConfig, UniversalPlant, drive, plant_of
+from driftjax.core import BadInput, Control, State, rk4_step
+from driftjax.sim import LapCode, LapConfig, UniversalPlant, batch_of, drive, load_any_plant, plant_of
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.sim.sensors import SensorConfig
 from driftjax.track import from_curvature
@@ -151,3 +151,22 @@ def test_a_late_sensor_tells_what_was():
     np.testing.assert_allclose(told.beta[13:], motion.beta[:-13], atol=1e-12)
     np.testing.assert_allclose(told.r[48:], (motion.r[1:-47] + motion.r[:-48]) / 2, atol=1e-12)  # in between
     assert not np.any(told.beta[:13]) and float(jnp.ptp(told.beta)) > 1e-3  # it rolled straight on before
+
+
+def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):
+    """Also side by side with a car that lacks an effect of its neighbour."""
+    (tmp_path / "late.yaml").write_text(
+        "nominal: {base}\neffects: {steer_lag: {tau: 0.08}, friction: {p: -0.2}}\n".replace(
+            "base", ", ".join(f"{key}: {value}" for key, value in dataclasses.asdict(SEDAN).items()
+                              if key not in ("effects", "covariance"))))  # fmt: skip
+    files = [load_any_plant(tmp_path / "late.yaml"), load_any_plant("sedan"), SEDAN]
+    batch = batch_of([files[0], files[2]], LAP, DT / SUBSTEPS)
+    assert batch.names == ("friction", "steer_lag") and batch.theta.shape == (2, 2)
+    commands = jnp.asarray(wave())
+    for lane, alone in enumerate((plant(steer_lag=0.08, friction=-0.2), plant())):
+        _, motion = driven(jax.tree.map(lambda a, lane=lane: a[lane], batch), commands)
+        _, expected = driven(alone, commands)
+        np.testing.assert_allclose(motion.V, expected.V, rtol=1e-9)
+        np.testing.assert_allclose(motion.r, expected.r, atol=1e-9)
+    with pytest.raises(BadInput, match="give one kind"):
+        batch_of(files, LAP, DT / SUBSTEPS)
