@@ -53,5 +53,6 @@ _TABLE = {
     "imu_lever_arm": "r beta delta",
     "drive_split": "Fxr ax delta",
     "yaw_moment": "1",
+    "traction_limit": "Fxr ax alpha_r beta",
 }
 DRIVERS: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}

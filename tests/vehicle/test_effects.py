@@ -23,7 +23,7 @@ NAMES = (
     "engine_drag drive_gain drive_lag power_limit wheel_spin differential_moment torque_vectoring mass yaw_inertia "
     "cog_shift roll_lag roll_steer steer_offset steer_gain steer_compliance steer_lag steer_delay steer_backlash "
     "road_bank road_grade side_wind friction_patch friction_fade gyro_bias gyro_scale sideslip_bias speed_scale "
-    "channel_delay imu_lever_arm drive_split yaw_moment"
+    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit"
 ).split()
 OWNER = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
 BOUNDS = np.array([(p.lower, p.upper) for effect in EFFECTS.values() for p in effect.parameters])
@@ -260,6 +260,21 @@ def test_front_share_of_the_drive_leaves_its_sum():
     turned = gain(car_with(drive_split=0.4), state(), control(0.2, 3000.0))
     assert turned[0] == pytest.approx(0.4 * 3000 * (np.cos(0.2) - 1) / 1835)
     assert turned[2] == pytest.approx(1.4 * 0.4 * 3000 * np.sin(0.2) / 3234)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_axle_passes_on_no_more_than_its_friction(side):
+    """Drive and brake, each axle: a small force passes on whole, and however much is asked for, it is never more."""
+    limited, free = (car_with(traction_limit=p, drive_split=0.5) for p in (1.0, 0.0))
+    for F in (3000.0, 9000.0, 1e8):
+        x, u = state(10.0, 0.05, 0.2), control(0.05, side * F)
+        flow, plain = limited.flow(x, u, STILL, NONE), free.flow(x, u, STILL, NONE)
+        held, asked = (np.array([flow.Fxf, flow.Fxr]) for flow in (flow, plain))
+        grip = np.array([flow.muf * flow.Fzf, flow.mur * flow.Fzr])
+        assert np.all(held * side > 0) and np.all(np.abs(held) < np.minimum(np.abs(asked), grip))
+        share = np.abs(asked) / grip
+        assert np.all(np.abs(held / asked - 1)[share < 0.25] < 1e-3)
+        assert np.all(np.abs(np.abs(held) / grip - 1)[share > 100] < 1e-6)
 
 
 def test_power_nears_its_limit():

@@ -1,0 +1,26 @@
+"""Traction limit: F_x = F / (1 + p (F / (mu F_z))^4)^(1/4) on each axle (saturation of the tyre's longitudinal force,
+Pacejka 2012, Sec. 4.3; Wong 2008, Sec. 1.4).
+
+At p = 1 no axle passes on more than its friction mu F_z, whatever drive or brake asks for: beyond that its wheels spin
+or lock. A larger p says that they then hold less, mu F_z / p^(1/4). The nominal car passes on every force.
+"""
+
+from driftjax.vehicle.effect.base import Effect, Parameter
+from driftjax.vehicle.effect.flow import Flow
+
+
+def apply(flow: Flow, p) -> Flow:
+    """Keep the drive or brake force of each axle within its friction."""
+    held = lambda F, mu, Fz: F / (1 + p[0] * (F / (mu * Fz)) ** 4) ** 0.25
+    return flow._replace(Fxf=held(flow.Fxf, flow.muf, flow.Fzf), Fxr=held(flow.Fxr, flow.mur, flow.Fzr))
+
+
+EFFECT = Effect(
+    name="traction_limit",
+    number=47,
+    station="friction",
+    parameters=(Parameter("p", "1", 1.0, lower=0.0),),
+    apply=apply,
+    source="Pacejka 2012, Sec. 4.3; Wong 2008, Sec. 1.4",
+    sentence="the tyres do not pass on more drive or brake force than their friction allows",
+)
