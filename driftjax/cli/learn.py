@@ -13,7 +13,7 @@ from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import LearnConfig, load_learn_config
 from driftjax.plan import load_plan_config
-from driftjax.sim import load_any_plant
+from driftjax.sim import load_plants
 from driftjax.sim.sensors import load_sensors
 from driftjax.track import check_width, load_track
 from driftjax.vehicle import load_vehicle
@@ -73,8 +73,7 @@ def check(config: LearnConfig) -> None:
     check_width(track, vehicle.width, str(config.track))
     load_plan_config(config.plan)
     load_sensors(config.sensors)
-    for plant in config.plant:
-        load_any_plant(plant)
+    load_plants(config.plant)
     if not config.plant:
         load_distribution(config.car)
 

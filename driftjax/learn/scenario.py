@@ -17,7 +17,7 @@ from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_s
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.reference import Corner, corner, entry_horizon, plan_table
 from driftjax.plan import Plan, load_plan_config, plan
-from driftjax.sim import AnyPlant, batch_of, load_any_plant
+from driftjax.sim import AnyPlant, batch_of, load_plants
 from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.solve import Options
 from driftjax.track import Track, load_track
@@ -93,7 +93,7 @@ def build(config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = N
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
     steady, branch = held(nominal, where, config)
-    plants = [load_any_plant(p) for p in config.plant] or sample_plants(config.car, config.plants, config.seed)
+    plants = load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed)
     each = [
         (Lane(p.name, controller, seed), p, index)
         for controller in config.controllers

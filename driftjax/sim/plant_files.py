@@ -16,10 +16,21 @@ def load_any_plant(name: str | Path) -> PlantConfig | VehicleConfig:
     return load_vehicle(path) if read_yaml(path).keys() & OF_A_VEHICLE else load_plant(path)
 
 
-def batch_of(configs: Sequence[PlantConfig | VehicleConfig], lap: float, step: float) -> AnyPlant:
-    """A batch of plants in the order of `configs`, all of one kind; for a lap of `lap` metres, in steps of `step` s."""
-    plants = [one for one in configs if isinstance(one, PlantConfig)]
-    vehicles = [one for one in configs if isinstance(one, VehicleConfig)]
+def load_plants(names: Sequence[str | Path]) -> list[PlantConfig] | list[VehicleConfig]:
+    """`load_any_plant` of each; raises `BadInput` where they are not of one kind, as one program drives them all."""
+    plants, vehicles = by_kind([load_any_plant(name) for name in names])
     if plants and vehicles:
         raise BadInput(f"plants: '{plants[0].name}' is a plant, '{vehicles[0].name}' a vehicle file; give one kind.")
+    return vehicles or plants
+
+
+def batch_of(configs: Sequence[PlantConfig | VehicleConfig], lap: float, step: float) -> AnyPlant:
+    """A batch of plants, all of one kind, in this order; for a lap of `lap` metres, in steps of `step` s."""
+    plants, vehicles = by_kind(configs)
     return plants_of(vehicles, lap, step) if vehicles else stack_plants(plants)
+
+
+def by_kind(configs: Sequence[PlantConfig | VehicleConfig]) -> tuple[list[PlantConfig], list[VehicleConfig]]:
+    """Plant files and vehicle files."""
+    plants = [one for one in configs if isinstance(one, PlantConfig)]
+    return plants, [one for one in configs if isinstance(one, VehicleConfig)]

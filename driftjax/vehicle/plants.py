@@ -68,7 +68,10 @@ def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
     """Base plant and spread of each varied parameter, from `configs/plant/<car>_distribution.yaml`."""
-    path = find_config("plant", f"{car}_distribution")
+    try:
+        path = find_config("plant", f"{car}_distribution")
+    except BadInput:
+        raise BadInput(f"car '{car}' has no plants to draw from, no {car}_distribution.yaml; give --plant.") from None
     values = read_yaml(path)
     base = load_plant(str(values.pop("base", car)))
     known = {field.name for field in dataclasses.fields(PlantConfig)} - {"name"} | set(SHARED)

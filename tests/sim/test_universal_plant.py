@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput, Control, State, rk4_step
-from driftjax.sim import LapCode, LapConfig, UniversalPlant, batch_of, drive, load_any_plant, plant_of
+from driftjax.sim import LapCode, LapConfig, UniversalPlant, batch_of, drive, load_plants, plant_of
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.sim.sensors import SensorConfig
 from driftjax.track import from_curvature
@@ -159,8 +159,9 @@ def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):
         "nominal: {base}\neffects: {steer_lag: {tau: 0.08}, friction: {p: -0.2}}\n".replace(
             "base", ", ".join(f"{key}: {value}" for key, value in dataclasses.asdict(SEDAN).items()
                               if key not in ("effects", "covariance"))))  # fmt: skip
-    files = [load_any_plant(tmp_path / "late.yaml"), load_any_plant("sedan"), SEDAN]
-    batch = batch_of([files[0], files[2]], LAP, DT / SUBSTEPS)
+    late, *_ = load_plants([tmp_path / "late.yaml"])
+    batch = batch_of([late, SEDAN], LAP, DT / SUBSTEPS)
+    assert isinstance(batch, UniversalPlant)
     assert batch.names == ("friction", "steer_lag") and batch.theta.shape == (2, 2)
     commands = jnp.asarray(wave())
     for lane, alone in enumerate((plant(steer_lag=0.08, friction=-0.2), plant())):
@@ -169,4 +170,4 @@ def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):
         np.testing.assert_allclose(motion.V, expected.V, rtol=1e-9)
         np.testing.assert_allclose(motion.r, expected.r, atol=1e-9)
     with pytest.raises(BadInput, match="give one kind"):
-        batch_of(files, LAP, DT / SUBSTEPS)
+        load_plants([tmp_path / "late.yaml", "sedan"])
