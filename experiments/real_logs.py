@@ -64,6 +64,12 @@ GRIP = Trained(
     "dart_jetracer/grip.csv", ("rubber_free/*",),
     (*TYRES, *LAGS, "rolling_resistance", "drive_gain", "steer_offset", "steer_gain"), "dart_jetracer",
 )  # fmt: skip
+DRY = Trained(
+    "ferrari_250lm/targa66_first_400s.csv",
+    ("targa66_first_400s", "*+2", "*+3"),
+    (*TYRES, "tyre_shape"),
+    "ferrari_250lm",
+)
 QUESTIONS = (
     Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart", ("slippery*",),
              calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True),
@@ -71,8 +77,8 @@ QUESTIONS = (
              calibrated_on=GRIP, forgotten=("steer_lag",), looked_for=("steer_lag", "steer_delay"), known=(0.06, 0.13)),
     Question("dart_onboard", "dart_jetracer/grip.csv", "dart_onboard", "dart", ("rubber_free/*",),
              calibrated_on=GRIP, looked_for=("channel_delay",), known=(0.08, 0.12)),
-    Question("ferrari", "ferrari_250lm/targa66_first_400s.csv", "ferrari_250lm", "ferrari_250lm", cut=20.0,
-             looked_for=("combined_slip", "load_transfer_long")),
+    Question("ferrari", "ferrari_250lm/targa66_first_400s.csv", "ferrari_250lm", "ferrari_250lm", ("*+1",), cut=20.0,
+             calibrated_on=DRY, looked_for=("combined_slip", "load_transfer_long")),
     Question("genesis", "genesis_g80/cpg_slow_lap.csv", "genesis_g80", "genesis_g80", cut=20.0,
              looked_for=("sideslip_bias", "gyro_bias", "steer_gain")),
 )  # fmt: skip
