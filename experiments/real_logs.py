@@ -35,6 +35,8 @@ class Trained(NamedTuple):
     runs: tuple[str, ...]
     effects: tuple[str, ...]
     columns: str
+    cut: float | None = None
+    """Length of the parts of a long run [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,21 +66,24 @@ GRIP = Trained(
     "dart_jetracer/grip.csv", ("rubber_free/*",),
     (*TYRES, *LAGS, "rolling_resistance", "drive_gain", "steer_offset", "steer_gain"), "dart_jetracer",
 )  # fmt: skip
-DRY = Trained(
-    "ferrari_250lm/targa66_first_400s.csv",
-    ("targa66_first_400s", "*+2", "*+3"),
-    (*TYRES, "tyre_shape"),
-    "ferrari_250lm",
-)
+FIRST_LAPS = Trained(
+    "ferrari_250lm/targa66_first_400s.csv", ("*+1@0", "*+1@?0", "*+1@1[0-4]0"),
+    (*TYRES, "friction_rear", "tyre_shape"), "ferrari_250lm", 20.0,
+)  # fmt: skip
 QUESTIONS = (
-    Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart", ("slippery*",),
+    Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
+             ("slippery_16apr/2025-04-16-15-51-18*",), cut=8.0,
              calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True),
+    Question("dart_slides", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
+             ("slippery_16apr/*-16-21-24*", "slippery_16apr/*-17-02-48*"),
+             calibrated_on=GRIP, looked_for=("friction", "traction_limit")),
     Question("dart_steering", "dart_jetracer/grip.csv", "dart_jetracer", "dart", ("mpcc*",),
              calibrated_on=GRIP, forgotten=("steer_lag",), looked_for=("steer_lag", "steer_delay"), known=(0.06, 0.13)),
     Question("dart_onboard", "dart_jetracer/grip.csv", "dart_onboard", "dart", ("rubber_free/*",),
              calibrated_on=GRIP, looked_for=("channel_delay",), known=(0.08, 0.12)),
-    Question("ferrari", "ferrari_250lm/targa66_first_400s.csv", "ferrari_250lm", "ferrari_250lm", ("*+1",), cut=20.0,
-             calibrated_on=DRY, looked_for=("combined_slip", "load_transfer_long")),
+    Question("ferrari", "ferrari_250lm/targa66_first_400s.csv", "ferrari_250lm", "ferrari_250lm",
+             ("*+1@1[68]0", "*+1@2*"), cut=20.0, calibrated_on=FIRST_LAPS,
+             looked_for=("combined_slip", "load_transfer_long", "load_transfer_lat")),
     Question("genesis", "genesis_g80/cpg_slow_lap.csv", "genesis_g80", "genesis_g80", cut=20.0,
              looked_for=("sideslip_bias", "gyro_bias", "steer_gain")),
 )  # fmt: skip
@@ -131,10 +136,11 @@ def nominal(question: Question, cfg: Config) -> Path:
     """The car that the question begins with: the file's, or one calibrated on other runs."""
     if question.calibrated_on is None:
         return Path(question.vehicle)
-    log, runs, effects, columns = question.calibrated_on
+    log, runs, effects, columns, cut = question.calibrated_on
     folder = cfg.out / f"{question.vehicle}_calibrated"
     if not (folder / "calibrated.yaml").is_file():
         flags = ["--columns", columns, "--vehicle", question.vehicle, "--out", str(folder)]
+        flags += ["--cut", str(cut)] if cut else []
         run(["calibrate", str(cfg.data / log), *flags, "--runs", *runs, "--effects", *effects])
     if not question.forgotten:
         return folder / "calibrated.yaml"

@@ -14,7 +14,7 @@ from experiments import real_logs
 from experiments.real_logs import QUESTIONS, Config, answer, main, nominal, picture, told
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
-LOW, STEERING = QUESTIONS[:2]
+LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
 
 
 def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:

@@ -36,7 +36,8 @@ class Calibrate:
     columns: str | None = None
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
     runs: tuple[str, ...] = ()
-    """Names of the runs to use, `*` stands for anything; all where left out."""
+    """Names of the runs to use, or of parts that `--cut` makes of them (RUN@BEGIN), `*` stands for anything; all where
+    left out."""
     cut: float | None = None
     """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
     effects: tuple[str, ...] = USUAL

@@ -50,7 +50,7 @@ def measured_log(
     logs: Sequence[Path], columns: str | None, runs: Sequence[str] = (), cut: float | None = None
 ) -> Log:  # fmt: skip
     """The runs called for of the `logs`, read with a column map where one is given, in parts of `cut` seconds."""
-    return read_log(logs, load_columns(columns) if columns else None).only(runs).cut(cut)
+    return read_log(logs, load_columns(columns) if columns else None).cut(cut).only(runs)
 
 
 def nominal_car(name: Path, combined_slip: float | None) -> VehicleConfig:

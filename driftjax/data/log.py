@@ -62,10 +62,12 @@ class Log:
         return sum(len(run.t) for run in self.runs)
 
     def only(self, patterns: Sequence[str]) -> "Log":
-        """The runs whose names match one of the `patterns` (`*` stands for anything); all, where there is none."""
+        """The runs that match one of the `patterns` (`*` stands for anything) with their name, or with that of the run
+        they are a part of; all, where there is none."""
         if not patterns:
             return self
-        kept = tuple(run for run in self.runs if any(fnmatchcase(run.name, pattern) for pattern in patterns))
+        called = lambda name: any(fnmatchcase(name, pattern) for pattern in patterns)
+        kept = tuple(run for run in self.runs if called(run.name) or called(run.name.rpartition("@")[0]))
         if not kept:
             names = ", ".join(run.name for run in self.runs[:6])
             raise BadInput(f"runs: no run is called {' or '.join(patterns)}; the log holds {names}.")

@@ -451,6 +451,9 @@ def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):
         log.only(["lap*"])
     cut = log.cut(3.0)
     assert [(run.name, len(run.t)) for run in cut.runs] == [("grip/a@0", 300), ("grip/a@3", 400), ("ice/b", 300)]
+    assert [run.name for run in cut.only(["grip/*"]).runs] == ["grip/a@0", "grip/a@3"]
+    assert [run.name for run in cut.only(["grip/a"]).runs] == ["grip/a@0", "grip/a@3"]
+    assert [run.name for run in cut.only(["*@3"]).runs] == ["grip/a@3"]
     whole, parts = log.runs[0], cut.runs[:2]
     for name in CHANNELS:
         np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(whole, name))
