@@ -77,7 +77,7 @@ QUESTIONS = (
     Question("dart_slides", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
              ("slippery_16apr/*-16-21-24*", "slippery_16apr/*-17-02-48*"),
              calibrated_on=GRIP, looked_for=("friction", "traction_limit")),
-    Question("dart_steering", "dart_jetracer/grip.csv", "dart_jetracer", "dart", ("mpcc*",),
+    Question("dart_steering", "dart_jetracer/grip.csv", "dart_jetracer", "dart", ("mpcc*",), cut=10.0,
              calibrated_on=GRIP, forgotten=("steer_lag",), looked_for=("steer_lag", "steer_delay"), known=(0.06, 0.13)),
     Question("dart_onboard", "dart_jetracer/grip.csv", "dart_onboard", "dart", ("rubber_free/*",),
              calibrated_on=GRIP, looked_for=("channel_delay",), known=(0.08, 0.12)),
