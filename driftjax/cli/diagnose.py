@@ -10,8 +10,8 @@ import yaml
 from driftjax.cli.closed_loop import Course, closed_loop, load_course
 from driftjax.cli.console import default_out, measured_log, nominal_car, progress, typed, within
 from driftjax.cli.simulate import drive_again
-from driftjax.core import num_workers, workers, write_atomically
-from driftjax.data import Log, RunFolder, read_log
+from driftjax.core import num_workers, require, workers, write_atomically
+from driftjax.data import Log, RunFolder
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnose.stored import stored
 from driftjax.diagnose.told import bare_json, extended, to_json
@@ -55,6 +55,8 @@ class Diagnose:
 def run(argv: list[str]) -> int:
     """Read, name, measure, tell."""
     asked = typed(Diagnose, argv, "driftjax diagnose")
+    lone = asked.drive is None or not (asked.columns or asked.runs)
+    require(lone, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
     vehicle = nominal_car(asked.vehicle, asked.combined_slip)
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
     log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
@@ -71,7 +73,7 @@ def run(argv: list[str]) -> int:
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
-            work(vehicle, read_log((*asked.logs, more)), asked.options, again, course)
+            work(vehicle, measured_log((*asked.logs, more), None, (), asked.cut), asked.options, again, course)
         return 0
 
     return within(folder, both)
