@@ -1,4 +1,4 @@
-"""What do logs of real cars say that the simulation gets wrong? Three public recordings, five questions.
+"""What do logs of real cars say that the simulation gets wrong? Three public recordings, six questions.
 
 `python -m experiments.real_logs --data FOLDER` calibrates a nominal car on some runs, asks others, and writes one
 folder with the whole report per question, `real_logs.json` and `real_logs.png` with the gains on runs held out.
@@ -60,6 +60,8 @@ class Question:
     """Range of the value (first parameter, SI) that other work found; None where it told none."""
     relative: bool = False
     """Whether that is the factor 1 + p over that of the calibrated car."""
+    plant: str | None = None
+    """Question asked before, whose car is driven on with the models of this one."""
 
 
 GRIP = Trained(
@@ -68,15 +70,16 @@ GRIP = Trained(
 )  # fmt: skip
 FIRST_LAPS = Trained(
     "ferrari_250lm/targa66_first_400s.csv", ("*+1@0", "*+1@?0", "*+1@1[0-4]0"),
-    (*TYRES, "friction_rear", "tyre_shape"), "ferrari_250lm", 20.0,
+    (*TYRES, "friction_rear", "tyre_shape", "yaw_inertia", "steer_lag"), "ferrari_250lm", 20.0,
 )  # fmt: skip
 QUESTIONS = (
-    Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
-             ("slippery_16apr/2025-04-16-15-51-18*",), cut=8.0,
-             calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True),
     Question("dart_slides", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
              ("slippery_16apr/*-16-21-24*", "slippery_16apr/*-17-02-48*"),
-             calibrated_on=GRIP, looked_for=("friction", "traction_limit")),
+             calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True),
+    Question("dart_low_grip", "dart_jetracer/low_grip.csv", "dart_jetracer", "dart",
+             ("slippery_16apr/2025-04-16-15-51-18*",), cut=8.0,
+             calibrated_on=GRIP, looked_for=("friction",), known=(0.36, 0.48), relative=True,
+             plant="dart_slides"),
     Question("dart_steering", "dart_jetracer/grip.csv", "dart_jetracer", "dart", ("mpcc*",), cut=10.0,
              calibrated_on=GRIP, forgotten=("steer_lag",), looked_for=("steer_lag", "steer_delay"), known=(0.06, 0.13)),
     Question("dart_onboard", "dart_jetracer/grip.csv", "dart_onboard", "dart", ("rubber_free/*",),
@@ -120,16 +123,27 @@ def main(cfg: Config) -> dict[str, Any]:
 def ask(question: Question, cfg: Config) -> dict[str, Any]:
     """What the diagnosis says; one made already is read."""
     out = cfg.out / question.name
-    car = nominal(question, cfg)
+    plant, car = driven_on(question, cfg), nominal(question, cfg)
     if not (out / "diagnosis.json").is_file():
         flags = ["--columns", question.columns, "--vehicle", str(car), "--out", str(out)]
         flags += ["--runs", *question.runs] if question.runs else []
         flags += ["--cut", str(question.cut)] if question.cut else []
+        flags += ["--closed-loop", str(plant)] if plant else []
         run(["diagnose", str(cfg.data / question.log), *flags])
     diagnosis = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
-    return {key: diagnosis[key] for key in ("verdict", "sentence", "causes", "gain")} | {
+    return {key: diagnosis[key] for key in ("verdict", "sentence", "causes", "gain", "closed_loop")} | {
         "answer": answer(question, diagnosis, {one.effect: one.value for one in load_vehicle(car).effects})
     }
+
+
+def driven_on(question: Question, cfg: Config) -> Path | None:
+    """The car found by the question that this one's models are driven on; raises `BadInput` where it was not asked."""
+    if question.plant is None:
+        return None
+    car = cfg.out / question.plant / "extended.yaml"
+    if not car.is_file():
+        raise BadInput(f"question '{question.name}' drives on the car that '{question.plant}' finds; ask that one too.")
+    return car
 
 
 def nominal(question: Question, cfg: Config) -> Path:
@@ -188,6 +202,11 @@ def told(question: Question, found: dict[str, Any]) -> str:
     if (share := found["gain"]["skill"].get("extended")) is not None:
         low, high = found["gain"]["ci95"]["extended"]
         lines.append(f"  share of the explainable error removed on runs held out: {share:.2f} [{low:.2f}, {high:.2f}]")
+    if (driven := found["closed_loop"]) and driven["difference"]:
+        apart = driven["difference"]["lateral_error"]
+        laps = [f"{name} {one['completed'][0]} of {one['completed'][1]}" for name, one in driven["models"].items()]
+        lines.append(f"  laps completed on the car of {question.plant}: {', '.join(laps)}; lateral error changes by "
+                     f"{apart['mean']:.3f} [{apart['ci95'][0]:.3f}, {apart['ci95'][1]:.3f}] m")  # fmt: skip
     return "\n".join(lines)
 
 

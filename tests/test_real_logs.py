@@ -11,7 +11,7 @@ from driftjax.data import load_columns
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_named
 from experiments import real_logs
-from experiments.real_logs import QUESTIONS, Config, answer, main, nominal, picture, told
+from experiments.real_logs import QUESTIONS, Config, answer, driven_on, main, nominal, picture, told
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
@@ -23,7 +23,7 @@ def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
             for name, size in (("nominal", 2.0), ("retuned", 1.5), ("extended", 0.5))}  # fmt: skip
     gain = {"horizons_s": [0.05, 1.0], "rmse": rmse, "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]}}
     cause = {"effect": effect, "parameters": {parameter: {"value": value, "ci95": [value - half, value + half]}}}
-    return {"verdict": "NAMED", "sentence": "", "causes": [cause], "gain": gain}
+    return {"verdict": "NAMED", "sentence": "", "causes": [cause], "gain": gain, "closed_loop": None}
 
 
 def test_every_question_asks_for_what_there_is():
@@ -48,6 +48,10 @@ def test_it_is_told_in_words_and_drawn():
     content["answer"] = answer(STEERING, content, {})
     words = told(STEERING, content)
     assert "steer_lag.tau = 0.09 [0.08, 0.1]; others: 0.06..0.13" in words and "0.90 [0.80, 0.95]" in words
+    laps = {"nominal": {"completed": [0, 4]}, "extended": {"completed": [3, 4]}}
+    apart = {"difference": {"lateral_error": {"mean": -0.2, "ci95": [-0.25, -0.15]}}, "models": laps}
+    words = told(LOW, content | {"closed_loop": apart})
+    assert "on the car of dart_slides: nominal 0 of 4, extended 3 of 4; lateral error changes by -0.200" in words
     nothing = copy.deepcopy(content) | {"answer": {}}
     assert "none of them was named" in told(STEERING, nothing)
     bars = picture({"dart_steering": content}).axes[2].containers
@@ -65,9 +69,12 @@ def test_a_calibrated_car_forgets_what_is_to_be_found(tmp_path):
     assert nominal(LOW, Config(out=tmp_path)) == folder / "calibrated.yaml"
 
 
-def test_an_unknown_question_is_told():
-    with pytest.raises(BadInput, match=r"question 'moon': choose from dart_low_grip, .*genesis"):
+def test_an_unknown_question_and_one_before_its_turn_are_told(tmp_path):
+    with pytest.raises(BadInput, match=r"question 'moon': choose from dart_slides, .*genesis"):
         main(Config(only=("moon",)))
+    assert driven_on(STEERING, Config(out=tmp_path)) is None
+    with pytest.raises(BadInput, match="drives on the car that 'dart_slides' finds; ask that one too"):
+        driven_on(LOW, Config(out=tmp_path))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from driftjax.cli.simulate import read_truth
 from driftjax.core import BadInput, num_workers, read_yaml, workers
 from driftjax.learn.config import LearnConfig, load_learn_config
 from driftjax.learn.metrics import difference
-from driftjax.learn.scenario import Scenario, build
+from driftjax.learn.scenario import build
 from driftjax.learn.stage import Stage
 from driftjax.learn.stages import drive_nominal
 from driftjax.report import CLOSED_LOOP
@@ -71,7 +71,7 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
     with workers(num_workers(SEEDS)) as blocks:
         for name, vehicle in models.items():
             try:
-                scenario = on_plant(build(course.config, blocks, vehicle), course)
+                scenario = build(course.config, blocks, vehicle, (course.name, course.plant))
             except BadInput as error:  # of the corner on this car: the diagnosis stands without it
                 told[name] = {"not_driven": str(error)}
                 continue
@@ -80,12 +80,6 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
     compared = compare(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
     return {"plant": course.name, "corner": course.config.car, "controller": "path", "models": told,
             "difference": compared}  # fmt: skip
-
-
-def on_plant(scenario: Scenario, course: Course) -> Scenario:
-    """`scenario` with every lane on the plant of `course`."""
-    lanes = tuple(dataclasses.replace(lane, plant=course.name) for lane in scenario.lanes)
-    return dataclasses.replace(scenario, lanes=lanes, plants=scenario.over_lanes(course.plant))
 
 
 def figures(stage: Stage) -> dict[str, Any]:

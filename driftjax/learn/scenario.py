@@ -75,10 +75,13 @@ class Scenario:
         return jax.tree.map(repeat, tree)
 
 
-def build(config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = None) -> Scenario:
+def build(
+    config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = None, on: tuple[str, AnyPlant] | None = None
+) -> Scenario:
     """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit.
 
-    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
+    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse; so does a plant that
+    all lanes are `on`, told with its name.
     """
     vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
@@ -93,22 +96,36 @@ def build(config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = N
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
     steady, branch = held(nominal, where, config)
-    plants = load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed)
-    each = [
-        (Lane(p.name, controller, seed), p, index)
-        for controller in config.controllers
-        for index, p in enumerate(plants)
-        for seed in range(config.noise_seeds)
-    ]
-    batch = batch_of([p for _, p, _ in each], float(track.length), config.mpc.dt / config.lap.substeps)
-    noise = jax.random.key(config.seed)
-    keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, _, index in each]
+    lanes, plants, keys = lay_out(config, on, float(track.length))
     return Scenario(
         config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
-        tuple(lane for lane, _, _ in each), batch, jnp.stack(keys),
-        load_sensors(config.sensors), entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt),
-        blocks,
+        lanes, plants, keys, load_sensors(config.sensors),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
     )  # fmt: skip
+
+
+def lay_out(
+    config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
+) -> tuple[tuple[Lane, ...], AnyPlant, Array]:
+    """Lanes with their plants and noise keys: every controller, plant and seed; all `on` one plant where it is given.
+
+    `lap` is the length of the track [m].
+    """
+    plants = [] if on else load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed)
+    names = [on[0]] if on else [plant.name for plant in plants]
+    each = [
+        (Lane(name, controller, seed), index)
+        for controller in config.controllers
+        for index, name in enumerate(names)
+        for seed in range(config.noise_seeds)
+    ]
+    noise = jax.random.key(config.seed)
+    keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, index in each]
+    if on:
+        batch = jax.tree.map(lambda a: jnp.stack([a] * len(each)) if eqx.is_array(a) else a, on[1])
+    else:
+        batch = batch_of([plants[index] for _, index in each], lap, config.mpc.dt / config.lap.substeps)
+    return tuple(lane for lane, _ in each), batch, jnp.stack(keys)
 
 
 def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:

@@ -428,7 +428,7 @@ def test_column_maps_that_do_not_fit_the_file_are_told(tmp_path):
         ("dart_jetracer/[!s]*.csv", "dart_jetracer", 20, 4500, 4.2),
         ("dart_jetracer/s*.csv", "dart_steer_id", 20, 400, 1),
         ("dart_jetracer/grip.csv", "dart_onboard", 10, 600, 4.2),
-        ("ferrari_250lm/*.csv", "ferrari_250lm", 25, 9900, 62),
+        ("ferrari_250lm/*.csv", "ferrari_250lm", 50, 19800, 62),
         ("genesis_g80/*.csv", "genesis_g80", 25, 8700, 13),
     ],
 )

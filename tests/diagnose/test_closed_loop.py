@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import yaml
@@ -17,6 +18,7 @@ from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.data import Run, write_log
 from driftjax.learn.metrics import LapFigures
+from driftjax.learn.scenario import lay_out
 from driftjax.sim import LapCode, UniversalPlant
 from driftjax.vehicle import DoubleTrack, Extended, build_car, load_vehicle, named_lags
 from driftjax.vehicle.parameters import FoundParameter
@@ -113,6 +115,17 @@ def test_bad_input_is_one_sentence_before_anything_is_diagnosed(case, here, caps
 def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
     plant = load_course(Path(car("sedan")), SEDAN).plant
     assert isinstance(plant, UniversalPlant) and plant.names == () and plant.nominal.m == SEDAN.m
+
+
+@pytest.mark.parametrize("name", ["sedan", "dart"])
+def test_every_lane_is_on_the_plant_asked_for(name):
+    """Of a car without plants of its own, such as dart, too."""
+    course = load_course(Path(car(name)), load_vehicle(name))
+    lanes, plants, keys = lay_out(course.config, (course.name, course.plant), 20.0)
+    assert [(lane.plant, lane.seed) for lane in lanes] == [(course.name, seed) for seed in range(4)]
+    assert isinstance(plants, UniversalPlant) and isinstance(course.plant, UniversalPlant)
+    np.testing.assert_array_equal(plants.nominal.m, [course.plant.nominal.m] * 4)
+    assert len(np.unique(jax.random.key_data(keys), axis=0)) == 4
 
 
 def test_a_key_that_is_missing_is_named():
