@@ -4,7 +4,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.diagnose.fit import Fit, Problem, priced, settle, tuned
-from driftjax.diagnose.select import Selection, prune, search
+from driftjax.diagnose.select import MOST, Selection, prune, search
 
 LOST = 200.0  # cost per measurement from which the observer of the nominal car has lost it: 14 standard deviations
 FAR = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
@@ -27,17 +27,17 @@ def kept(fit: Fit) -> Fit:
     return fit
 
 
-def approach(task: Problem, seed: int = 0) -> tuple[Problem, Selection]:
+def approach(task: Problem, seed: int = 0, most: int = MOST) -> tuple[Problem, Selection]:
     """What is found in `task`, with the problem that it was found in: the same one but where that leads nowhere.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about.
     """
     start = nominal(task)
-    close = search(task, start, seed) if misfit(task, start) < LOST else None
+    close = search(task, start, seed, most=most) if misfit(task, start) < LOST else None
     if close and misfit(task, close.fit) < FAR:
         return task, close
-    anew, found = round_about(task, seed)
+    anew, found = round_about(task, seed, most)
     if close and misfit(task, close.fit) <= misfit(anew, found.fit):
         return task, close
     return anew, found
@@ -48,14 +48,14 @@ def loosened(task: Problem) -> Problem:
     return tuned(task, task.start, np.zeros_like(task.asked))
 
 
-def round_about(task: Problem, seed: int) -> tuple[Problem, Selection]:
+def round_about(task: Problem, seed: int, most: int) -> tuple[Problem, Selection]:
     """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
     observer of the car found."""
     loose = loosened(task)
     start = kept(nominal(loose))
-    rough = search(loose, start, seed)
+    rough = search(loose, start, seed, most=most)
     anew = tuned(task, rough.fit.theta, task.asked)
     fit = settle(anew, priced(anew, rough.fit.theta), anew.columns(rough.members))[0]
     members, fit = prune(anew, rough.members, kept(fit))
-    found = search(anew, fit, seed, {i: rough.p_values[i] for i in members})
+    found = search(anew, fit, seed, {i: rough.p_values[i] for i in members}, most)
     return anew, found._replace(base=loose, nominal=start, first=rough.first)

@@ -14,7 +14,7 @@ from driftjax.diagnose.floor import floor
 from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
-from driftjax.diagnose.select import Selection
+from driftjax.diagnose.select import MOST, Selection
 from driftjax.diagnose.show import Judged, Show, show
 from driftjax.diagnose.unknown import Unexplained, unexplained
 from driftjax.diagnose.verdict import SHORTEST, Judgement, Verdict, judge
@@ -38,6 +38,8 @@ class DiagnoseConfig:
     0: none is, and no gain is measured."""
     without: tuple[str, ...] = ()
     """Effects left out of the catalogue."""
+    most: int = MOST
+    """Effects named at most. Each further one takes longer; a real car that nobody calibrated may need more."""
     gp: bool = True
     """Whether the gain is also measured of a GP, alone and beside the named effects."""
     seed: int = 0
@@ -45,6 +47,7 @@ class DiagnoseConfig:
 
     def __post_init__(self) -> None:
         check_held_out(self.held_out)
+        require(self.most >= 1, f"key 'most' is {self.most}; give 1 or more.")
         require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
         unknown = sorted(set(self.without) - set(EFFECTS))
         require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
@@ -106,7 +109,7 @@ def diagnose(
     beside = blocks.begin(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
     task = problem(vehicle, effects, log.runs, config.without)
     report("naming")
-    task, found = approach(task, config.seed)
+    task, found = approach(task, config.seed, config.most)
     named = causes(task, found)
     left = unexplained(task, found, config.seed)
     judgement = judge(task, found, named, left, duration)
@@ -136,7 +139,7 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
     if not len(held):
         return None
     train, test = task.part(use), task.part(held)
-    near, found = approach(train, config.seed)
+    near, found = approach(train, config.seed, config.most)
     followed = test
     if near is not train:
         followed = observed(test, found.nominal.theta, found.base.noise)

@@ -107,7 +107,7 @@ def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
         columns = task.columns((i,))
         if i in found.members or len(columns) > 1 or len(own) > 1:
             continue
-        size = np.sqrt(H[own[0], own[0]] * H[columns[0], columns[0]])
-        if size > 0 and abs(H[own[0], columns[0]]) > ALIKE * size:
+        power = H[own[0], own[0]] * H[columns[0], columns[0]]  # rounding may leave it below 0 where members say it all
+        if power > 0 and abs(H[own[0], columns[0]]) > ALIKE * np.sqrt(power):
             alike.append(i)
     return tuple(alike)

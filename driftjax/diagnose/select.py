@@ -10,7 +10,7 @@ from driftjax.diagnose.runs import Followed
 from driftjax.diagnose.score import Scores, scores
 
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
-MOST = 4  # effects that one diagnosis may name
+MOST = 4  # effects that a diagnosis names where no other number is asked for
 REFITS = 6  # candidates refitted at each step
 WORTH = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
 MATERIAL = 0.08  # size below which an effect is left out, in typical sizes
@@ -56,8 +56,10 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     return new, trial
 
 
-def search(task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] | None = None) -> Selection:
-    """Effects added while the test rejects and the refit earns its keep; swaps and cuts follow each.
+def search(
+    task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] | None = None, most: int = MOST
+) -> Selection:
+    """Effects added while the test rejects and the refit earns its keep, `most` in all; swaps and cuts follow each.
 
     The search begins with the effects `known` from `start`, given with their p-values.
     """
@@ -65,7 +67,7 @@ def search(task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] 
     members = tuple(p_values)
     fit, at = settle(task, start, task.columns(members))
     left = first = scores(task, at, fit.theta, members, seed)
-    while len(members) < MOST and left.p_value < LEVEL:
+    while len(members) < most and left.p_value < LEVEL:
         grown, trial = best_of(task, fit, members, at, left.gain)
         new, trial = prune(task, *swap(task, grown, trial))
         trial, there = settle(task, trial, task.columns(new))

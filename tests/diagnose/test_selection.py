@@ -78,6 +78,13 @@ def test_a_search_begins_where_the_file_of_the_car_does():
         problem(replace(vehicle, effects=(FoundParameter("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23))
 
 
+def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
+    task = problem(sedan(), EFFECTS, recorded(hidden(drive_gain=1.2, steer_lag=1.0), 21, 22))
+    found = search(task, priced(task, task.start), most=1)
+    assert len(found.members) == 1 and ORDER[found.members[0]] in ("drive_gain", "steer_lag")
+    assert found.scores.p_value < 0.05
+
+
 def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
     """A problem of which only the bookkeeping is used: one piece, `SIZE` effects of one parameter."""
     block = np.repeat(np.arange(blocks), LENGTH)[None]

@@ -117,5 +117,7 @@ def test_an_unknown_effect_and_a_missing_log_are_bad_input(capsys):
     write_log(Path("log.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
     assert main(["diagnose", "log.csv", "--without", "magic"]) == 2
     assert "magic" in capsys.readouterr().err
+    assert main(["diagnose", "log.csv", "--most", "0"]) == 2
+    assert "key 'most' is 0" in capsys.readouterr().err
     assert main(["diagnose", "log.csv", "--drive", "truth.yaml", "--columns", "dart_jetracer"]) == 2
     assert "leave --columns and --runs out" in capsys.readouterr().err
