@@ -54,6 +54,5 @@ _TABLE = {
     "drive_split": "Fxr ax delta",
     "yaw_moment": "1",
     "traction_limit": "Fxr ax alpha_r beta",
-    "brake_split": "Fxr ax delta",
 }
 DRIVERS: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}

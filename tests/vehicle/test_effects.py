@@ -23,7 +23,7 @@ NAMES = (
     "engine_drag drive_gain drive_lag power_limit wheel_spin differential_moment torque_vectoring mass yaw_inertia "
     "cog_shift roll_lag roll_steer steer_offset steer_gain steer_compliance steer_lag steer_delay steer_backlash "
     "road_bank road_grade side_wind friction_patch friction_fade gyro_bias gyro_scale sideslip_bias speed_scale "
-    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split"
+    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit"
 ).split()
 OWNER = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
 BOUNDS = np.array([(p.lower, p.upper) for effect in EFFECTS.values() for p in effect.parameters])
@@ -260,14 +260,6 @@ def test_front_share_of_the_drive_leaves_its_sum():
     turned = gain(car_with(drive_split=0.4), state(), control(0.2, 3000.0))
     assert turned[0] == pytest.approx(0.4 * 3000 * (np.cos(0.2) - 1) / 1835)
     assert turned[2] == pytest.approx(1.4 * 0.4 * 3000 * np.sin(0.2) / 3234)
-
-
-def test_front_share_of_the_brakes_is_that_of_the_drive_and_only_when_braking():
-    brakes, both = car_with(brake_split=0.4), car_with(drive_split=0.4)
-    for F in (3000.0, 0.0, -3000.0):
-        rates = [np.array(car.rates(state(10.0, 0.05, 0.2), control(0.1, F), STILL, NONE)) for car in (brakes, both)]
-        nominal = car_with(drive_split=0.0).rates(state(10.0, 0.05, 0.2), control(0.1, F), STILL, NONE)
-        np.testing.assert_allclose(rates[0], nominal if F >= 0 else rates[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1, -1])
