@@ -199,8 +199,14 @@ def told(question: Question, found: dict[str, Any]) -> str:
         lines.append(f"  {name} = {one['value']:.3g} [{low:.3g}, {high:.3g}]{known}")
     if not found["answer"]:
         lines.append("  none of them was named")
-    if (share := found["gain"]["skill"].get("extended")) is not None:
-        low, high = found["gain"]["ci95"]["extended"]
+    gain = found["gain"]
+    for model in ("extended", "extended_gp") if SECOND in gain["horizons_s"] else ():
+        at = gain["horizons_s"].index(SECOND)
+        low, high = gain["ratio_ci95"][model][at]
+        lines.append(f"  {model}: error after 1 s on runs held out, over that of the nominal car: "
+                     f"{gain['ratio'][model][at]:.2f} [{low:.2f}, {high:.2f}]")  # fmt: skip
+    if (share := gain["skill"].get("extended")) is not None:
+        low, high = gain["ci95"]["extended"]
         lines.append(f"  share of the explainable error removed on runs held out: {share:.2f} [{low:.2f}, {high:.2f}]")
     if (driven := found["closed_loop"]) and driven["difference"]:
         apart = driven["difference"]["lateral_error"]

@@ -21,7 +21,9 @@ def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
     """What `diagnosis.json` says of one named effect, and of gains."""
     rmse = {name: {"V": [0.1, size], "beta": [0.01, size], "r": [0.1, 2 * size]}
             for name, size in (("nominal", 2.0), ("retuned", 1.5), ("extended", 0.5))}  # fmt: skip
-    gain = {"horizons_s": [0.05, 1.0], "rmse": rmse, "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]}}
+    gain = {"horizons_s": [0.05, 1.0], "rmse": rmse, "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]},
+            "ratio": {name: [0.6, 0.25] for name in ("extended", "extended_gp")},
+            "ratio_ci95": {name: [[0.5, 0.7], [0.2, 0.3]] for name in ("extended", "extended_gp")}}  # fmt: skip
     cause = {"effect": effect, "parameters": {parameter: {"value": value, "ci95": [value - half, value + half]}}}
     return {"verdict": "NAMED", "sentence": "", "causes": [cause], "gain": gain, "closed_loop": None}
 
@@ -48,6 +50,7 @@ def test_it_is_told_in_words_and_drawn():
     content["answer"] = answer(STEERING, content, {})
     words = told(STEERING, content)
     assert "steer_lag.tau = 0.09 [0.08, 0.1]; others: 0.06..0.13" in words and "0.90 [0.80, 0.95]" in words
+    assert "extended_gp: error after 1 s on runs held out, over that of the nominal car: 0.25 [0.20, 0.30]" in words
     laps = {"nominal": {"completed": [0, 4]}, "extended": {"completed": [3, 4]}}
     apart = {"difference": {"lateral_error": {"mean": -0.2, "ci95": [-0.25, -0.15]}}, "models": laps}
     words = told(LOW, content | {"closed_loop": apart})

@@ -11,7 +11,7 @@ from driftjax.diagnose.approach import approach
 from driftjax.diagnose.evidence import Cause, causes
 from driftjax.diagnose.fit import Problem, observed, problem, settle
 from driftjax.diagnose.floor import floor
-from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
+from driftjax.diagnose.gain import Errors, at_horizons, predict, ratios, skill
 from driftjax.diagnose.learnt import learnt
 from driftjax.diagnose.propose import Proposal, propose
 from driftjax.diagnose.select import MOST, Selection
@@ -63,6 +63,7 @@ class Gain:
     errors: dict[str, Errors]  # of each
     floor: Errors  # what noise alone makes
     skills: dict[str, tuple[float, tuple[float, float]]]
+    ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,10 @@ def compared(judged: Judged, held: tuple[str, ...], members: tuple[int, ...], se
     task = judged.task
     errors = {name: at_horizons(task, one.error**2) for name, one in judged.ahead.items()}
     least = at_horizons(task, judged.least)
-    skills = {name: skill(errors["nominal"], one, least, seed) for name, one in errors.items() if name != "nominal"}
-    return Gain(held, tuple(task.effects[i].name for i in members), judged, errors, least, skills)
+    others = {name: one for name, one in errors.items() if name != "nominal"}
+    skills = {name: skill(errors["nominal"], one, least, seed) for name, one in others.items()}
+    relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
+    return Gain(held, tuple(task.effects[i].name for i in members), judged, errors, least, skills, relative)
 
 
 def on_all(task: Problem, found: Selection, seed: int) -> Judged:

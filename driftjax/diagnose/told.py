@@ -84,7 +84,15 @@ def unexplained_json(left: Unexplained) -> dict[str, Any]:
 def gain_json(gain: Gain | None) -> dict[str, Any]:
     """The gain on the runs held out, per model, horizon and channel."""
     if gain is None:
-        return {"held_out_runs": [], "horizons_s": [], "rmse": {}, "skill": {}, "ci95": {}}
+        return {
+            "held_out_runs": [],
+            "horizons_s": [],
+            "rmse": {},
+            "skill": {},
+            "ci95": {},
+            "ratio": {},
+            "ratio_ci95": {},
+        }
     table = {
         name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
         for name, one in (gain.errors | {"noise_floor": gain.floor}).items()
@@ -96,6 +104,8 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
         "rmse": table,
         "skill": {name: value for name, (value, _) in gain.skills.items()},
         "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
+        "ratio": {name: one[:, 0].tolist() for name, one in gain.ratios.items()},
+        "ratio_ci95": {name: one[:, 1:].tolist() for name, one in gain.ratios.items()},
     }
 
 

@@ -86,21 +86,30 @@ def parity_words(parity: dict[str, Any] | None) -> str:
 
 
 def gain_table(gain: dict[str, Any]) -> str:
-    """Open-loop errors on the runs held out, per model and horizon, and the share of the explainable error removed."""
+    """Open-loop errors on the runs held out, per model and horizon: in units, all three over those of the nominal car,
+    and the share of the explainable error removed."""
     if not gain["held_out_runs"]:
         return "gain: not measured, for want of runs to hold out.\n"
     lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
-    lines += [f"{'model':10}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   explainable removed"]
+    lines += [f"{'model':12}{'after [s]':>10}{'V [m/s]':>10}{'beta [rad]':>12}{'r [rad/s]':>11}   "
+              f"{'over nominal':20}explainable removed"]  # fmt: skip
     for name, channels in gain["rmse"].items():
         for i, horizon in enumerate(gain["horizons_s"]):
             values = "".join(
                 number(channels[c][i], ".4f").rjust(w) for c, w in zip(MEASURED, (10, 12, 11), strict=True)
             )
-            share = ""
+            ratio = share = ""
+            if name in gain["ratio"]:
+                ratio = _ratio(gain["ratio"][name][i], *gain["ratio_ci95"][name][i])
             if horizon == 1.0 and name in gain["skill"]:
-                share = f"   {_share(gain['skill'][name], *gain['ci95'][name])}"
-            lines.append(f"{name:10}{horizon:10.3g}{values}{share}")
+                share = _share(gain["skill"][name], *gain["ci95"][name])
+            lines.append(f"{name:12}{horizon:10.3g}{values}   {ratio:20}{share}".rstrip())
     return "\n".join(lines) + "\n"
+
+
+def _ratio(value: float | None, low: float | None, high: float | None) -> str:
+    """Error over that of the nominal car with its interval."""
+    return "-" if value is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _share(value: float | None, low: float | None, high: float | None) -> str:

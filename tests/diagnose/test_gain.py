@@ -10,7 +10,7 @@ from driftjax.data import Log
 from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, split
 from driftjax.diagnose.fit import observed, problem
 from driftjax.diagnose.floor import floor
-from driftjax.diagnose.gain import Errors, at_horizons, predict, skill
+from driftjax.diagnose.gain import Errors, at_horizons, predict, ratios, skill
 from driftjax.diagnose.verdict import Verdict
 
 SIGMA = np.array([0.05, 0.01, 0.01])
@@ -48,6 +48,18 @@ def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_g
 def test_no_share_is_told_where_noise_explains_everything():
     value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
     assert np.isnan([value, *interval]).all()
+
+
+def test_errors_are_told_over_those_of_the_nominal_car_also_where_noise_explains_everything():
+    before, half = errors(5.0), errors(5.0)
+    found = ratios(before, half._replace(squares=half.squares / 4))
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0.5]] * 2)
+    channel = before.squares * np.array([0.0, 1.0, 1.0])  # one of three is mended, whatever its unit
+    np.testing.assert_allclose(ratios(before, before._replace(squares=channel))[:, 0], np.sqrt(2 / 3))
+    value, low, high = ratios(errors(0.0), errors(0.0, seed=1))[1]
+    assert low < 1 < high and low < value < high < 1.3
+    gone = before._replace(squares=np.where(np.arange(2)[:, None] == 1, np.nan, before.squares))
+    assert np.isnan(ratios(before, gone)[1]).all() and np.isfinite(ratios(before, gone)[0]).all()
 
 
 def test_every_third_run_is_held_out_and_none_of_too_few():

@@ -58,7 +58,8 @@ def told(named: tuple[str, ...]) -> dict:
         "schema": 1, "verdict": "NAMED" if named else "NOTHING", "sentence": "Rear friction differs <a lot>.",
         "causes": causes,
         "gain": {"held_out_runs": ["drift2"], "horizons_s": [0.01, 0.5, 1.0, 2.0], "skill": {"extended": 0.8},
-                 "ci95": {"extended": [0.7, 0.9]},
+                 "ci95": {"extended": [0.7, 0.9]}, "ratio": {"extended": [0.5, 0.4, 0.3, None]},
+                 "ratio_ci95": {"extended": [[0.4, 0.6], [0.3, 0.5], [0.2, 0.4], [None, None]]},
                  "rmse": {name: channels(four(1.0), four(0.5), [0.1, None, None, None])
                           for name in ("nominal", "extended")}},
         "next_manoeuvre": {"manoeuvre": "throttle_steps"},

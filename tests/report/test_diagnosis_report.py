@@ -105,9 +105,11 @@ def test_numbers_that_are_missing_are_dashes():
     assert "not measured" in gain_table(nothing)
     one = {"V": [0.1, None], "beta": [0.1, None], "r": [0.1, 0.2]}
     text = gain_table({"held_out_runs": ["a"], "horizons_s": [0.01, 1.0], "rmse": {"nominal": one, "extended": one},
-                       "skill": {"extended": None}, "ci95": {"extended": [None, None]}})  # fmt: skip
-    assert "nothing to explain" in text
-    assert len(re.findall(r"\s-(?=\s)", text)) == 4 and "nan" not in text and "None" not in text
+                       "skill": {"extended": None}, "ci95": {"extended": [None, None]},
+                       "ratio": {"extended": [0.5, None]},
+                       "ratio_ci95": {"extended": [[0.4, 0.6], [None, None]]}})  # fmt: skip
+    assert "nothing to explain" in text and "0.50 [0.40, 0.60]" in text
+    assert len(re.findall(r"\s-(?=\s)", text)) == 5 and "nan" not in text and "None" not in text
 
 
 def laps(*codes: str, **means: float | None) -> dict:
