@@ -48,7 +48,7 @@ def loosened(task: Problem) -> Problem:
     return tuned(task, task.start, np.zeros_like(task.asked))
 
 
-def round_about(task: Problem, seed: int, most: int) -> tuple[Problem, Selection]:
+def round_about(task: Problem, seed: int = 0, most: int = MOST) -> tuple[Problem, Selection]:
     """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
     observer of the car found."""
     loose = loosened(task)
