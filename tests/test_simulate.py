@@ -66,6 +66,15 @@ def test_accelerations_tell_the_motion_but_for_the_pull_of_the_road(effects, sho
         assert found.mean[1] == pytest.approx(np.mean(shown * np.cos(beta) / V), abs=0.015)
 
 
+def test_accelerations_of_a_car_faster_than_its_log_tell_its_motion_too():
+    """Between two rows the RC car answers to a command and has nearly settled again."""
+    rc = dataclasses.replace(load_vehicle("rc"), combined_slip=1.0)
+    runs, _ = record_runs(rc, NEUTRAL, dataclasses.replace(SHORT, noise=0.0))
+    found = parity(rc, runs, np.asarray(typical(rc).sigma))
+    assert found is not None
+    assert (found.rms < np.array([0.3, 0.6]) * found.floor).all() and np.abs(found.mean).max() < 5e-3, found
+
+
 def test_noise_of_the_rc_car_follows_its_size():
     np.testing.assert_allclose(typical(load_vehicle("rc")).sigma, [0.02, 0.0087, 0.03], rtol=0.3)
 

@@ -47,7 +47,8 @@ class Recording(NamedTuple):
     place: Place  # fields (T,); position along the lap as a share of it
     x: Float[Array, "T 3"]  # true V, beta, r
     position: Float[Array, "T 2"]  # true x, y [m]
-    a: Float[Array, "T 2"]  # what an accelerometer at the centre of mass feels forwards and to the left [m/s^2]
+    a: Float[Array, "T 2"]  # what an accelerometer at the centre of mass felt forwards and to the left [m/s^2]: the
+    # mean since the last row, as its filter against aliasing makes it
 
 
 class _Now(NamedTuple):
@@ -55,6 +56,7 @@ class _Now(NamedTuple):
     seen: Array  # filtered measurement
     command: Array
     push: Array
+    a: Array
 
 
 def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
@@ -95,7 +97,7 @@ def record(
     place, still = Place(zero, zero, zero, zero), State(zero, zero, zero)
     felt, past = settled(plant, first, reached, place), recall(plant, first, h)
     car = Travel(first, felt, memory, place, jnp.zeros(2), zero, still, reached, past, jnp.asarray(h))
-    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3))
+    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3), specific_force(plant, first, still, reached, place))
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row
@@ -106,11 +108,16 @@ def record(
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
         push = left * now.push + jnp.sqrt(1 - left**2) * kick
-        a = specific_force(plant, car.x, car.rate, Control(now.command[0], now.command[1]), car.place)
-        row = Recording(y, command, car.place, jnp.stack(car.x), car.position, a)
+        row = Recording(y, command, car.place, jnp.stack(car.x), car.position, now.a)
         u = Control(command[0], command[1])
-        fine = lambda _, c: travel(plant, nominal, manoeuvre.lap, c, u, jnp.asarray(h), State(*push))
-        return _Now(jax.lax.fori_loop(0, substeps, fine, car), seen, command, push), row
+
+        def fine(_, carry):
+            car, a = carry
+            car = travel(plant, nominal, manoeuvre.lap, car, u, jnp.asarray(h), State(*push))
+            return car, a + specific_force(plant, car.x, car.rate, u, car.place) / substeps
+
+        car, a = jax.lax.fori_loop(0, substeps, fine, (car, jnp.zeros(2)))
+        return _Now(car, seen, command, push, a), row
 
     T = len(manoeuvre.x_ref)
     measured, driven = jax.random.split(key)
