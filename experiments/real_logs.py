@@ -230,7 +230,10 @@ def picture(found: dict[str, Any]) -> Figure:
                 ratio = gain["rmse"][name][channel][at] / gain["rmse"]["nominal"][channel][at]
                 axis.bar(place + 0.16 * (k - (len(models) - 1) / 2), ratio, 0.15, color=COMPARED[name][0],
                          label=COMPARED[name][1] if place == 0 else None)  # fmt: skip
-        axis.set_xticks(np.arange(len(found)), [name.replace("_", "\n") for name in found])
+        axis.set_xticks(np.arange(len(found)), [name.replace("_", "\n") for name in found], fontsize=8)
+        axis.set_yscale("log")
+        axis.set_yticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
+        axis.set_yticks([], minor=True)
         axis.set_title(words)
         axis.axhline(1, color="0.6", lw=0.8)
     axes[0].set_ylabel("error after 1 s on runs held out,\nover that of the nominal car [-]")
