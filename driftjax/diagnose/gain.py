@@ -138,13 +138,10 @@ def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[
     piece = np.unique(before.piece[keep], return_inverse=True)[1]
     unit = np.stack([np.bincount(piece, column) for column in cut[2][keep].T], axis=1) / np.bincount(piece)[:, None]
     old, new = (np.sum((squares - cut[2])[keep] / unit[piece], axis=1) for squares in cut[:2])
-    names = np.unique(before.block[keep], return_inverse=True)[1]
-    old, new = (np.bincount(names, values) for values in (old, new))
-    draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))
-    whole = old[draws].sum(axis=1)
+    whole, rest = drawn(before.block[keep], old, new, seed)
     if np.percentile(whole, 2.5) <= 0:
         return np.nan, (np.nan, np.nan)
-    low, high = np.percentile(1 - new[draws].sum(axis=1) / np.maximum(whole, 1e-9), [2.5, 97.5])
+    low, high = np.percentile(1 - rest / np.maximum(whole, 1e-9), [2.5, 97.5])
     return float(1 - new.sum() / old.sum()), (float(low), float(high))
 
 
@@ -159,10 +156,16 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
         keep = np.isfinite(old + new).all(axis=1)
         if not keep.any():
             continue
-        names = np.unique(before.block[keep], return_inverse=True)[1]
         unit = old[keep].mean(axis=0)
-        old, new = (np.bincount(names, (one[keep] / unit).sum(axis=1)) for one in (old, new))
-        draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))
-        drawn = np.sqrt(new[draws].sum(axis=1) / old[draws].sum(axis=1))
-        found[at] = np.sqrt(new.sum() / old.sum()), *np.percentile(drawn, [2.5, 97.5])
+        old, new = ((one[keep] / unit).sum(axis=1) for one in (old, new))
+        whole, rest = drawn(before.block[keep], old, new, seed)
+        found[at] = np.sqrt(new.sum() / old.sum()), *np.percentile(np.sqrt(rest / whole), [2.5, 97.5])
     return found
+
+
+def drawn(block: np.ndarray, old: np.ndarray, new: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sums (RESAMPLES,) of `old` and `new` (n,) over blocks drawn at random, the same ones for both."""
+    names = np.unique(block, return_inverse=True)[1]
+    old, new = (np.bincount(names, values) for values in (old, new))
+    draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))
+    return old[draws].sum(axis=1), new[draws].sum(axis=1)

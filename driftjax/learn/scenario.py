@@ -71,8 +71,12 @@ class Scenario:
 
     def over_lanes(self, tree):
         """`tree` repeated along a leading axis of lanes."""
-        repeat = lambda a: jnp.broadcast_to(a, (self.num_lanes, *jnp.shape(a))) if eqx.is_array(a) else a
-        return jax.tree.map(repeat, tree)
+        return repeated(tree, self.num_lanes)
+
+
+def repeated(tree, num: int):
+    """`tree` repeated `num` times along a leading axis."""
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
 
 
 def build(
@@ -122,7 +126,7 @@ def lay_out(
     noise = jax.random.key(config.seed)
     keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, index in each]
     if on:
-        batch = jax.tree.map(lambda a: jnp.stack([a] * len(each)) if eqx.is_array(a) else a, on[1])
+        batch = repeated(on[1], len(each))
     else:
         batch = batch_of([plants[index] for _, index in each], lap, config.mpc.dt / config.lap.substeps)
     return tuple(lane for lane, _ in each), batch, jnp.stack(keys)

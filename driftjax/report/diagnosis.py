@@ -100,21 +100,16 @@ def gain_table(gain: dict[str, Any]) -> str:
             )
             ratio = share = ""
             if name in gain["ratio"]:
-                ratio = _ratio(gain["ratio"][name][i], *gain["ratio_ci95"][name][i])
+                ratio = _within(gain["ratio"][name][i], *gain["ratio_ci95"][name][i], "-")
             if horizon == 1.0 and name in gain["skill"]:
-                share = _share(gain["skill"][name], *gain["ci95"][name])
+                share = _within(gain["skill"][name], *gain["ci95"][name], "nothing to explain beyond noise")
             lines.append(f"{name:12}{horizon:10.3g}{values}   {ratio:20}{share}".rstrip())
     return "\n".join(lines) + "\n"
 
 
-def _ratio(value: float | None, low: float | None, high: float | None) -> str:
-    """Error over that of the nominal car with its interval."""
-    return "-" if value is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
-
-
-def _share(value: float | None, low: float | None, high: float | None) -> str:
-    """Share of the explainable error with its interval."""
-    return "nothing to explain beyond noise" if value is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
+def _within(value: float | None, low: float | None, high: float | None, missing: str) -> str:
+    """A number with its interval, or what is told where there is none."""
+    return missing if value is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def closed_loop_table(driven: dict[str, Any]) -> str:
