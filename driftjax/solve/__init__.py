@@ -2,6 +2,10 @@
 
 from driftjax.solve.interior_point import shift as shift
 from driftjax.solve.interior_point import solve as solve
+from driftjax.solve.lane_ocp import AbstractLanes as AbstractLanes
+from driftjax.solve.lanes import LanePlans as LanePlans
+from driftjax.solve.lanes import solve_lanes as solve_lanes
 from driftjax.solve.ocp import AbstractOCP as AbstractOCP
 from driftjax.solve.ocp import Options as Options
 from driftjax.solve.ocp import Plan as Plan
+from driftjax.solve.real_time import real_time_iteration as real_time_iteration

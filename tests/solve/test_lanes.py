@@ -1,0 +1,139 @@
+"""The batched solver: a problem that is no car against SciPy, failures kept to their lane, one real-time iteration."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.optimize import minimize
+
+from driftjax.core import RESULTS
+from driftjax.solve import Options
+from driftjax.solve.lane_ocp import AbstractLanes
+from driftjax.solve.lanes import solve_lanes
+from driftjax.solve.real_time import real_time_iteration
+
+N, DT = 12, 0.1
+
+
+class Pendulum(AbstractLanes):
+    """Swings a pendulum towards `p` [rad] with bounded torque and speed; one input."""
+
+    torque: float = 2.0
+    speed: float = 1.0
+
+    def step(self, x, u, p):
+        rate = x[1] + DT * (u[0] - jnp.sin(x[0]))
+        return [x[0] + DT * rate, rate]
+
+    def cost(self, x, u, p):
+        return (x[0] - p) ** 2 + 0.01 * u[0] ** 2
+
+    def terminal(self, x, p):
+        return 5 * (x[0] - p) ** 2
+
+    def rate_weight(self):
+        return (0.02,)
+
+    def input_limits(self):
+        return ((-self.torque, self.torque),)
+
+    def state_limits(self):
+        return ((None, None), (-self.speed, self.speed))
+
+
+def problem(dtype: type = np.float64) -> tuple[Array, ...]:
+    x0 = jnp.asarray([[0.0, 0.5, -0.3, 1.0], [0.0, 0.4, 0.0, -0.2]], dtype)
+    target = jnp.asarray([0.6, 1.0, -0.8, 0.2], dtype)
+    u_before = jnp.zeros((1, 4), dtype)
+    X = jnp.broadcast_to(x0[:, None], (2, N + 1, 4))
+    return x0, u_before, jnp.broadcast_to(target, (N + 1, 4)), X, jnp.zeros((1, N, 4), dtype)
+
+
+def scipys(ocp: Pendulum, lane: int) -> np.ndarray:
+    x0, before, p, _, _ = (np.asarray(a)[..., lane] for a in problem())
+
+    def states(U):
+        x = [x0]
+        for u in U:
+            rate = x[-1][1] + DT * (u - np.sin(x[-1][0]))
+            x.append(np.array([x[-1][0] + DT * rate, rate]))
+        return np.array(x)
+
+    def cost(U):
+        x = states(U)
+        away = (x[:, 0] - p) ** 2
+        return away[:-1].sum() + 5 * away[-1] + 0.01 * (U**2).sum() + 0.02 * (np.diff(U, prepend=before) ** 2).sum()
+
+    speed = {"type": "ineq", "fun": lambda U: ocp.speed - np.abs(states(U)[1:, 1])}
+    bounds = [(-ocp.torque, ocp.torque)] * N
+    found = minimize(cost, np.zeros(N), method="SLSQP", bounds=bounds, constraints=[speed], options={"ftol": 1e-14})
+    assert found.success
+    return found.x
+
+
+@eqx.filter_jit
+def solved(ocp, args, options):
+    x0, before, p, X, U = args
+    return solve_lanes(ocp, x0, before, p, X, U, options)
+
+
+def test_a_bounded_pendulum_is_swung_as_scipy_swings_it():
+    ocp = Pendulum()
+    plans = solved(ocp, problem(), Options(1e-8))
+    assert bool(jnp.all(plans.result == RESULTS.successful))
+    assert float(jnp.max(jnp.abs(plans.U))) <= ocp.torque + 1e-8
+    assert float(jnp.max(jnp.abs(plans.X[1]))) <= ocp.speed + 1e-8
+    assert float(jnp.max(jnp.abs(plans.U))) > 0.99 * ocp.torque  # else no limit would have been tested
+    assert float(jnp.max(jnp.abs(plans.X[1]))) > 0.99 * ocp.speed
+    for lane in range(4):
+        np.testing.assert_allclose(plans.U[0, :, lane], scipys(ocp, lane), atol=2e-5)
+
+
+def test_single_precision_finds_the_same_plan():
+    double = solved(Pendulum(), problem(), Options(1e-8))
+    single = solved(Pendulum(), problem(np.float32), Options(1e-4))
+    assert single.U.dtype == jnp.float32
+    assert bool(jnp.all(single.result == RESULTS.successful))
+    np.testing.assert_allclose(single.X, double.X, atol=5e-3)
+    assert float(jnp.max(jnp.abs(single.U))) <= Pendulum().torque + 1e-6
+
+
+def test_a_lane_that_fails_says_so_and_leaves_the_others_alone():
+    x0, before, p, X, U = problem()
+    alone = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8))
+    broken = solved(Pendulum(), (x0.at[0, 1].set(jnp.nan), before, p, X.at[1, 0, 3].set(0.0), U), Options(1e-8))
+    assert bool((broken.result == RESULTS.non_finite)[1])
+    for lane in (0, 2, 3):
+        assert bool((broken.result == RESULTS.successful)[lane])
+        np.testing.assert_array_equal(broken.U[..., lane], alone.U[..., lane])
+    few = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8, max_steps=2))
+    assert bool(jnp.all(few.result == RESULTS.not_converged))
+
+
+def test_real_time_iterations_lead_to_the_solution():
+    x0, before, p, X, U = problem()
+    best = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8))
+    iteration = eqx.filter_jit(lambda X, U: real_time_iteration(Pendulum(), x0, before, p, X, U, Options(1e-9)))
+    for _ in range(8):
+        plans = iteration(X, U)
+        assert bool(jnp.all(plans.result == RESULTS.successful))  # of the quadratic program
+        X, U = plans.X, plans.U
+    np.testing.assert_allclose(U, best.U, atol=1e-5)
+
+
+def test_new_numbers_never_mean_a_new_program():
+    traces = 0
+
+    @eqx.filter_jit
+    def counted(args, options):
+        nonlocal traces
+        traces += 1
+        x0, before, p, X, U = args
+        return solve_lanes(Pendulum(), x0, before, p, X, U, options)
+
+    x0, before, p, X, U = problem()
+    counted((x0, before, p, X, U), Options(1e-6))
+    counted((x0 + 0.1, before, p * 0.5, X, U), Options(1e-7, 0.1, 30))
+    assert traces == 1
+    assert jax.tree.leaves(counted((x0, before, p, X, U), Options(1e-6)).result)

@@ -1,0 +1,64 @@
+"""Derivatives by components against JAX's own, zeros told apart, values computed once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.core import Control, State, rk4_step
+from driftjax.core.materialise import materialised
+from driftjax.solve.sparse import jacobian, runge_kutta, runge_kutta_curvature
+from driftjax.vehicle import load_vehicle
+
+DT = 0.05
+Z = [(9.0, 8.2), (-0.5, -0.6), (1.1, 0.9), (-0.3, 0.1), (0.7, 0.5)]
+
+
+def sliding():
+    car = load_vehicle("sedan").build()
+    rates = lambda V, beta, r, delta, Fxr: car(State(V, beta, r), Control(delta, 1e4 * Fxr))
+    step = lambda v: jnp.stack(rk4_step(lambda x: State(*rates(*x, *v[3:])), State(*v[:3]), DT))
+    return rates, step, [jnp.array(z) for z in Z]
+
+
+def dense(M, lane):
+    return np.array([[0.0 if entry is None else entry[lane] for entry in row] for row in M])
+
+
+def test_chained_derivatives_of_a_runge_kutta_step_are_those_of_the_whole():
+    rates, step, z = sliding()
+    costate = [jnp.full(2, c) for c in (1.0, -2.0, 0.5)]
+    y, M = runge_kutta(rates, z[:3], z[3:], DT)
+    H = runge_kutta_curvature(rates, z[:3], z[3:], DT, costate)
+    first = jax.jit(jax.jacfwd(step))
+    second = jax.jit(jax.hessian(lambda v: jnp.array([1.0, -2.0, 0.5]) @ step(v)))
+    for lane in range(2):
+        v = jnp.array([entry[lane] for entry in z])
+        np.testing.assert_allclose([entry[lane] for entry in y], step(v), rtol=1e-14)
+        np.testing.assert_allclose(dense(M, lane), first(v), atol=1e-13)
+        bent = second(v)
+        np.testing.assert_allclose(dense(H, lane), bent, atol=1e-12)
+
+
+def test_entries_that_cannot_depend_are_none():
+    _, J = jacobian(lambda x, y, z: [jnp.sin(x) * y, jnp.where(y > 0, z, -z), y - 2 * x], *jnp.ones((3, 4)))
+    assert [[entry is None for entry in row] for row in J] == [
+        [False, False, True],
+        [True, True, False],
+        [False, False, True],
+    ]
+    np.testing.assert_allclose(J[0][0], np.cos(1.0) * np.ones(4))
+    np.testing.assert_allclose(J[2][0], -2 * np.ones(4))
+
+
+def test_what_is_used_twice_is_computed_once_and_means_the_same():
+    def function(x, y):
+        return {"a": jnp.sin(x) * jnp.sin(x) + y, "b": jnp.where(jnp.sin(x) > 0, x, y)}
+
+    x, y = jnp.linspace(-2, 2, 7), jnp.linspace(1, 3, 7)
+    program = jax.make_jaxpr(materialised(function))(x, y)
+    names = [eqn.primitive.name for eqn in program.jaxpr.eqns]
+    assert names.count("sin") == 1
+    assert names.count("optimization_barrier") == 1
+    found, plain = materialised(function)(x, y), function(x, y)
+    np.testing.assert_array_equal(found["a"], plain["a"])
+    np.testing.assert_array_equal(found["b"], plain["b"])
