@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 from driftjax import __version__
 
-VERBS = ("learn", "diagnose", "inspect", "calibrate", "simulate", "plan", "equilibria", "runs", "report")
+VERBS = ("learn", "diagnose", "inspect", "calibrate", "simulate", "plan", "equilibria", "bench", "runs", "report")
 HELP = """usage: driftjax VERB [options]
 
 A differentiable, jit-compiled car in JAX that learns to drift.
@@ -27,6 +27,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
   simulate       drive manoeuvres on a car with any effects and noise: a log in the log format, and the truth beside it
   plan           minimum-time plan of a car on a track: plan.nc, plan.csv, figures
   equilibria     map of a car's steady states: grip and drift branches
+  bench          how fast each part is, as a ratio against a peer measured beside it: table, JSON, figures
   runs           list the run folders below runs/
   report RUN     rebuild figures, table and report.html of a run
 

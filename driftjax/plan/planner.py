@@ -80,7 +80,7 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *prices)
 
 
-def _solve(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
+def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
     """Solution from the guess `X` (n, 7); its input rates follow from its inputs and speeds."""
     slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
@@ -173,6 +173,6 @@ def plan(
     x0 = jnp.zeros(7).at[0].set(config.entry_speed) / ocp.scale
     options = Options(tolerance=config.tolerance, barrier=BARRIER, max_steps=config.max_steps)
     first = [jnp.asarray(X) / ocp.scale for X in guesses(at.s, stage, corners, vehicle, config)]
-    best = _fastest([call(_solve, ocp, x0, stage, X, options) for X in first])
+    best = _fastest([call(solve_from, ocp, x0, stage, X, options) for X in first])
     label_beta = jnp.asarray(config.label_beta)
     return call(_finish, ocp, track, stage, jnp.asarray(at.s), best, label_beta, (at.first, at.last))

@@ -1,42 +1,32 @@
 """The drift MPC on 256 starts around the sedan's drift: converges, holds its limits, costs what IPOPT's costs."""
 
-import dataclasses
 from functools import cache
 
-import drift_mpc_ipopt
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.control.mpc import MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
+from driftjax.control.mpc import MPCSolution, Reference, drift_ocp, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
-from driftjax.vehicle import load_vehicle, no_residual
+from driftjax.vehicle import no_residual
+from experiments.bench.casadi_mpc import Transcribed
+from experiments.bench.drift import WEIGHTS, X_REF, car, config, starts
 
-N, NUM = 20, 256
-X_REF, U_REF = np.array([9.0, -0.54507, 1.1]), np.array([-0.29676, 6849.25])
-CAR = dataclasses.replace(
-    load_vehicle("sedan"), delta_max=0.6, Fxr_min=0.0, Fxr_max=1e4, delta_rate_max=2.0, Fxr_rate_max=3e4
-)
-CONFIG = MPCConfig(horizon=N)
+NUM = 256
+N = config().horizon
 
 
 @cache
 def ocp():
-    return drift_ocp(CONFIG, Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
-
-
-def starts() -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(0)
-    x = X_REF + 0.3 * rng.uniform(-1, 1, (NUM, 3)) * np.array([1.0, 0.15, 0.25])
-    return x, U_REF + 0.3 * rng.uniform(-1, 1, (NUM, 2)) * np.array([0.08, 1000.0])
+    return drift_ocp(config(), WEIGHTS, car(), no_residual(zero_gp(4, 5, 3)))
 
 
 @cache
 def solved() -> MPCSolution:
-    x, before = starts()
+    x, before = starts(NUM)
     x = jnp.concatenate([jnp.asarray(x), jnp.zeros((NUM, 2))], axis=1)
     reference = Reference(*(jnp.full(N + 1, value) for value in (*X_REF, 0.0, 0.0, 0.0)))
     X = jnp.tile(jnp.array([*X_REF, 0.0, 0.0]), (N + 1, 1))
@@ -58,18 +48,19 @@ def test_every_start_converges_in_few_iterations():
 
 def test_input_and_rate_limits_hold_to_rounding():
     U = np.asarray(solved().U)
-    before = np.concatenate([starts()[1][:, None], U[:, :-1]], axis=1)
+    v = car()
+    before = np.concatenate([starts(NUM).previous[:, None], U[:, :-1]], axis=1)
     scale = np.array([1.0, 1e4])  # newtons have 1e4 times the rounding of radians
-    assert np.all((U - [CAR.delta_max, CAR.Fxr_max]) / scale <= 1e-12)
-    assert np.all(([-CAR.delta_max, CAR.Fxr_min] - U) / scale <= 1e-12)
-    rate = CONFIG.dt * np.array([CAR.delta_rate_max, CAR.Fxr_rate_max])
+    assert np.all((U - [v.delta_max, v.Fxr_max]) / scale <= 1e-12)
+    assert np.all(([-v.delta_max, v.Fxr_min] - U) / scale <= 1e-12)
+    rate = config().dt * np.array([v.delta_rate_max, v.Fxr_rate_max])
     assert np.all((np.abs(U - before) - rate) / scale <= 1e-12)
     assert np.any(np.abs(U - before) > 0.99 * rate)  # else the limits would not have been tested
 
 
 def test_ipopt_finds_the_same_cost():
-    run = drift_mpc_ipopt.solver(CAR, CONFIG, Weights(), X_REF)
-    found = [run(x, before) for x, before in zip(starts()[0], starts()[1] / [1.0, 1000.0], strict=True)]
-    assert all(success for _, success in found)
-    ours, theirs = np.asarray(solved().plan.cost), np.array([cost for cost, _ in found])
+    peer = Transcribed("ipopt", car(), config(), WEIGHTS, X_REF, 1e-8, compiled=False)
+    found = [peer.solve(x, before) for x, before in zip(*starts(NUM), strict=True)]
+    assert all(one.success for one in found)
+    ours, theirs = np.asarray(solved().plan.cost), np.array([one.cost for one in found])
     assert np.mean(np.abs(ours - theirs) <= 1e-3 * theirs) >= 0.99

@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import oracle
 import pytest
 
 from driftjax.core import RESULTS, BadInput, Control, State, rk4_step
@@ -19,6 +18,7 @@ from driftjax.plan.problem import MinimumTime
 from driftjax.plan.stages import device, guesses, stages, tight_corners
 from driftjax.track import corner, load_track, playground
 from driftjax.vehicle import load_vehicle
+from experiments.bench.casadi_plan import Transcribed
 
 G = 9.81
 
@@ -65,8 +65,8 @@ def compare_with_ipopt(found: Plan, track, vehicle, config):
     ds = at.s[1] - at.s[0]
     scale = np.asarray(problem(vehicle, config, stage, ds).scale)
     guess = guesses(at.s, stage, corners, vehicle, config)[0]
-    states, cost, stats = oracle.solve(vehicle, config, stage, ds, guess, scale)
-    assert stats["success"]
+    states, _, success = Transcribed(vehicle, config, stage, ds, scale).solve(guess)
+    assert success
     slowness = (1 - states[:, 3] * np.asarray(stage.kappa)[:, 0]) / (states[:, 0] * np.cos(states[:, 1] + states[:, 4]))
     time = np.sum(np.asarray(stage.share) * slowness) * ds
     assert float(found.lap_time) == pytest.approx(time, rel=3e-3)

@@ -1,0 +1,50 @@
+"""What a person may choose about the bench."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+from driftjax.core import require
+
+Part = Literal["mpc", "simulator", "gp", "plan", "laps", "compile"]
+PARTS: tuple[Part, ...] = ("mpc", "simulator", "gp", "plan", "laps", "compile")
+Dtype = Literal["float64", "float32"]
+
+
+@dataclass(frozen=True)
+class Config:
+    """Measure every fast part as a ratio against a peer in the same run."""
+
+    only: tuple[Part, ...] = PARTS
+    """Parts to measure."""
+    quick: bool = False
+    """Every row with tiny sizes and few repeats, in float64, without the compilations: shows that it runs, no more."""
+    dtype: tuple[Dtype, ...] = ("float64", "float32")
+    """Precisions of the MPC and the simulator; all else is in float64."""
+    batch: int = 256
+    """MPC problems, and closed-loop laps, side by side."""
+    cars: int = 65536
+    """Simulated cars side by side."""
+    repeats: int = 7
+    """Runs of each measurement; three of those that take minutes."""
+    threads: int = 2
+    """CPU threads of the batched MPC; peers use one. No effect on a GPU."""
+    workers: int = 2
+    """Processes of the closed-loop laps; 0 on a GPU."""
+    plots: bool = True
+    """Measure and draw how the costs grow with batch, horizon, and size of the Gaussian process."""
+
+    def __post_init__(self) -> None:
+        require(len(self.only) > 0, "key 'only' is empty; name at least one part.")
+        require(len(self.dtype) > 0, "key 'dtype' is empty; name at least one.")
+        for name in ("batch", "cars", "repeats", "threads"):
+            value = getattr(self, name)
+            require(value >= 1, f"key '{name}' is {value}; give at least 1.")
+        require(self.workers >= 0, f"key 'workers' is {self.workers}; give 0 or more.")
+
+    def reduced(self) -> "Config":
+        """The sizes of `quick`."""
+        only = tuple(part for part in self.only if part != "compile")
+        require(len(only) > 0, "the part 'compile' takes minutes and has no quick form; leave out --quick.")
+        small = {"dtype": ("float64",), "batch": 1, "cars": 256, "repeats": 2, "threads": 1, "workers": 0}
+        return dataclasses.replace(self, only=only, **small)

@@ -1,0 +1,62 @@
+"""The single track's step in C++ (`single_track.cpp`), compiled by g++ when it is asked for."""
+
+import ctypes
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from driftjax.vehicle import VehicleConfig
+
+SOURCE = Path(__file__).with_name("single_track.cpp")
+FLAGS = {
+    "vector": ["-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fopt-info-vec"],
+    "scalar": ["-O3", "-march=native", "-fno-tree-vectorize"],
+}
+
+
+PARAMETERS = ("m", "Iz", "a", "b", "mu", "B", "C")
+
+
+class _Car(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_double) for name in PARAMETERS]
+
+
+@dataclass(frozen=True)
+class Library:
+    """The compiled steps."""
+
+    loaded: ctypes.CDLL
+    vectorised: bool  # whether g++ says that it vectorised the loop, its sines and arc tangents included
+
+
+def compiled(kind: Literal["vector", "scalar"]) -> Library:
+    """Have g++ make the steps; `vector` lets it reorder sums and takes what this processor has."""
+    with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:
+        path = Path(folder) / f"{kind}.so"
+        command = ["g++", *FLAGS[kind], "-shared", "-fPIC", str(SOURCE), "-o", str(path), "-lm"]
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+        return Library(ctypes.CDLL(str(path)), "loop vectorized" in told)
+
+
+def stepper(
+    library: Library, v: VehicleConfig, columns: tuple[np.ndarray, ...]
+) -> Callable[[], tuple[np.ndarray, ...]]:
+    """Steps of cars given as V, beta, r, delta, Fxr, dt (n,) of one precision: V, beta, r (n,) one step later."""
+    dtype, n = columns[0].dtype, len(columns[0])
+    step = library.loaded[f"step_{dtype.name}"]
+    end = tuple(np.empty(n, dtype) for _ in range(3))
+    car = _Car(*(getattr(v, name) for name in PARAMETERS))
+    kept = tuple(map(np.ascontiguousarray, columns))
+    arrays = [ctypes.c_void_p(array.ctypes.data) for array in (*kept, *end)]
+
+    def run() -> tuple[np.ndarray, ...]:
+        step(ctypes.c_long(n), ctypes.byref(car), *arrays)
+        assert len(kept) == 6  # the arrays that the addresses are of live as long as this function
+        return end
+
+    return run
