@@ -83,6 +83,7 @@ def set_up_jax() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # who calls computes: threads beside each other as well
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small programs add up
     if jax.config.values["jax_compilation_cache_dir"] is None:  # JAX itself reads JAX_COMPILATION_CACHE_DIR
         jax.config.update("jax_compilation_cache_dir", os.path.expanduser("~/.cache/driftjax"))

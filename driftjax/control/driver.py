@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from driftjax.control.lane_solve import Answer, Posed, acceptable, answers
 from driftjax.control.lqr import LQR
-from driftjax.control.mpc import DriftOCP, predict, solve_mpc, within_limits
+from driftjax.control.mpc import DriftOCP, predict, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import Control, State, as_float, lag_step, require
@@ -123,8 +124,8 @@ class Driver(eqx.Module):
         X = predict(self.ocp, x, held, memory.reached, kappa)
         return jnp.where(memory.planned, memory.X, X), jnp.where(memory.planned, memory.U, held)
 
-    def plan(self, sensed: Sensed, memory: Memory, needed: Array) -> tuple[Decision, Memory]:
-        """One step of the drift MPC; where the solve fails, the last good plan, one step later.
+    def pose(self, sensed: Sensed, memory: Memory, needed: Array) -> Posed:
+        """What the drift MPC has to solve now.
 
         Where it is not `needed` no iteration is spent: a lane at rest must not hold up the batch.
         """
@@ -135,15 +136,18 @@ class Driver(eqx.Module):
         reference = self.table.reference(s)
         barrier = jnp.where(memory.planned, WARM_BARRIER, COLD_BARRIER)
         options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0))
-        solution = solve_mpc(self.ocp, x, memory.command, memory.reached, reference, X, U, options)
-        plan = solution.plan
-        solved = jnp.maximum(plan.kkt, plan.violation) <= ACCEPTABLE * options.tolerance  # False on NaN
+        return Posed(x, memory.command, memory.reached, reference, X, U, options)
+
+    def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:
+        """Command of the drift MPC; where the solve fails, that of the last good plan, one step later."""
+        X, U = posed.X, posed.U
+        solved = acceptable(found, posed.options, ACCEPTABLE)
         good = jnp.where(memory.planned, memory.good, U)  # before the first solve: the command held
-        good = jnp.where(solved, solution.U, within_limits(self.ocp, good, memory.command, share=0.0))
+        good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
         # an unfinished solve is still the better guess: the next one goes on from it
-        usable = jnp.all(jnp.isfinite(solution.X)) & jnp.all(jnp.isfinite(solution.U))
-        decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps)
-        guess = shift(jnp.where(usable, solution.X, X)), shift(jnp.where(usable, solution.U, U))
+        usable = jnp.all(jnp.isfinite(found.X)) & jnp.all(jnp.isfinite(found.U))
+        decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
+        guess = shift(jnp.where(usable, found.X, X)), shift(jnp.where(usable, found.U, U))
         return decision, Memory(good[0], memory.reached, *guess, shift(good), jnp.asarray(True), usable)
 
 
@@ -166,7 +170,9 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
 
     def drift():
         if drivers.kind == "mpc":
-            return each(lambda d, x, m, needed: d.plan(x, m, needed))(drivers, sensed, memory, engaged)
+            posed = each(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
+            found = answers(drivers.ocp, posed, engaged, ACCEPTABLE)
+            return each(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
         u = each(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))

@@ -1,58 +1,159 @@
-"""The drift MPC of the paper for batches: the three states it tracks, the nominal car, a batch on the last axis."""
+"""The drift MPC for batches, the batch on the last axis: the problem of `mpc.DriftOCP`, entry by entry."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from driftjax.control.mpc import MPCConfig, Reference, Weights
-from driftjax.core import Control, State, require, rk4_step
+from driftjax.control.lane_residual import Learnt, learnt
+from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
+from driftjax.core import Control, State, lag_step, rk4_step
+from driftjax.gp import zero_gp
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
-from driftjax.solve.sparse import Matrix, runge_kutta, runge_kutta_curvature
-from driftjax.vehicle import AnyCar, VehicleConfig, build_car
+from driftjax.solve.sparse import Matrix, column, dot, runge_kutta, runge_kutta_curvature, times, total
+from driftjax.track import curvilinear_rates
+from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_residual
 
 
 class DriftLanes(AbstractLanes):
-    """Eq. 10 (Wu et al. 2025): state (V, beta, r) in SI, inputs delta [rad] and Fxr in `Fxr_unit` newtons.
+    """Eq. 10 (Wu et al. 2025): inputs delta [rad] and Fxr in `Fxr_unit` newtons, state (V, beta, r) in SI.
 
-    Path and actuators are not in it: the paper's weights on the path are zero and its commands act at once. `params`
-    of the solver are the rows V, beta, r of a `Reference`.
+    Where the path is tracked (e, theta) follow, and where actuators lag, what they have reached. Parameters of the
+    solver are a `Reference` of components (N+1, batch). Leaves are (batch,), or (1,) where all lanes share them; those
+    of the residual have that axis in front. The residual is held over the Runge-Kutta stages.
     """
 
     car: AnyCar
     dt: Array
-    Q: Sequence[Array]  # weights on V, beta, r
+    Q: Sequence[Array]  # weights on V, beta, r, and e, theta where the path is tracked
     R: Sequence[Array]  # weights on the changes of delta and of Fxr in its unit
     lower: Sequence[Array]  # smallest delta and Fxr
     upper: Sequence[Array]
     rate: Sequence[Array]  # largest change per step
-    Fxr_unit: float = eqx.field(static=True, default=1000.0)
+    front_slip: Array | None  # weight on front slip beyond the tyre's peak; None for none
+    residual: Residual | None
+    lags: Sequence[Array] | None  # time constants of steering and drive [s]; None where commands act at once
+    Fxr_unit: Array  # [N]
 
-    def _rates(self, V: Array, beta: Array, r: Array, delta: Array, Fxr: Array) -> State:
-        return self.car(State(V, beta, r), Control(delta, self.Fxr_unit * Fxr))
+    def _rates(self, kappa: Array) -> Callable[..., list[Array]]:
+        """Rates of what is tracked by that, what acts, and the residual's rates where there are any."""
+        n = len(self.Q)
 
-    def step(self, x: Components, u: Components, p: Components) -> Components:
+        def rates(*w: Array) -> list[Array]:
+            found = list(self.car(State(*w[:3]), Control(w[n], self.Fxr_unit * w[n + 1])))
+            found = [a + b for a, b in zip(found, w[n + 2 :], strict=True)] if len(w) > n + 2 else found
+            return found if n == 3 else [*found, *curvilinear_rates(*w[:5], kappa)[1:]]
+
+        return rates
+
+    def _actuated(self, x: Components, u: Components) -> tuple[Components, Components]:
+        """What acts over a step, and what is reached at its end."""
+        if self.lags is None:
+            return u, []
+        moved = [lag_step(y, t, lag, self.dt) for y, t, lag in zip(x[len(self.Q) :], u, self.lags, strict=True)]
+        return [acting for acting, _ in moved], [end for _, end in moved]
+
+    def _shares(self) -> tuple[Components, Components]:
+        """Shares of what was reached in what acts over a step and in what is reached at its end."""
+        one = jnp.ones_like(self.dt)
+        kept = [lag_step(one, 0 * one, lag, self.dt) for lag in self.lags or ()]
+        return [mean for mean, _ in kept], [left for _, left in kept]
+
+    def _columns(self) -> list[tuple[int, Array | float]]:
+        """For each entry of (x, u) the entry of (tracked, acting) that it moves, and by how much."""
+        n, (mean, _) = len(self.Q), self._shares()
+        direct: list[tuple[int, Array | float]] = [(i, 1.0) for i in range(n)]
+        if self.lags is None:
+            return [*direct, (n, 1.0), (n + 1, 1.0)]
+        return [*direct, *((n + i, share) for i, share in enumerate(mean)),
+                *((n + i, 1 - share) for i, share in enumerate(mean))]  # fmt: skip
+
+    def step(self, x: Components, u: Components, p: Reference) -> Components:
         """Next state by one RK4 step."""
-        return list(rk4_step(lambda x: self._rates(*x, *u), State(*x), self.dt))
+        n, (acting, end) = len(self.Q), self._actuated(x, u)
+        around, rates = self.around(x, u, p), self._rates(p.kappa)
+        held = [] if around is None else around.d
+        return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
 
-    def linearise(self, x: Components, u: Components, p: Components) -> tuple[Components, Matrix]:
+    def around(self, X: Components, U: Components, p: Reference) -> Learnt | None:
+        """The residual at all stages."""
+        if self.residual is None:
+            return None
+        acting = self._actuated(X, U)[0]
+        return learnt(self.residual, [*X[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
+
+    def _moved(self, x: Components, u: Components, p: Reference, around: Learnt | None):
+        """What is tracked one step later, and its derivatives by (tracked, acting, residual's rates)."""
+        acting = self._actuated(x, u)[0]
+        held = [] if around is None else around.d
+        return runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
+
+    def linearise(self, x: Components, u: Components, p: Reference, around: Learnt | None) -> tuple[Components, Matrix]:
         """Next state and its derivatives, chained over the stages of the RK4 step."""
-        return runge_kutta(self._rates, x, u, self.dt)
+        n, reached = len(self.Q), self._actuated(x, u)[1]
+        y, M = self._moved(x, u, p, around)
+        if around is not None:
+            J = self._wide(around.J)
+            M = [[total((row[j], dot(row[n + 2 :], column(J, j)))) for j in range(n + 2)] for row in M]
+        M = [[times(share, row[j]) for j, share in self._columns()] for row in M]
+        left = self._shares()[1]
+        blank = [None] * (len(x) + len(u))
+        for i, share in enumerate(left):
+            row = list(blank)
+            row[n + i], row[len(x) + i] = share + jnp.zeros_like(x[0]), 1 - share + jnp.zeros_like(x[0])
+            M.append(row)
+        return [*y, *reached], M
 
-    def curvature(self, x: Components, u: Components, costate: Components, p: Components) -> Matrix:
+    def _wide(self, J: Matrix) -> Matrix:
+        """Derivatives by (V, beta, r, acting) as those by (tracked, acting)."""
+        return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
+
+    def curvature(
+        self, x: Components, u: Components, costate: Components, p: Reference, around: Learnt | None
+    ) -> Matrix:
         """Exact second derivatives of the RK4 step."""
-        return runge_kutta_curvature(self._rates, x, u, self.dt, costate)
+        n, acting = len(self.Q), self._actuated(x, u)[0]
+        held = [] if around is None else around.d
+        rates, costate = self._rates(p.kappa), costate[:n]
+        H = runge_kutta_curvature(rates, x[:n], [*acting, *held], self.dt, costate)
+        if around is not None:
+            weight = [dot(costate, column(self._moved(x, u, p, around)[1], n + 2 + k)) for k in range(3)]
+            H = self._with_residual(H, around, weight)
+        columns = self._columns()
+        return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
 
-    def cost(self, x: Components, u: Components, p: Components) -> Array:
-        """Tracking of this state."""
-        return self.terminal(x, p)
+    def _with_residual(self, H: Matrix, around: Learnt, weight: Components) -> Matrix:
+        """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""
+        m = len(self.Q) + 2
+        J = self._wide(around.J)
+        bend = [self._wide([*self._wide_rows(h)]) for h in around.H]
+        W = [[total((H[i][j], dot(H[i][m:], column(J, j)))) for j in range(m)] for i in range(m + 3)]
+        return [
+            [total((W[i][j], dot(column(J, i), [W[m + k][j] for k in range(3)]),
+                    *(times(w, h[i][j]) for w, h in zip(weight, bend, strict=True)))) for j in range(m)]
+            for i in range(m)
+        ]  # fmt: skip
 
-    def terminal(self, x: Components, p: Components) -> Array:
+    def _wide_rows(self, H: Matrix) -> Matrix:
+        return [*H[:3], *[[None] * 5 for _ in range(len(self.Q) - 3)], *H[3:]]
+
+    def cost(self, x: Components, u: Components, p: Reference) -> Array:
+        """Tracking of this state, and front slip beyond the peak."""
+        tracking = self.terminal(x, p)
+        if self.front_slip is None:
+            return tracking
+        delta, Fxr = self._actuated(x, u)[0]
+        return (
+            tracking + self.front_slip * beyond_peak(self.car, State(*x[:3]), Control(delta, self.Fxr_unit * Fxr)) ** 2
+        )
+
+    def terminal(self, x: Components, p: Reference) -> Array:
         """Tracking of this state."""
-        V, beta, r = (q * (a - b) ** 2 for q, a, b in zip(self.Q, x, p, strict=True))
-        return V + beta + r
+        aims = (p.V, p.beta, p.r, p.e, p.theta)
+        return jnp.asarray(sum(q * (a - b) ** 2 for q, a, b in zip(self.Q, x, aims, strict=False)))
 
     def rate_weight(self) -> Sequence[Array]:
         """Weights of the changes of the inputs."""
@@ -67,25 +168,44 @@ class DriftLanes(AbstractLanes):
         return [(-rate, rate) for rate in self.rate]
 
 
-def drift_lanes(config: MPCConfig, weights: Weights, vehicle: VehicleConfig, dtype: type = float) -> DriftLanes:
-    """The problem of one car in one precision; weights on path and front slip must be the paper's zeros."""
-    require(weights.Q_path == (0.0, 0.0) and weights.front_slip == 0.0, "batched solves have no weights on the path.")
-    unit = config.Fxr_unit
-    pair = lambda delta, Fxr: [jnp.asarray(value, dtype) for value in (delta, Fxr / unit)]
-    lower, upper, rate = vehicle.command_limits()
-    car = jax.tree.map(lambda leaf: leaf.astype(dtype), build_car(vehicle))
+def lanes_of(
+    ocp: DriftOCP,
+    Fxr_unit: Array,
+    *,
+    path: bool = True,
+    front_slip: bool = True,
+    residual: bool = True,
+    lags: bool = True,
+) -> DriftLanes:
+    """The problems of `ocp`, whose leaves have a leading axis of lanes as `Fxr_unit` has, with what matters of them."""
+    unit = jnp.stack([jnp.ones_like(Fxr_unit), Fxr_unit], axis=-1)
+    split = lambda a: list(a.T)
     return DriftLanes(
-        car=car,
-        dt=jnp.asarray(config.dt, dtype),
-        Q=[jnp.asarray(q, dtype) for q in weights.Q],
-        R=[jnp.asarray(r, dtype) for r in config.R],
-        lower=pair(*lower),
-        upper=pair(*upper),
-        rate=pair(*(config.dt * r for r in rate)),
-        Fxr_unit=unit,
+        car=ocp.nominal,
+        dt=ocp.dt,
+        Q=split(ocp.Q)[: 5 if path else 3],
+        R=split(ocp.R * unit**2),
+        lower=split(ocp.lower / unit),
+        upper=split(ocp.upper / unit),
+        rate=split(ocp.rate / unit),
+        front_slip=ocp.front_slip if front_slip else None,
+        residual=ocp.residual if residual else None,
+        lags=split(ocp.residual.lags) if lags else None,
+        Fxr_unit=Fxr_unit,
     )
 
 
-def tracked(reference: Reference) -> Components:
-    """What `DriftLanes` tracks of a reference, as parameters of the solver."""
-    return [jnp.asarray(leaf) for leaf in (reference.V, reference.beta, reference.r)]
+def drift_lanes(
+    config: MPCConfig, weights: Weights, vehicle: VehicleConfig, residual: Residual | None = None, dtype: type = float
+) -> DriftLanes:
+    """The problem that all lanes share, in one precision, without what its weights and lags leave out."""
+    ocp = drift_ocp(config, weights, vehicle, no_residual(zero_gp(1, 5, 3)) if residual is None else residual)
+    wide = jax.tree.map(lambda a: a[None].astype(dtype) if eqx.is_inexact_array(a) else a[None], ocp)
+    return lanes_of(
+        wide,
+        jnp.full(1, config.Fxr_unit, dtype),
+        path=max(weights.Q_path) > 0,
+        front_slip=weights.front_slip > 0,
+        residual=residual is not None,
+        lags=bool(np.any(np.asarray(ocp.residual.lags) > 0)),
+    )

@@ -214,7 +214,7 @@ def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, 
     return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
 
 
-def _along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
+def along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
     """What steering and drive have reached at each stage [rad, N]."""
 
     def move(y, u):
@@ -237,7 +237,7 @@ def predict(
         after = ocp.step(scaled, u / ocp.u_scale, constant)[:5] * ocp.x_scale[:5]
         return after, after
 
-    return jnp.concatenate([x[None], jax.lax.scan(move, x, (U, _along(ocp, reached, U)[:-1]))[1]])
+    return jnp.concatenate([x[None], jax.lax.scan(move, x, (U, along(ocp, reached, U)[:-1]))[1]])
 
 
 class MPCSolution(eqx.Module):
@@ -263,7 +263,7 @@ def solve_mpc(
     `reached` so much, and the guess `X`, `U`, all SI."""
     U = within_limits(ocp, U, previous)
     before = jnp.concatenate([previous[None], U])
-    guess = jnp.concatenate([X, before, _along(ocp, reached, U)], axis=1) / ocp.x_scale
+    guess = jnp.concatenate([X, before, along(ocp, reached, U)], axis=1) / ocp.x_scale
     start = jnp.concatenate([x, previous, reached]) / ocp.x_scale
     plan = solve(ocp, start, reference, guess, U / ocp.u_scale, options)
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away

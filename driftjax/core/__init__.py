@@ -4,6 +4,7 @@ from driftjax.core.atomic import write_atomically as write_atomically
 from driftjax.core.blocks import Blocks as Blocks
 from driftjax.core.blocks import Rehearsal as Rehearsal
 from driftjax.core.blocks import num_workers as num_workers
+from driftjax.core.blocks import threads as threads
 from driftjax.core.blocks import workers as workers
 from driftjax.core.config import find_config as find_config
 from driftjax.core.config import from_dict as from_dict

@@ -1,11 +1,11 @@
-"""Lanes computed in blocks beside each other: in worker processes on a CPU, all in one call on a GPU."""
+"""Lanes computed in blocks beside each other: in worker processes or threads on a CPU, in one call on a GPU."""
 
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
@@ -20,7 +20,12 @@ from jaxtyping import PyTree
 from driftjax.core.programs import call, prepare
 
 T = TypeVar("T")
-SETTINGS = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+SETTINGS = (
+    "jax_enable_x64",
+    "jax_cpu_enable_async_dispatch",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+)
 
 
 class Blocks:
@@ -28,10 +33,11 @@ class Blocks:
 
     A CPU gains nothing from more than one lane per call: it takes as long per lane, and all lanes of a call iterate
     until the slowest has converged. Blocks of one also give the same bits in every batch and on any number of
-    workers, and compile one shape only. A GPU wants all lanes in one call: `size` None.
+    workers, and compile one shape only. Long elementwise programs of thousands of lanes are the exception: see
+    `threads`. A GPU wants all lanes in one call: `size` None.
     """
 
-    def __init__(self, size: int | None = 1, pool: ProcessPoolExecutor | None = None):
+    def __init__(self, size: int | None = 1, pool: Executor | None = None):
         self.size, self.pool = size, pool
 
     def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
@@ -121,10 +127,11 @@ def num_workers(lanes: int) -> int:
 
 
 @contextmanager
-def workers(num: int) -> Iterator[Blocks]:
-    """Blocks computed by `num` processes, which end with the context however it is left; 0 stays in this process."""
+def workers(num: int, size: int = 1) -> Iterator[Blocks]:
+    """Blocks of `size` lanes computed by `num` processes, which end with the context however it is left; 0 stays in
+    this process."""
     if num == 0:
-        yield Blocks(1 if jax.default_backend() == "cpu" else None)
+        yield Blocks(size if jax.default_backend() == "cpu" else None)
         return
     settings = {name: jax.config.values[name] for name in SETTINGS}
     before = set(multiprocessing.active_children())
@@ -132,11 +139,22 @@ def workers(num: int) -> Iterator[Blocks]:
     for _ in range(num):
         pool.submit(os.getpid)  # the pool starts its processes on demand: let them load now
     try:
-        yield Blocks(1, pool)
+        yield Blocks(size, pool)
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
+
+
+def threads(lanes: int, num: int) -> Blocks:
+    """Blocks of `lanes` lanes in as many equal parts as there are threads of this process.
+
+    For programs without LAPACK calls, elementwise over so many lanes that one call keeps a core busy for longer than
+    it takes to begin. A thread computes its own part only where JAX does not dispatch in the background
+    (`jax_cpu_enable_async_dispatch` false, as the command line has it). On a GPU all lanes are one block.
+    """
+    alone = num == 1 or jax.default_backend() != "cpu"
+    return Blocks(None) if alone else Blocks(-(-lanes // num), ThreadPoolExecutor(num))
 
 
 def _begin(settings: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib.metadata
 import pickle
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,12 +60,15 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"], _sources())
     text = repr((function.__module__, function.__qualname__, structure, traced, shapes, static, around))
     name = f"{function.__qualname__}-{hashlib.sha256(text.encode()).hexdigest()}"
-    if name not in _programs:
-        plain = _Plain(function, structure, static, traced)
-        # a value that prints as an address is not the same in another process; a GPU needs calls that cannot be kept
-        folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
-        lowered, skeleton = _lowered(plain, arrays) if folder is None else _kept(folder / name, plain, arrays)
-        _programs[name] = lowered.compile(), skeleton, plain
+    with _locks_guard:
+        lock = _locks.setdefault(name, threading.Lock())
+    with lock:  # of several threads one compiles
+        if name not in _programs:
+            plain = _Plain(function, structure, static, traced)
+            # a value that prints as an address is another in each process; a GPU needs calls that cannot be kept
+            folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
+            lowered, skeleton = _lowered(plain, arrays) if folder is None else _kept(folder / name, plain, arrays)
+            _programs[name] = lowered.compile(), skeleton, plain
     run, skeleton, _ = _programs[name]
     return run, arrays, skeleton
 
@@ -103,6 +107,8 @@ class _Plain:
 
 # The function is held as well: while it lives no other can take the address that its name may hold.
 _programs: dict[str, tuple[Compiled, PyTree, _Plain]] = {}
+_locks: dict[str, threading.Lock] = {}
+_locks_guard = threading.Lock()
 
 
 def _lowered(plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:

@@ -6,6 +6,7 @@ from driftjax.gp.fit import fit as fit
 from driftjax.gp.kernel import KERNELS as KERNELS
 from driftjax.gp.model import GP as GP
 from driftjax.gp.model import Hyper as Hyper
+from driftjax.gp.model import bounded as bounded
 from driftjax.gp.model import condition as condition
 from driftjax.gp.model import scales as scales
 from driftjax.gp.model import zero_gp as zero_gp

@@ -24,6 +24,11 @@ def faded(near: Array) -> Array:
     return -jnp.expm1(-FADE_RATE * near)
 
 
+def bounded(mean: Array, near: Array, reach: Array) -> Array:
+    """`mean` faded out where the nearness of the data is small, and never beyond `reach`; smooth."""
+    return reach * saturate(faded(near) * mean / reach)
+
+
 def taylor(dz: Array, value: Array, gradient: Array, hessian: Array | None = None) -> Array:
     """Polynomial of first or second degree at the offset `dz` (nf,)."""
     first = value + gradient @ dz
@@ -104,7 +109,7 @@ class GP(eqx.Module):
 
         Smooth: a hard limit has a kink at which a solver of optimality conditions cannot converge.
         """
-        return self._bounded(self.mean(z), jnp.sum(self._nearness(z)))
+        return bounded(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
 
     def local_bounded_mean(self, z: Array, order: int) -> Array:
         """`bounded_mean` for differentiation: derivatives in `z` up to `order` (1 or 2) exact, those beyond not.
@@ -116,12 +121,13 @@ class GP(eqx.Module):
         mean, near = self._mean_derivatives(at), self._nearness_derivatives(at)
         if order == 1:
             mean, near = mean[:2], near[:2]
-        return self._bounded(taylor(z - at, *mean), taylor(z - at, *near))
+        return bounded(taylor(z - at, *mean), taylor(z - at, *near), self.reach)
 
-    def _bounded(self, mean: Array, near: Array) -> Array:
+    @property
+    def reach(self) -> Array:
+        """(D,): twice the largest target seen, which no `bounded_mean` exceeds."""
         largest = jnp.maximum(-self.lower, self.upper)
-        limit = jnp.where(largest > 0, 2 * largest, 1.0)
-        return limit * saturate(faded(near) * mean / limit)
+        return jnp.where(largest > 0, 2 * largest, 1.0)
 
     def _mean_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), its gradient (D, nf) and Hessian (D, nf, nf) at `z`."""

@@ -51,11 +51,15 @@ class AbstractLanes(eqx.Module):
         """Of each state of stages 1 to N; none unless overridden."""
         return ()
 
-    def linearise(self, x: Components, u: Components, p: PyTree) -> tuple[Components, Matrix]:
+    def around(self, X: Components, U: Components, p: PyTree) -> PyTree:
+        """What `linearise` and `curvature` read at the iterate, made for all stages (N, batch) at once; None unless
+        overridden."""
+
+    def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix]:
         """Next state and its derivatives [state][state and input]; to be overridden where there is a cheaper way."""
         return jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u)
 
-    def curvature(self, x: Components, u: Components, costate: Components, p: PyTree) -> Matrix:
+    def curvature(self, x: Components, u: Components, costate: Components, p: PyTree, around: PyTree) -> Matrix:
         """Second derivatives of `costate @ step` in (x, u); a cheaper model changes the speed, never the solution."""
 
         def weighed(*z: Array) -> Array:

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, PyTree
+from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.core.materialise import materialised
@@ -85,6 +85,7 @@ class _Stage(NamedTuple):
     slack: Components
     dual: Components
     p: Any
+    around: Any
 
 
 class _Swept(NamedTuple):
@@ -114,10 +115,10 @@ def _stage_back(ocp: AbstractLanes, barrier: Array, carry: _Swept, s: _Stage):
     one = s.u[0]
     change = [a - b for a, b in zip(s.u, s.before, strict=True)]
     g = _measured(gaps, s.u, change, s.after)
-    y, M = ocp.linearise(s.x, s.u, s.p)
+    y, M = ocp.linearise(s.x, s.u, s.p, s.around)
     defect = [a - b for a, b in zip(y, s.after, strict=True)]
     h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), s.p), *s.x, *s.u)
-    bend = ocp.curvature(s.x, s.u, s.costate, s.p)
+    bend = ocp.curvature(s.x, s.u, s.costate, s.p, s.around)
     H = [[total((a, b)) for a, b in zip(p, q, strict=True)] for p, q in zip(H, bend, strict=True)]
     weight = ocp.rate_weight() or [0.0] * nu
     inv = [1 / slack for slack in s.slack]
@@ -203,7 +204,15 @@ def _before(U: Components, u_before: Components) -> Components:
     return [jnp.concatenate([b[None], u[:-1]]) for u, b in zip(U, u_before, strict=True)]
 
 
-def _iterate(ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Components, tolerance: Array, loop: _Loop):
+def _open(kkt: Array, violation: Array, tolerance: Array, needed: Array) -> Array:
+    """Lanes still to be solved; one that is not a number any more holds up none."""
+    error = jnp.maximum(kkt, violation)
+    return needed & ~(error <= tolerance) & ~jnp.isnan(error)
+
+
+def _iterate(
+    ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Components, tolerance: Array, needed: Array, loop: _Loop
+):
     it, barrier = loop.lanes, loop.barrier
     zero = jnp.zeros_like(barrier)
     nx, nu = len(it.X), len(it.U)
@@ -212,7 +221,8 @@ def _iterate(ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Compone
     blank = lambda n, m: [[zero] * m for _ in range(n)]
     begin = _Swept(Value(P, blank(nx, nu), blank(nu, nu), grad, [zero] * nu), grad, [zero] * nu, zero, zero, zero)
     head, tail = [x[:-1] for x in it.X], [x[1:] for x in it.X]
-    read = _Stage(head, it.U, _before(it.U, u_before), tail, it.costates, it.slack, it.dual, stages)
+    around = materialised(ocp.around)(head, it.U, stages)
+    read = _Stage(head, it.U, _before(it.U, u_before), tail, it.costates, it.slack, it.dual, stages, around)
     back = materialised(lambda carry, s: _stage_back(ocp, barrier, carry, s))
     swept, (system, ahead, misfit) = jax.lax.scan(back, begin, read, reverse=True)
     num = it.costates[0].shape[0] * (nx + len(it.dual))
@@ -223,7 +233,7 @@ def _iterate(ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Compone
         forth, start, (system, ahead, misfit, it.slack, it.dual)
     )
     tiny = 1e-12
-    open_ = ~(jnp.maximum(kkt, swept.violation) <= tolerance)
+    open_ = _open(kkt, swept.violation, tolerance, needed)
     step = jnp.where(open_, jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(reached.primal, tiny)), 0.0)
     dual = jnp.where(open_, jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(reached.dual, tiny)), 0.0)
     move = lambda values, steps, length: [v + length * d for v, d in zip(values, steps, strict=True)]
@@ -267,10 +277,12 @@ def solve_lanes(
     X: Float[Array, "nx N+1 batch"],
     U: Float[Array, "nu N batch"],
     options: Options,
+    needed: Bool[Array, " batch"] | None = None,
 ) -> LanePlans:
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
-    A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance.
+    A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance. Lanes that are
+    not `needed` stay at their guess and hold up none; the first barrier may be one of each lane (batch,).
     """
     dtype = U[0].dtype
     tolerance, barrier = options.tolerance.astype(dtype), options.barrier.astype(dtype)
@@ -279,11 +291,12 @@ def solve_lanes(
     large = jnp.full_like(U[0][0], jnp.inf)
     loop = _Loop(lanes, jnp.full_like(large, barrier), large, large, jnp.zeros((), jnp.int32))
 
-    def unfinished(s: _Loop):
-        open_ = ~(jnp.maximum(s.kkt, s.violation) <= tolerance)
-        return jnp.any(open_) & (s.num_steps < options.max_steps)
+    needed = jnp.full_like(large, True, bool) if needed is None else needed
 
-    end = jax.lax.while_loop(unfinished, lambda s: _iterate(ocp, stages, last, before, tolerance, s), loop)
+    def unfinished(s: _Loop):
+        return jnp.any(_open(s.kkt, s.violation, tolerance, needed)) & (s.num_steps < options.max_steps)
+
+    end = jax.lax.while_loop(unfinished, lambda s: _iterate(ocp, stages, last, before, tolerance, needed, s), loop)
     done = jnp.maximum(end.kkt, end.violation) <= tolerance
     finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
     result = jax.vmap(_result)(done, finite)

@@ -30,13 +30,13 @@ class _Quadratic(AbstractLanes):
     ocp: AbstractLanes
 
     def step(self, x: Components, u: Components, p: _Model) -> Components:
-        return self.linearise(x, u, p)[0]
+        return self.linearise(x, u, p, None)[0]
 
-    def linearise(self, x: Components, u: Components, p: _Model) -> tuple[Components, Matrix]:
+    def linearise(self, x: Components, u: Components, p: _Model, around: None) -> tuple[Components, Matrix]:
         away = [a - b for a, b in zip((*x, *u), p.z, strict=True)]
         return [jnp.asarray(total((y, dot(row, away)))) for y, row in zip(p.y, p.M, strict=True)], p.M
 
-    def curvature(self, x: Components, u: Components, costate: Components, p: _Model) -> Matrix:
+    def curvature(self, x: Components, u: Components, costate: Components, p: _Model, around: None) -> Matrix:
         return [[None] * len(p.z) for _ in p.z]
 
     def cost(self, x: Components, u: Components, p: _Model) -> Array:
@@ -69,7 +69,7 @@ def _models(ocp: AbstractLanes, X: Components, U: Components, params: PyTree) ->
     """Stages 0..N-1 at once, and in the row N the expansion of the terminal cost."""
     n, head = len(X), [x[:-1] for x in X]
     stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
-    y, M = ocp.linearise(head, U, stages)
+    y, M = ocp.linearise(head, U, stages, ocp.around(head, U, stages))
     h, H = hessian(lambda *z: ocp.cost(list(z[:n]), list(z[n:]), stages), *head, *U)
     hN, HN = hessian(lambda *x: ocp.terminal(list(x), last), *(x[-1] for x in X))
     zero = jnp.zeros_like(U[0][0])

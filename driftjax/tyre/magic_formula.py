@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import as_float
+from driftjax.core.elementary import arctan, sin
 
 SLIP_FLOOR = 1e-4  # added in quadrature to the slip, so that its direction has a finite gradient at zero slip [-]
 
@@ -41,6 +42,6 @@ class MagicFormula(eqx.Module):
         slip = self.slip_ratio * kappa
         rho = jnp.sqrt(slip**2 + alpha**2 + SLIP_FLOOR**2)
         x = self.B * rho
-        shape = jnp.sin(self.C * jnp.arctan(x - self.E * (x - jnp.arctan(x))))
+        shape = sin(self.C * arctan(x - self.E * (x - arctan(x))))
         gain = self.friction(Fz, Fz0) * Fz * shape / rho
         return gain * slip, -gain * alpha

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import as_float
+from driftjax.core.elementary import arctan, sin
 
 
 class SimplifiedPacejka(eqx.Module):
@@ -16,7 +17,7 @@ class SimplifiedPacejka(eqx.Module):
 
     def lateral(self, alpha: Array, Fz: Array) -> Array:
         """Lateral force [N], left positive, at slip angle `alpha` [rad] and vertical load `Fz` [N]."""
-        return -self.mu * Fz * jnp.sin(self.C * jnp.arctan(self.B * alpha))
+        return -self.mu * Fz * sin(self.C * arctan(self.B * alpha))
 
     @property
     def alpha_peak(self) -> Array:

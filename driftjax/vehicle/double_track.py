@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from driftjax.core import Control, as_float, rk4_step
+from driftjax.core.elementary import arctan2, sincos
 from driftjax.tyre import MagicFormula
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
@@ -88,8 +89,8 @@ class DoubleTrack(eqx.Module):
         """Forces in `state`: slip and load at each wheel, tyre forces, their sum on the body with drag."""
         chassis, wheels = self.chassis, self.wheels
         px, py = chassis.positions()
-        steer = state.delta * jnp.array(STEERED)
-        sin, cos = jnp.sin(steer), jnp.cos(steer)
+        steer = state.delta * jnp.array(STEERED, state.delta.dtype)
+        sin, cos = sincos(steer)
         hub_x, hub_y = state.vx - state.r * py, state.vy + state.r * px
         v, w = cos * hub_x + sin * hub_y, cos * hub_y - sin * hub_x
         kappa, alpha = state.kappa, state.alpha
@@ -121,7 +122,7 @@ class DoubleTrack(eqx.Module):
         """Time derivative of `state` under `command`."""
         force, chassis = self.forces(state), self.chassis
         delta_rate, drive_rate = self.actuators.rates(state.delta, state.drive, command)
-        sin, cos = jnp.sin(state.psi), jnp.cos(state.psi)
+        sin, cos = sincos(state.psi)
         return PlantState(
             x=cos * state.vx - sin * state.vy,
             y=sin * state.vx + cos * state.vy,
@@ -142,7 +143,7 @@ class DoubleTrack(eqx.Module):
         """State after `dt` [s] of held `command`: classical Runge-Kutta in `num_substeps` equal steps."""
         flat, unravel = ravel_pytree(state)
         rates = lambda z: ravel_pytree(self.rates(unravel(z), command))[0]
-        step = as_float(dt) / num_substeps
+        step = jnp.asarray(dt, flat.dtype) / num_substeps
         last, _ = jax.lax.scan(lambda z, _: (rk4_step(rates, z, step), None), flat, length=num_substeps)
         return unravel(last)
 
@@ -151,7 +152,7 @@ class DoubleTrack(eqx.Module):
         del command
         force = self.forces(state)
         V = jnp.sqrt(state.vx**2 + state.vy**2 + 1e-12)
-        beta = jnp.arctan2(state.vy, jnp.where(V < 2e-6, 1e-6, state.vx))  # atan2(0, 0) has no gradient
+        beta = arctan2(state.vy, jnp.where(V < 2e-6, 1e-6, state.vx))  # atan2(0, 0) has no gradient
         return Motion(V, beta, state.r, state.x, state.y, state.psi, force.ax, force.ay, state.delta, force.drive,
                       state.omega)  # fmt: skip
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State, as_float
+from driftjax.core.elementary import arctan2, cos, sincos
 from driftjax.tyre import SimplifiedPacejka
 
 G = 9.81  # gravitational acceleration [m/s^2]
@@ -49,10 +50,11 @@ class SingleTrack(eqx.Module):
 
     def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
         """Front and rear slip angle [rad] (Eq. 3, with atan2, so that V = 0 stays finite)."""
-        vx, vy = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)
+        sin_beta, cos_beta = sincos(x.beta)
+        vx, vy = x.V * cos_beta, x.V * sin_beta
         vx = jnp.where(jnp.abs(vx) < V_FLOOR, V_FLOOR, vx)
-        alpha_f = jnp.arctan2(vy + self.a * x.r, vx) - u.delta
-        alpha_r = jnp.arctan2(vy - self.b * x.r, vx)
+        alpha_f = arctan2(vy + self.a * x.r, vx) - u.delta
+        alpha_r = arctan2(vy - self.b * x.r, vx)
         return alpha_f, alpha_r
 
     def lateral_forces(self, x: State, u: Control) -> tuple[Array, Array]:
@@ -68,10 +70,10 @@ class SingleTrack(eqx.Module):
     def rates(self, x: State, u: Control, Fyf: Array, Fyr: Array) -> State:
         """Time derivative of `x` under these lateral forces of the axles in the wheel frames [N]."""
         V = jnp.maximum(x.V, V_FLOOR)
-        sin, cos = jnp.sin(x.beta), jnp.cos(x.beta)
-        front = u.delta - x.beta
+        sin_beta, cos_beta = sincos(x.beta)
+        sin_front, cos_front = sincos(u.delta - x.beta)
         return State(
-            V=(-Fyf * jnp.sin(front) + Fyr * sin + u.Fxr * cos) / self.m,
-            beta=(Fyf * jnp.cos(front) + Fyr * cos - u.Fxr * sin) / (self.m * V) - x.r,
-            r=(self.a * Fyf * jnp.cos(u.delta) - self.b * Fyr) / self.Iz,
+            V=(-Fyf * sin_front + Fyr * sin_beta + u.Fxr * cos_beta) / self.m,
+            beta=(Fyf * cos_front + Fyr * cos_beta - u.Fxr * sin_beta) / (self.m * V) - x.r,
+            r=(self.a * Fyf * cos(u.delta) - self.b * Fyr) / self.Iz,
         )

@@ -53,13 +53,13 @@ class Wheels(eqx.Module):
         turn a wheel backwards. Drive inertia resists the mean of the rear wheels only.
         """
         facing = jnp.tanh(omega * self.radius / self.creep_speed)
-        rear = jnp.array([0.0, 0.0, 0.5, 0.5])
+        rear = jnp.array([0.0, 0.0, 0.5, 0.5], omega.dtype)
         push = rear * (jnp.maximum(drive, 0) + jnp.minimum(drive, 0) * facing)
         torque = self.radius * (push - Fx - self.rolling_resistance * Fz * facing)
         difference = omega[2] - omega[3]
         friction = self.diff_preload + self.diff_bias * self.radius * jnp.abs(drive)
         locking = self.diff_coupling * difference + friction * jnp.tanh(difference / self.diff_speed)
-        torque = torque + locking * jnp.array([0.0, 0.0, -1.0, 1.0])
+        torque = torque + locking * jnp.array([0.0, 0.0, -1.0, 1.0], omega.dtype)
         mean = (torque[2] + torque[3]) / 2
         shared = mean * (1 / (self.inertia + self.drive_inertia / 2) - 1 / self.inertia)
         return torque / self.inertia + shared * (2 * rear)

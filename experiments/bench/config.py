@@ -28,7 +28,7 @@ class Config:
     repeats: int = 7
     """Runs of each measurement; three of those that take minutes."""
     threads: int = 2
-    """CPU threads of the batched MPC; peers use one. No effect on a GPU."""
+    """CPU threads of the batched MPC and of the simulator; peers use one. No effect on a GPU."""
     workers: int = 2
     """Processes of the closed-loop laps; 0 on a GPU."""
     plots: bool = True

@@ -11,11 +11,11 @@ import numpy as np
 from jax import Array
 
 from driftjax.control.lanes import DriftLanes, drift_lanes
-from driftjax.control.mpc import DriftOCP, Reference, drift_ocp, solve_mpc
+from driftjax.control.mpc import Reference
 from driftjax.core import RESULTS
-from driftjax.gp import GP, Hyper, condition, scales, zero_gp
-from driftjax.solve import Options, Plan, real_time_iteration, solve_lanes
-from driftjax.vehicle import Residual, no_residual
+from driftjax.gp import GP, Hyper, condition, scales
+from driftjax.solve import Options, real_time_iteration, solve_lanes
+from driftjax.vehicle import Residual
 from experiments.bench.config import Dtype
 from experiments.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, residual_rows
 
@@ -36,20 +36,23 @@ def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, t
     """Solves from states (3, n) and last commands (2, n); the guess is the reference with the last command held."""
     x, previous = starts
     n = x.shape[1]
-    reference = [jnp.full((N + 1, 1), value, x.dtype) for value in X_REF]
-    X = jnp.stack([jnp.broadcast_to(row, (N + 1, n)) for row in reference])
+    reference = Reference(*(jnp.full((N + 1, 1), value, x.dtype) for value in (*X_REF, 0.0, 0.0, 0.0)))
+    X = jnp.stack([jnp.full((N + 1, n), value, x.dtype) for value in X_REF])
     solve = real_time_iteration if kind == "rti" else solve_lanes
     U = jnp.broadcast_to(previous[:, None], (2, N, n))
     plans = solve(ocp, x, previous, reference, X, U, Options(tolerance, BARRIER, MAX_STEPS))
     return Solved(plans.cost, plans.result == RESULTS.successful)
 
 
-def ours(kind: Kind, starts: Starts, dtype: Dtype, *, horizon: int = HORIZON, threads: int = 1) -> Callable[[], Solved]:
-    """The solves of all `starts`, in equal parts on as many threads, ready to be run."""
-    problem = drift_lanes(config(horizon), WEIGHTS, car(), jnp.dtype(dtype).type)
+def ours(
+    kind: Kind, starts: Starts, dtype: Dtype, *, horizon: int = HORIZON, threads: int = 1, gp: GP | None = None
+) -> Callable[[], Solved]:
+    """The solves of all `starts`, in equal parts on as many threads, with `gp` in the dynamics, ready to be run."""
+    residual = None if gp is None else Residual(gp, jnp.ones(3), jnp.zeros(2))
+    problem = drift_lanes(config(horizon), WEIGHTS, car(), residual, jnp.dtype(dtype).type)
     num = len(starts.x)
     parts = threads if num % threads == 0 else 1
-    x, previous = starts.x.T, (starts.previous / [1.0, problem.Fxr_unit]).T
+    x, previous = starts.x.T, (starts.previous / [1.0, config(horizon).Fxr_unit]).T
     cut = [(jnp.asarray(x[:, i::parts], dtype), jnp.asarray(previous[:, i::parts], dtype)) for i in range(parts)]
     pool = ThreadPoolExecutor(parts)
 
@@ -60,30 +63,6 @@ def ours(kind: Kind, starts: Starts, dtype: Dtype, *, horizon: int = HORIZON, th
         return jax.tree.map(whole, *found)
 
     return run
-
-
-@eqx.filter_jit
-def _with_gp(ocp: DriftOCP, x: Array, previous: Array) -> Solved:
-    """Converged solves from `x` (n, 3) and `previous` (n, 2) by the safeguarded solver of closed-loop laps."""
-    N, options = ocp.horizon, Options(TOLERANCE, BARRIER, MAX_STEPS)
-    at = jnp.asarray([*X_REF, 0.0, 0.0])
-    reference = Reference(*(jnp.full(N + 1, value) for value in (*at, 0.0)))
-    X = jnp.tile(at, (N + 1, 1))
-
-    def one(x: Array, previous: Array) -> Plan:
-        x, U = jnp.concatenate([x, jnp.zeros(2)]), jnp.tile(previous, (N, 1))
-        return solve_mpc(ocp, x, previous, previous, reference, X, U, options).plan
-
-    plan = jax.vmap(one)(x, previous)
-    return Solved(plan.cost, plan.result == RESULTS.successful)
-
-
-def safeguarded(starts: Starts, *, horizon: int = HORIZON, gp: Callable[[], GP] | None = None) -> Callable[[], Solved]:
-    """The solver of closed-loop laps, path and actuators in the state; with what `gp` makes in the dynamics."""
-    residual = no_residual(zero_gp(1, 5, 3)) if gp is None else Residual(gp(), jnp.ones(3), jnp.zeros(2))
-    problem = drift_ocp(config(horizon), WEIGHTS, car(), residual)
-    x, previous = (jnp.asarray(side) for side in starts)
-    return lambda: _with_gp(problem, x, previous)
 
 
 def learnt(num: int) -> GP:

@@ -6,10 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from driftjax.gp import GP
 from experiments.bench.config import Config, Dtype
 from experiments.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
-from experiments.bench.mpc import TOLERANCES, Kind, Solved, learnt, ours, safeguarded
+from experiments.bench.mpc import TOLERANCES, Kind, Solved, learnt, ours
 from experiments.bench.peers import PEERS, Solver, missing
 from experiments.bench.rows import Curve, Keeping, Measured, Row, Timing, alternate, timed
 
@@ -119,12 +118,12 @@ def _facts(kind: Kind, found: Solved, peers: dict[Solver, Peer]) -> dict[str, fl
 def _gp_row(cfg: Config, problems: Starts, horizon: int) -> Row:
     """What a Gaussian process in the dynamics adds."""
     num = 1 if cfg.quick else GP_SIZE  # a size that is compiled anyway
-    solve = partial(safeguarded, problems, horizon=horizon)
-    with_gp, without = Keeping(solve(gp=partial(learnt, num))), solve()
+    solve = partial(ours, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
+    with_gp, without = Keeping(solve(gp=learnt(num))), solve()
     calls = {"with": timed(with_gp, cfg.batch), "without": timed(without, cfg.batch)}
     times = alternate(cfg.repeats, calls)
     facts = {"solved": float(np.mean(with_gp.last.solved)), "batch": cfg.batch, "dtype": "float64", "points": num}
-    what = f"converged as in closed loop, batch {cfg.batch}, with a {num}-point Gaussian process in the dynamics"
+    what = f"converged, batch {cfg.batch}, with a {num}-point Gaussian process in the dynamics"
     return Row("mpc", what, "solve", times["with"], "without it", times["without"], "costs", GP_TARGET, facts=facts)
 
 
@@ -140,17 +139,14 @@ def _curves(cfg: Config, problems: Starts, horizon: int) -> list[Curve]:
             _curve(cfg, "mpc_batch", f"driftjax, {name}", "problems side by side", batches, at_once),
             _curve(cfg, "mpc_horizon", f"driftjax, {name}, {many}", "horizon [steps]", horizons, ahead),
         ]
-    learnt_from = lambda n: timed(safeguarded(problems, horizon=horizon, gp=_points(n)), cfg.batch)
+    solve = partial(ours, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
+    learnt_from = lambda n: timed(solve(gp=learnt(n) if n else None), cfg.batch)
     of_gp = "points of the Gaussian process"
-    curves.append(_curve(cfg, "mpc_gp", f"driftjax, closed-loop laps, {many}", of_gp, sizes, learnt_from))
+    curves.append(_curve(cfg, "mpc_gp", f"driftjax, converged, {many}", of_gp, sizes, learnt_from))
     if not missing("casadi") and not cfg.quick:
         alone = lambda n: Peer("fatrop", starts(32), n).run
         curves.append(_curve(cfg, "mpc_horizon", f"{PEERS['fatrop']}, converged", "horizon [steps]", horizons, alone))
     return curves
-
-
-def _points(num: int) -> Callable[[], GP] | None:
-    return partial(learnt, num) if num else None
 
 
 def _curve(

@@ -62,12 +62,13 @@ def measured(part: Part, cfg: Config) -> dict[str, Any]:
 def environment(part: Part, cfg: Config) -> dict[str, str]:
     """This process's, with this copy of the package first, one thread per peer, and the threads of the part."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    # only the MPC's programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
-    threads = str(cfg.threads if part == "mpc" else 1)
+    # only these programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
+    elementwise = part in ("mpc", "simulator")
+    threads = str(cfg.threads if elementwise else 1)
     own = {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": threads}
-    # its long elementwise expressions gain from kernels with several results, which are off by default
+    # their long elementwise expressions gain from kernels with several results, which are off by default
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
-    if part == "mpc" and jax.default_backend() == "cpu":
+    if elementwise and jax.default_backend() == "cpu":
         own["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {fused}".strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})

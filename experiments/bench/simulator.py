@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from driftjax.core import Control, State, rk4_step
+from driftjax.core import Control, State, rk4_step, threads
 from driftjax.vehicle import DoubleTrack, PlantState, SingleTrack, load_plant, load_vehicle
 from experiments.bench.config import Dtype
 from experiments.bench.drift import U_REF, U_SPREAD, X_REF, X_SPREAD
@@ -25,42 +25,31 @@ def columns(num: int, dtype: Dtype) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(column, dtype) for column in table.T)
 
 
-@eqx.filter_jit
-def _step(car: SingleTrack, x: State, u: Control, dt: jax.Array) -> State:
+def step(lanes: tuple[State, Control, Array], car: SingleTrack) -> State:
+    """Single-track cars one step later."""
+    x, u, dt = lanes
     return rk4_step(lambda y: car(y, u), x, dt)
 
 
-@eqx.filter_jit
-def _advance(plant: DoubleTrack, state: PlantState, command: Control) -> PlantState:
-    return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(state, command)
+def advance(lanes: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
+    """Double-track cars one step later."""
+    return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*lanes)
 
 
-def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
-    """One step of `batch` single-track cars, ready to be run."""
-    double = dtype == "float64"
-
-    def run() -> State:
-        with jax.enable_x64(double):
-            return _step(car, State(V, beta, r), Control(delta, Fxr), dt)
-
-    with jax.enable_x64(double):
-        car = load_vehicle("sedan").build()
-        V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
-    return run
+def ours(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], State]:
+    """One step of `batch` single-track cars in `num` threads, ready to be run."""
+    V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
+    car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
+    beside, lanes = threads(batch, num), (State(V, beta, r), Control(delta, Fxr), dt)
+    return lambda: beside.map(step, lanes, car)
 
 
-def ours_plant(dtype: Dtype, batch: int) -> Callable[[], PlantState]:
+def ours_plant(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], PlantState]:
     """One step of `batch` double-track cars, with all that they have and the nominal car lacks."""
-    double = dtype == "float64"
-
-    def run() -> PlantState:
-        with jax.enable_x64(double):
-            return _advance(plant, state, command)
-
-    with jax.enable_x64(double):
-        plant = load_plant("sedan").build()
-        V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
-        state = jax.vmap(plant.rolling)(V)
-        state = state._replace(vx=V * jnp.cos(beta), vy=V * jnp.sin(beta), r=r, delta=delta, drive=Fxr)
-        command = Control(delta, Fxr)
-    return run
+    V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
+    plant = jax.tree.map(lambda leaf: leaf.astype(dtype), load_plant("sedan").build())
+    state = jax.vmap(plant.rolling)(V)
+    state = state._replace(vx=V * jnp.cos(beta), vy=V * jnp.sin(beta), r=r, delta=delta, drive=Fxr)
+    state = jax.tree.map(lambda leaf: leaf.astype(dtype), state)
+    beside, lanes = threads(batch, num), (state, Control(delta, Fxr))
+    return lambda: beside.map(advance, lanes, plant)

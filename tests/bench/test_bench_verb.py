@@ -94,7 +94,6 @@ def test_missing_peers_are_told(hidden, monkeypatch):
     """Every row stays, with how to install its peer; the row of g++ is still measured."""
     fake = lambda num: lambda: Solved(jnp.ones(num), jnp.ones(num, bool))
     monkeypatch.setattr(mpc_rows, "ours", lambda kind, problems, dtype, **_: fake(len(problems.x)))
-    monkeypatch.setattr(mpc_rows, "safeguarded", lambda problems, **_: fake(len(problems.x)))
     rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(QUICK).rows]
     told = {row.against: row.missing for row in rows}
     assert told["CasADi FATROP"] == told["CasADi IPOPT"] == "missing: pip install casadi"

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Blocks, Rehearsal, workers
+from driftjax.core import Blocks, Rehearsal, threads, workers
 
 
 class Car(eqx.Module):
@@ -44,6 +44,16 @@ def test_blocks_of_any_size_and_workers_give_the_same_bits():
         assert beside.pool is not None
         dry = Rehearsal(beside.pool).map(doubled, some(3), jnp.asarray(0.5), "run")
         np.testing.assert_array_equal(dry["mass"], np.zeros(3))
+
+
+@pytest.mark.parametrize("num", [1, 2, 3])
+def test_threads_share_the_lanes_and_compile_each_shape_once(num):
+    whole = Blocks(None).map(doubled, some(7), jnp.asarray(0.5), "run")
+    beside = threads(7, num)
+    found = beside.map(doubled, some(7), jnp.asarray(0.5), "run")
+    with pytest.raises(ValueError, match="no such lane"):
+        beside.map(fails, some(7))
+    np.testing.assert_array_equal(found["mass"], whole["mass"])
 
 
 def test_without_workers_everything_stays_in_this_process():

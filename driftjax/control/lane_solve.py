@@ -1,0 +1,91 @@
+"""The drift MPC of many closed-loop laps at once: batched solves, and the safeguarded solver for lanes they leave."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from driftjax.control.lanes import lanes_of
+from driftjax.control.mpc import DriftOCP, Reference, along, solve_mpc, within_limits
+from driftjax.solve import LanePlans, Options, solve_lanes
+from driftjax.vehicle import SingleTrack
+
+FEW_LANES = 16  # below so many the batched solver gains nothing
+
+
+class Posed(NamedTuple):
+    """One problem of the drift MPC, as `solve_mpc` takes it, all SI."""
+
+    x: Float[Array, " 5"]  # V, beta, r, e, theta
+    previous: Float[Array, " 2"]  # last command
+    reached: Float[Array, " 2"]  # what actuators have made of the commands
+    reference: Reference
+    X: Float[Array, "N+1 5"]  # guess
+    U: Float[Array, "N 2"]
+    options: Options
+
+
+class Answer(NamedTuple):
+    """What came of it, SI."""
+
+    X: Float[Array, "N+1 5"]
+    U: Float[Array, "N 2"]
+    kkt: Array  # scaled residual
+    violation: Array
+    num_steps: Array
+
+
+def acceptable(answer: Answer, options: Options, times: float) -> Array:
+    """Whether an answer is within so many tolerances of optimal; False on NaN."""
+    return jnp.maximum(answer.kkt, answer.violation) <= times * options.tolerance
+
+
+def safeguarded(ocp: DriftOCP, posed: Posed) -> Answer:
+    """One problem by `solve_mpc`."""
+    found = solve_mpc(ocp, *posed)
+    return Answer(found.X, found.U, found.plan.kkt, found.plan.violation, found.plan.num_steps)
+
+
+def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"], times: float) -> Answer:
+    """All lanes (leading axis): many of a single track at once, few or other cars by the safeguarded solver alone.
+
+    Of many, those that the batched solver does not bring within `times` tolerances go through the safeguarded one, one
+    after the other. Lanes not `needed` cost nothing and come back unsolved.
+    """
+    if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
+        return eqx.filter_vmap(safeguarded)(ocp, posed)
+    found = _batched(ocp, posed, needed)
+    left = needed & ~jax.vmap(acceptable, (0, 0, None))(found, posed.options, times)
+
+    def again(lane: tuple[DriftOCP, Posed, Answer, Array]) -> Answer:
+        ocp, posed, found, left = lane
+        return jax.lax.cond(left, lambda: safeguarded(ocp, posed), lambda: found)
+
+    return jax.lax.cond(jnp.any(left), lambda: jax.lax.map(again, (ocp, posed, found, left)), lambda: found)
+
+
+def _batched(ocp: DriftOCP, posed: Posed, needed: Array) -> Answer:
+    """All lanes by the batched solver, forces in units of the car's weight."""
+    scale, options = jax.vmap(lambda one: one.u_scale)(ocp), posed.options  # (batch, 2)
+    U = jax.vmap(within_limits)(ocp, posed.U, posed.previous)
+    reached = jax.vmap(along)(ocp, posed.reached, U)
+    guess = jnp.concatenate([posed.X, reached / scale[:, None]], axis=2)
+    last = lambda a: jnp.transpose(a, (2, 1, 0))  # the batch, to and fro
+    plans: LanePlans = solve_lanes(
+        lanes_of(ocp, scale[:, 1]),
+        jnp.concatenate([posed.x, posed.reached / scale], axis=1).T,
+        (posed.previous / scale).T,
+        jax.tree.map(lambda a: a.T, posed.reference),
+        last(guess),
+        last(U / scale[:, None]),
+        Options(options.tolerance[0], options.barrier, jnp.max(options.max_steps)),
+        needed,
+    )
+    # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
+    inputs = last(plans.U) * scale[:, None]
+    inputs = jax.vmap(lambda ocp, U, u: within_limits(ocp, U, u, share=0.0))(ocp, inputs, posed.previous)
+    num_steps = jnp.where(needed, plans.num_steps, 0).astype(int)
+    return Answer(last(plans.X[:5]), inputs, plans.kkt, plans.violation, num_steps)

@@ -1,0 +1,65 @@
+"""The mean of a GP with first and second derivatives at many points at once, by matrix products."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.gp.kernel import KERNELS
+from driftjax.gp.model import FADE_LENGTH, GP
+
+PROPORTIONAL = {"se": -0.5}  # kernels whose derivative in q is so many times themselves: one product instead of three
+
+
+class Expansion(NamedTuple):
+    """Functions of `nf` inputs to second order at P points."""
+
+    value: Float[Array, "D P"]
+    gradient: Float[Array, "D nf P"]
+    hessian: Float[Array, "D pairs P"]  # entries (i, j), i <= j, row by row
+
+
+def pairs(nf: int) -> list[tuple[int, int]]:
+    """Entries of a symmetric matrix in the order of `Expansion.hessian`."""
+    return [(i, j) for i in range(nf) for j in range(i, nf)]
+
+
+def expansions(gp: GP, z: Float[Array, "P nf"]) -> tuple[Expansion, Expansion]:
+    """Mean (D outputs) and nearness (one) at the points `z`, as `GP.mean` and `GP.fade` have them."""
+    inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale
+    size = jnp.exp(2 * gp.hyper.log_amplitude) * gp.output_scale
+    amounts = size[:, None] * jnp.where(gp.mask, gp.alpha, 0.0)
+    mean = jax.vmap(_sum_of_kernels, (None, None, 0, 0, None))(gp.kernel, gp.Z, inverse, amounts, z)
+    near = _sum_of_kernels("se", gp.Z, 1 / (FADE_LENGTH * gp.scale), gp.mask.astype(z.dtype), z)
+    return mean, jax.tree.map(lambda a: a[None], near)
+
+
+def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Array) -> Expansion:
+    """Sum of amounts_m k(|inverse (z - Z_m)|^2) at all `z`.
+
+    Derivatives are moments of the data about the point; as moments about their centre they are one product of matrices
+    for all points.
+    """
+    nf = Z.shape[1]
+    centre = jnp.mean(Z, axis=0)
+    a, b = ((Z - centre) * inverse).T, ((z - centre) * inverse).T  # (nf, M), (nf, P)
+    q = sum((b[i][None] - a[i][:, None]) ** 2 for i in range(nf))  # (M, P)
+    one = jnp.ones_like(a[:1])
+    moments = jnp.concatenate([one, a, jnp.stack([a[i] * a[j] for i, j in pairs(nf)])]) * amounts
+    if kernel in PROPORTIONAL:
+        rate = PROPORTIONAL[kernel]
+        T = moments @ KERNELS[kernel](q)
+        value, S, R = T[0], rate * T[: 1 + nf], rate**2 * T
+    else:
+        slope = lambda q: jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))[1]
+        first, second = jax.jvp(slope, (q,), (jnp.ones_like(q),))
+        value, S, R = amounts @ KERNELS[kernel](q), moments[: 1 + nf] @ first, moments @ second
+    hessian = [
+        4 * inverse[i] * inverse[j] * (b[i] * b[j] * R[0] - b[i] * R[1 + j] - b[j] * R[1 + i] + R[1 + nf + k])
+        + (2 * inverse[i] ** 2 * S[0] if i == j else 0.0)
+        for k, (i, j) in enumerate(pairs(nf))
+    ]
+    gradient = 2 * inverse[:, None] * (b * S[0] - S[1:])
+    return Expansion(value, gradient, jnp.stack(hessian))
