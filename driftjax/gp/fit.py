@@ -1,14 +1,17 @@
 """Hyper-parameters by maximum marginal likelihood, several starts per output."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import RESULTS
-from driftjax.gp.likelihood import log_marginal_likelihood
-from driftjax.gp.model import GP, Hyper, condition, gram, scales, squares
-from driftjax.gp.optimise import minimise
+from driftjax.gp.likelihood import derivatives
+from driftjax.gp.likelihood import likelihood as likelihood
+from driftjax.gp.model import GP, Hyper, condition, scales, squares
+from driftjax.gp.optimise import Minimum, minimise
 from driftjax.gp.orthogonal import directions, unclaimed
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
@@ -17,6 +20,10 @@ UPPER = (20.0, 20.0, 2.0)
 START_LOWER = (0.3, 0.5, 0.01)  # starts are drawn log-uniformly from here
 START_UPPER = (5.0, 2.0, 0.5)
 
+SHARE = 3  # of so many rows one is in the subset on which all starts are tried,
+FEWEST = 50  # where it has at least so many rows; the best of each output goes on with all rows
+ROUGH, FINE = 1e-2, 2e-3  # tolerances of the projected gradient per row, on the subset and on all rows
+
 
 class FitResult(eqx.Module):
     """A fitted GP and how the fit went, per output."""
@@ -24,7 +31,7 @@ class FitResult(eqx.Module):
     gp: GP
     log_marginal_likelihood: Array  # (D,) of the best start, on the rows used for the fit, scaled outputs
     error: Array  # (D,) largest projected gradient per data row at the best start
-    num_steps: Array  # (D,) L-BFGS-B iterations of the best start
+    num_steps: Array  # (D,) iterations of the best start, on all rows of the fit
     result: RESULTS  # (D,)
 
 
@@ -35,20 +42,6 @@ def _vector(values: tuple[float, float, float], nf: int) -> Array:
 
 def _hyper(x: Array) -> Hyper:
     return Hyper(x[..., :-2], x[..., -2], x[..., -1])
-
-
-def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array, Q: Array | None = None) -> Array:
-    """Log marginal likelihood of ONE output from `squares(X)` and scaled targets `y` (M,), 0 where masked.
-
-    With the directions `Q` (M, k) of known causes it is that of what they leave, P y = y, under the orthogonal GP: the
-    determinant of its covariance in the other directions is that of K + noise P over that of Q'KQ.
-    """
-    n = jnp.sum(mask).astype(y.dtype)
-    if Q is None:
-        return log_marginal_likelihood(gram(kernel, hyper, pairs, mask), y, n)
-    K, present = gram(kernel, hyper, pairs, mask, Q), jnp.sum(Q**2, axis=0)  # columns of Q are of length 1 or 0
-    held = jnp.linalg.cholesky(Q.T @ K @ Q + jnp.diag(1 - present))
-    return log_marginal_likelihood(K, y, n - jnp.sum(present)) + jnp.sum(jnp.log(jnp.diagonal(held)))
 
 
 def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array, ...]:
@@ -69,6 +62,32 @@ def _starts(D: int, nf: int, num_restarts: int, previous: GP | None, key: Array)
         h = previous.hyper
         first = jnp.concatenate([h.log_lengthscale, h.log_amplitude[:, None], h.log_noise[:, None]], axis=1)
     return (low + share * (high - low)).at[:, 0].set(first)
+
+
+def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **options: Any) -> Minimum:
+    """The best end of each output from `starts` (D, restarts, nf + 2), on scaled rows `X`, `T`, `basis`, `mask`.
+
+    One fit after the other: batched, each would wait for the slowest, and batched factorisations are slow on a CPU.
+    """
+    *basis, mask = rest
+    held = [directions(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
+    T = unclaimed(T, basis[0], mask) if basis else T
+    rows = jnp.maximum(jnp.sum(mask), 1)
+    X = jnp.where(mask[:, None], X - jnp.sum(jnp.where(mask[:, None], X, 0.0), axis=0) / rows, 0.0)
+    pairs = squares(X)
+
+    def output(data: tuple[Array, ...]) -> Minimum:
+        starts, y, *Q = data
+
+        def evaluate(x: Array) -> tuple[Array, Array, Array]:
+            value, gradient, information = derivatives(kernel, _hyper(x), X, pairs, y, mask, *Q)
+            return -value / rows, -gradient / rows, information / rows  # per row: one tolerance serves all sizes
+
+        ends = jax.lax.map(lambda x: minimise(evaluate, x, **options), starts)
+        best = jnp.argmin(jnp.where(jnp.isfinite(ends.value), ends.value, jnp.inf))
+        return jax.tree.map(lambda leaf: leaf[best], ends)
+
+    return jax.lax.map(output, (starts, T.T, *held))
 
 
 @eqx.filter_jit
@@ -93,34 +112,22 @@ def fit(
     deviations of the inputs: what varies faster is then left to the noise. `basis` (M, D, k) holds the directions of
     known causes, to which the GP is orthogonal at its data. `result` is `non_finite` where every start failed.
     """
-    key_rows, key_starts = jax.random.split(key)
+    key_rows, key_few, key_starts = jax.random.split(key, 3)
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
         Y = unclaimed(Y, basis, mask)
     scale, output_scale = scales(Z, Y, mask)
     columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
-    X, T, *part, used = _subset(mask, num_fit, key_rows, *columns)
-    held = [directions(J, used) for J in part]  # of these rows, to which T is made orthogonal
-    T = unclaimed(T, part[0], used) if part else T
-    pairs = squares(X)
-    nf, D = Z.shape[1], Y.shape[1]
-    rows = jnp.maximum(jnp.sum(used), 1)
-
-    low = _vector((shortest, *LOWER[1:]), nf)  # minimise starts inside the bounds
-
-    def objective(x: Array, *data: Array) -> Array:
-        y, *Q = data
-        return -likelihood(kernel, _hyper(x), pairs, y, used, *Q) / rows  # per row: one tolerance serves all sizes
-
-    def start(x: Array, *data: Array):
-        return minimise(objective, x, low, _vector(UPPER, nf), *data, max_iterations=max_iterations)
-
-    def output(starts: Array, *data: Array):
-        ends = jax.vmap(lambda x: start(x, *data))(starts)
-        best = jnp.argmin(jnp.where(jnp.isfinite(ends.value), ends.value, jnp.inf))
-        return jax.tree.map(lambda leaf: leaf[best], ends)
-
-    best = jax.vmap(output)(_starts(D, nf, num_restarts, previous, key_starts), T.T, *held)
+    columns = _subset(mask, num_fit, key_rows, *columns)
+    low, high = _vector((shortest, *LOWER[1:]), Z.shape[1]), _vector(UPPER, Z.shape[1])
+    options = {"kernel": kernel, "lower": low, "upper": high, "max_iterations": max_iterations}
+    starts = _starts(Y.shape[1], Z.shape[1], num_restarts, previous, key_starts)
+    few = -(-min(num_fit, len(mask)) // SHARE)
+    if few >= FEWEST:
+        rough = _best(starts, *_subset(columns[-1], few, key_few, *columns[:-1]), tolerance=ROUGH, **options)
+        starts = rough.x[:, None]
+    best = _best(starts, *columns, tolerance=FINE, **options)
+    rows = jnp.maximum(jnp.sum(columns[-1]), 1)
     gp = condition(Z, Y, mask, _hyper(best.x), scale, output_scale, kernel, basis)
     return FitResult(gp, -best.value * rows, best.error, best.num_steps, best.result)

@@ -1,38 +1,89 @@
-"""Log marginal likelihood with its analytic gradient."""
+"""Log marginal likelihood of one output, with its gradient and average information in closed form."""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.scipy.linalg import cho_solve, solve_triangular
+from jax.scipy.linalg import cho_solve
+
+from driftjax.gp.kernel import KERNELS
+from driftjax.gp.model import JITTER, Hyper, gram, separation
 
 
-def _value(K: Array, y: Array, n: Array) -> tuple[Array, Array, Array]:
+class Derivatives(NamedTuple):
+    """Log marginal likelihood and its derivatives by (log length scales, log amplitude, log noise), p = nf + 2."""
+
+    value: Array
+    gradient: Array  # (p,)
+    information: Array  # (p, p), positive semi-definite: the mean of observed and expected information
+
+
+class _Solved(NamedTuple):
+    value: Array
+    L: Array  # (M, M) Cholesky factor of the covariance
+    alpha: Array  # (M,) its solution for the targets
+    held: Array | None  # (k, k) Cholesky factor of Q'KQ
+
+
+def _solved(K: Array, y: Array, mask: Array, Q: Array | None) -> _Solved:
+    """log p(y) of zero-mean targets with covariance `K`, 0 where masked (Rasmussen and Williams 2006, Eq. 2.30)."""
+    n = jnp.sum(mask).astype(y.dtype)
     L = jnp.linalg.cholesky(K)
     alpha = cho_solve((L, True), y)
-    logdet = jnp.sum(jnp.log(jnp.diagonal(L)))
-    return -0.5 * jnp.dot(y, alpha) - logdet - 0.5 * n * jnp.log(2 * jnp.pi), L, alpha
+    value, held = -0.5 * y @ alpha - jnp.sum(jnp.log(jnp.diagonal(L))), None
+    if Q is not None:
+        present = jnp.sum(Q**2, axis=0)  # columns of Q are of length 1 or 0
+        held = jnp.linalg.cholesky(Q.T @ K @ Q + jnp.diag(1 - present))
+        value, n = value + jnp.sum(jnp.log(jnp.diagonal(held))), n - jnp.sum(present)
+    return _Solved(value - 0.5 * n * jnp.log(2 * jnp.pi), L, alpha, held)
 
 
-def _log_marginal_likelihood(K: Array, y: Array, n: Array) -> Array:
-    """log p(y) of `n` unmasked zero-mean targets with covariance `K` (Rasmussen and Williams 2006, Eq. 2.30).
+def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array, Q: Array | None = None) -> Array:
+    """Log marginal likelihood of ONE output from `squares(X)` and scaled targets `y` (M,), 0 where masked.
 
-    The gradient is (alpha alpha^T - K^-1) / 2 (Eq. 5.9): one inverse, where autodiff through the Cholesky
-    factorisation takes several products more. Masked rows are rows of the identity with target 0.
+    With the directions `Q` (M, k) of known causes it is that of what they leave, P y = y, under the orthogonal GP: the
+    determinant of its covariance in the other directions is that of K + noise P over that of Q'KQ.
     """
-    return _value(K, y, n)[0]
+    return _solved(gram(kernel, hyper, pairs, mask, Q), y, mask, Q).value
 
 
-def _forward(K, y, n):
-    value, L, alpha = _value(K, y, n)
-    inverse_L = solve_triangular(L, jnp.eye(y.size, dtype=y.dtype), lower=True)
-    return value, (inverse_L, alpha, n)
+def _weighted(S: Array, X: Array, V: Array) -> Array:
+    """(M, nf): the products with V (M,) of the matrices S_ab (x_a - x_b)^2, one per input of X (M, nf)."""
+    columns = jnp.concatenate([V[:, None], V[:, None] * X, V[:, None] * X**2], axis=1)
+    still, first, second = jnp.split(S @ columns, [1, 1 + X.shape[1]], axis=1)
+    return X**2 * still - 2 * X * first + second
 
 
-def _backward(saved, g):
-    inverse_L, alpha, n = saved
-    dK = 0.5 * (jnp.outer(alpha, alpha) - inverse_L.T @ inverse_L)
-    return g * dK, -g * alpha, jnp.zeros_like(n)
+def derivatives(
+    kernel: str, hyper: Hyper, X: Array, pairs: Array, y: Array, mask: Array, Q: Array | None = None
+) -> Derivatives:
+    """`likelihood` and its derivatives for centred scaled inputs `X` (M, nf) with `pairs = squares(X)`.
 
+    With M = K^-1 - Q (Q'KQ)^-1 Q' the gradient is tr((alpha alpha' - M) dK) / 2 (Rasmussen and Williams 2006,
+    Eq. 5.9) and the average information alpha' dK_i M dK_j alpha / 2 (Gilmour, Thompson and Cullis 1995, whose fixed
+    effects are K Q). No dK of a length scale is ever formed: it is a weight times (x_a - x_b)^2.
+    """
+    value, L, alpha, held = _solved(gram(kernel, hyper, pairs, mask, Q), y, mask, Q)
+    inverse = cho_solve((L, True), jnp.eye(y.size, dtype=y.dtype))
+    if Q is not None and held is not None:
+        inverse = inverse - Q @ cho_solve((held, True), Q.T)
+    amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
+    q = separation(hyper, pairs)
+    correlation, slope = jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))
+    both = mask[:, None] & mask[None, :]
+    signal = jnp.where(both, amplitude * correlation, 0.0)
+    signal = signal + jnp.diag(jnp.where(mask, JITTER * jnp.finfo(q.dtype).eps * amplitude, 0.0))
+    weight = jnp.where(both, amplitude * slope, 0.0)
+    rate = -2 * jnp.exp(-2 * hyper.log_lengthscale)
+    project = (lambda v: v) if Q is None else (lambda v: v - Q @ (Q.T @ v))
 
-log_marginal_likelihood = jax.custom_vjp(_log_marginal_likelihood)
-log_marginal_likelihood.defvjp(_forward, _backward)
+    lengths = rate * _weighted(weight, X, alpha)  # dK alpha, for every length scale
+    U = jnp.concatenate([lengths, 2 * (signal @ alpha)[:, None], 2 * noise * project(alpha)[:, None]], axis=1)
+    ones = jnp.ones_like(alpha)
+    traces = rate * jnp.sum(_weighted(weight * inverse, X, ones), axis=0)
+    own = jnp.sum(jnp.where(mask, jnp.diagonal(inverse), 0.0))
+    if Q is not None:
+        own = own - jnp.sum(Q * (inverse @ Q))
+    traces = jnp.concatenate([traces, jnp.array([2 * jnp.sum(signal * inverse), 2 * noise * own])])
+    return Derivatives(value, 0.5 * (alpha @ U - traces), 0.5 * U.T @ inverse @ U)

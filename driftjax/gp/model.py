@@ -48,13 +48,18 @@ def squares(X: Array) -> Array:
     return jax.vmap(lambda x: (x[:, None] - x[None, :]) ** 2)(X.T)
 
 
+def separation(hyper: Hyper, pairs: Array) -> Array:
+    """(M, M): squared distance of every pair, in length scales of ONE output, from `squares(X)`."""
+    return jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
+
+
 def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array, Q: Array | None = None) -> Array:
     """K + noise of ONE output from `squares(X)`; a masked row is one of the identity, which is exact.
 
     The squares do not depend on the hyper-parameters, so that many starts and outputs share them. In the directions
     `Q` (M, k) the GP is held at 0, which is known without noise: see `orthogonal`.
     """
-    q = jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
+    q = separation(hyper, pairs)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
     jitter = JITTER * jnp.finfo(q.dtype).eps * amplitude
     K = jnp.where(mask[:, None] & mask[None, :], amplitude * KERNELS[kernel](q), 0.0)

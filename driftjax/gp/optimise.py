@@ -1,15 +1,20 @@
-"""Bounded minimisation, L-BFGS-B. The only module that knows jaxopt."""
+"""Bounded minimisation by damped Newton steps, of functions that come with their gradient and a curvature."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxopt
 from jax import Array
+from jax.scipy.linalg import cho_solve
 
 from driftjax.core import RESULTS
+
+REACH = 1.0  # longest step of any variable
+DAMPING, FEEBLEST, STRONGEST = 0.05, 1e-6, 1e6  # the first, the least, and the one beyond which no step helps
+FALL, GROW, FAIL = 0.2, 4.0, 5.0  # factors of the damping: decrease as promised, much less, and none
+CLAMPS = 3  # solutions of one step, each with the variables held that went beyond their limits in the one before
 
 
 class Minimum(eqx.Module):
@@ -18,42 +23,86 @@ class Minimum(eqx.Module):
     x: Array  # (n,)
     value: Array
     error: Array  # largest projected gradient
-    num_steps: Array
+    num_steps: Array  # evaluations after the first
     result: RESULTS
 
 
+class _State(NamedTuple):
+    x: Array
+    value: Array
+    gradient: Array
+    curvature: Array
+    trial: Array  # where to evaluate next
+    promised: Array  # decrease there by the quadratic model
+    damping: Array
+    num_steps: Array  # -1 before the first evaluation
+
+
+def _step(gradient: Array, curvature: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Step (n,) in low <= 0 <= high that minimises the quadratic model, nearly, and the decrease it promises."""
+    held = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
+    step = jnp.zeros_like(gradient)
+    for _ in range(CLAMPS):
+        slope = gradient + curvature @ jnp.where(held, step, 0.0)
+        matrix = jnp.where(held[:, None] | held, jnp.eye(held.size, dtype=step.dtype), curvature)
+        full = -cho_solve((jnp.linalg.cholesky(matrix), True), jnp.where(held, 0.0, slope))
+        full = jnp.where(held, step, full)
+        step = jnp.clip(full, low, high)
+        held = held | (step != full)
+    return step, -gradient @ step - 0.5 * step @ curvature @ step
+
+
+def _error(x: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """Largest element of the projected gradient."""
+    return jnp.max(jnp.abs(x - jnp.clip(x - gradient, lower, upper)))
+
+
+def _next(s: _State, found: tuple[Array, Array, Array], lower: Array, upper: Array) -> _State:
+    """The state after `found` at the trial point, which is taken if it is lower: with the next trial point."""
+    first = s.num_steps < 0
+    finite = jnp.all(jnp.array([jnp.all(jnp.isfinite(part)) for part in found]))
+    better = first | (finite & (found[0] < s.value))
+    share = (s.value - found[0]) / s.promised
+    change = jnp.where(share > 0.75, FALL, jnp.where(share < 0.25, GROW, 1.0))
+    change = jnp.where(first, 1.0, jnp.where(better, change, FAIL))
+    damping = jnp.maximum(change * s.damping, FEEBLEST)
+    keep = lambda new, old: jnp.where(better, new, old)
+    x, value, gradient, curvature = map(keep, (s.trial, *found), (s.x, s.value, s.gradient, s.curvature))
+    low, high = jnp.maximum(lower - x, -REACH), jnp.minimum(upper - x, REACH)
+    step, promised = _step(gradient, curvature + damping * jnp.eye(x.size, dtype=x.dtype), low, high)
+    trial = jnp.clip(x + step, lower, upper)
+    return _State(x, value, gradient, curvature, trial, promised, damping, s.num_steps + 1)
+
+
 def minimise(
-    objective: Callable[..., Array],
+    evaluate: Callable[[Array], tuple[Array, Array, Array]],
     guess: Array,
     lower: Array,
     upper: Array,
-    *args: Any,
+    *,
     max_iterations: int = 30,
     tolerance: float = 1e-3,
 ) -> Minimum:
-    """Local minimum of `objective(x, *args)` with lower <= x <= upper (Byrd et al. 1995), one start; vmap for many."""
-    both = jax.value_and_grad(objective)
-    # c2 disables the curvature condition, which leaves Armijo's rule at ONE evaluation per trial: under vmap
-    # every trial of the default search costs several evaluations for all starts.
-    search = jaxopt.BacktrackingLineSearch(
-        fun=both, value_and_grad=True, maxiter=12, condition="wolfe", c2=1e12, decrease_factor=0.4, jit=True
-    )
-    solver = jaxopt.LBFGSB(
-        fun=both,
-        value_and_grad=True,
-        maxiter=max_iterations,
-        tol=tolerance,
-        linesearch=search,  # pyright: ignore[reportArgumentType]
-        linesearch_init="max",
-        stop_if_linesearch_fails=True,
-        implicit_diff=False,
-        history_size=8,
-        jit=True,
-    )
-    end = solver.run(jnp.clip(guess, lower, upper), (lower, upper), *args)
-    x, state = end.params, end.state
-    finite = jnp.isfinite(state.value) & jnp.all(jnp.isfinite(x))
-    converged, failed = state.error <= tolerance, ~finite
-    result = RESULTS.where(converged, RESULTS.successful, RESULTS.not_converged)  # pyright: ignore
-    result = RESULTS.where(failed, RESULTS.non_finite, result)  # pyright: ignore[reportArgumentType]
-    return Minimum(x, state.value, state.error, state.iter_num, result)
+    """Local minimum with lower <= x <= upper (n,) from one start, never above it.
+
+    `evaluate(x)` returns value, gradient (n,) and a positive semi-definite approximation (n, n) of the Hessian. Steps
+    are damped as by Levenberg and Marquardt (Nocedal and Wright 2006, Sec. 10.3), with the variables at bounds held
+    where the gradient keeps them there (projected Newton, Bertsekas 1982). Variables should be of order 1.
+    """
+
+    def going(s: _State) -> Array:
+        inside = (s.num_steps < max_iterations) & (s.damping < STRONGEST)
+        return (s.num_steps < 0) | (
+            inside & jnp.isfinite(s.value) & (_error(s.x, s.gradient, lower, upper) > tolerance)
+        )
+
+    x = jnp.clip(guess, lower, upper)
+    none = jnp.full(x.shape, jnp.nan, x.dtype)  # before the first evaluation, which is taken whatever it is
+    damping = jnp.full((), DAMPING, x.dtype)
+    start = _State(x, none[0], none, jnp.diag(none), x, none[0], damping, jnp.array(-1))
+    end = jax.lax.while_loop(going, lambda s: _next(s, evaluate(s.trial), lower, upper), start)
+    error = _error(end.x, end.gradient, lower, upper)
+    result = RESULTS.where(error <= tolerance, RESULTS.successful, RESULTS.not_converged)  # pyright: ignore
+    finite = jnp.isfinite(end.value) & jnp.isfinite(error)
+    result = RESULTS.where(finite, result, RESULTS.non_finite)  # pyright: ignore[reportArgumentType]
+    return Minimum(end.x, end.value, error, end.num_steps, result)
