@@ -1,7 +1,7 @@
 """Batched sequential quadratic programming for optimal control; knows no cars."""
 
+from driftjax.solve.implicit import solve as solve
 from driftjax.solve.interior_point import shift as shift
-from driftjax.solve.interior_point import solve as solve
 from driftjax.solve.lane_ocp import AbstractLanes as AbstractLanes
 from driftjax.solve.lanes import LanePlans as LanePlans
 from driftjax.solve.lanes import solve_lanes as solve_lanes

@@ -65,7 +65,12 @@ class Loop(NamedTuple):
     violation: Array
 
 
-class _Problem(eqx.Module):
+def split(params: PyTree) -> tuple[PyTree, PyTree]:
+    """Rows of the stages and of the end, of parameters with N+1 rows."""
+    return jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
+
+
+class Problem(eqx.Module):
     """One problem with its data: everything below is a function of the iterate alone."""
 
     ocp: AbstractOCP
@@ -109,7 +114,7 @@ class _Problem(eqx.Module):
         )
 
 
-def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
+def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
     """Newton system with slacks and duals eliminated."""
     damping = jnp.asarray(DAMPING)[caution]
     Hxx, Hux, Huu, HN = problem.hessian(it, jnp.asarray(CURVATURE)[caution])
@@ -135,7 +140,7 @@ def _quadratic(problem: _Problem, m: Model, it: Iterate, barrier: Array, caution
     )
 
 
-def _direction(problem: _Problem, m: Model, it: Iterate, q: Quadratic, barrier: Array) -> tuple[Iterate, Direction]:
+def _direction(problem: Problem, m: Model, it: Iterate, q: Quadratic, barrier: Array) -> tuple[Iterate, Direction]:
     newton = newton_direction(q)
     d_gap = (
         jnp.einsum("kgi,ki->kg", problem.Gx, newton.dX[:-1]) + jnp.einsum("kgi,ki->kg", problem.Gu, newton.dU),
@@ -152,7 +157,7 @@ def _to_boundary(values: PyTree, steps: PyTree) -> Array:
     return jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12))
 
 
-def _kkt(problem: _Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
+def _kkt(problem: Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
     """Scaled optimality error (Waechter and Biegler 2006, Eq. 5) and the worst primal violation."""
     in_costates = jnp.concatenate([jnp.zeros_like(it.costates[:1]), it.costates[:-1]])
     stage_x = m.cost_x + jnp.einsum("kij,ki->kj", m.A, it.costates) - in_costates
@@ -178,7 +183,7 @@ class Trial(NamedTuple):
     merit: Array
 
 
-def _roll(problem: _Problem, m: Model, it: Iterate, newton: Direction, length: Array) -> tuple[Array, Array]:
+def _roll(problem: Problem, m: Model, it: Iterate, newton: Direction, length: Array) -> tuple[Array, Array]:
     """Roll-out of the dynamics under the policy at step `length`; defects shrink by exactly 1 - length."""
 
     def move(x, stage):
@@ -192,7 +197,7 @@ def _roll(problem: _Problem, m: Model, it: Iterate, newton: Direction, length: A
     return jnp.concatenate([it.X[:1], X]), U
 
 
-def _try(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, weights, length: Array) -> Trial:
+def _try(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, weights, length: Array) -> Trial:
     barrier, penalty = weights
     X, U = _roll(problem, m, it, newton, length)
     gap = problem.gaps(X, U)
@@ -206,7 +211,7 @@ def _try(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton: Direct
     return Trial(X, U, slack, problem.objective(X, U) - barrier * logs + penalty * bad)
 
 
-def _line_search(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, barrier, longest):
+def _line_search(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, barrier, longest):
     """Step length by backtracking on the l1 merit function, with its point; 0 where no descent was found."""
     # 1.1 x the largest multiplier makes the l1 penalty exact, so that the Newton step is a descent direction
     worst = [jnp.max(jnp.abs(it.costates + step.costates))]
@@ -236,7 +241,7 @@ def _line_search(problem: _Problem, m: Model, it: Iterate, step: Iterate, newton
     return jnp.where(count < MAX_BACKTRACKS, length, 0.0), trial
 
 
-def _start(problem: _Problem, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
+def _start(problem: Problem, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
     X = X.at[0].set(x0)
     slack = jax.tree.map(lambda g: jnp.maximum(g, SLACK_FLOOR), problem.gaps(X, U))
     return Iterate(X, U, jnp.zeros_like(X[1:]), slack, jax.tree.map(lambda s: barrier / s, slack))
@@ -255,9 +260,9 @@ def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, toleran
 
 
 @eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
-def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
+def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
     it, m, barrier = loop.it, loop.model, loop.barrier
-    step, newton = _direction(problem, m, it, _quadratic(problem, m, it, barrier, loop.caution), barrier)
+    step, newton = _direction(problem, m, it, quadratic(problem, m, it, barrier, loop.caution), barrier)
     longest, dual = _to_boundary(it.slack, step.slack), _to_boundary(it.dual, step.dual)
     length, trial = _line_search(problem, m, it, step, newton, barrier, longest)
     moved = length > 0  # False also where the direction was not finite
@@ -282,17 +287,12 @@ def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     return Loop(new, m, barrier, caution, failures, loop.num_steps + 1, kkt, violation)
 
 
-def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Plan:
-    """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
-
-    Returns the last iterate with its residuals. `result` is `successful` only where KKT residual and violation are
-    below the tolerance; `stalled` where no direction gave descent; `not_converged` after the last iteration allowed.
-    """
-    options = Options() if options is None else options
-    stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
+def minimise(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> tuple[Plan, Iterate]:
+    """The last iterate from the guess `X`, `U`, as a plan and with its multipliers; see `driftjax.solve.solve`."""
+    stages, last = split(params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
     GN = jax.jacfwd(ocp.terminal_constraints)(X[-1], last)
-    problem = _Problem(ocp, stages, last, Gx, Gu, GN)
+    problem = Problem(ocp, stages, last, Gx, Gu, GN)
     it = _start(problem, x0, X, U, options.barrier)
     large = jnp.asarray(jnp.inf, X.dtype)
     zero = jnp.zeros((), int)
@@ -304,10 +304,10 @@ def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, optio
         return open_ & (s.num_steps < options.max_steps) & (s.failures < MAX_FAILURES)
 
     end = jax.lax.while_loop(unfinished, lambda s: _iterate(problem, s, options), loop)
-    return _plan(problem, end, options)
+    return _plan(problem, end, options), end.it
 
 
-def _plan(problem: _Problem, end: Loop, options: Options) -> Plan:
+def _plan(problem: Problem, end: Loop, options: Options) -> Plan:
     done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
     failed = RESULTS.where(end.failures >= MAX_FAILURES, RESULTS.stalled, RESULTS.not_converged)
     finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)

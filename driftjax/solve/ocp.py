@@ -48,7 +48,8 @@ class AbstractOCP(eqx.Module):
     def curvature(self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree) -> Array:
         """Second derivative of `costate @ step` in (x, u), square of size nx + nu.
 
-        A cheaper model of it changes the speed of convergence, never the solution.
+        A cheaper model of it changes the speed of convergence, never the solution; but derivatives of the solution
+        are right with the exact one only.
         """
         bent = lambda w: costate @ self.step(w[: x.shape[0]], w[x.shape[0] :], p)
         return jax.hessian(bent)(jnp.concatenate([x, u]))
@@ -60,6 +61,7 @@ class Options(eqx.Module):
     tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
     barrier: Array = eqx.field(converter=as_float, default=1.0)  # first barrier parameter; small for warm starts
     max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # interior-point iterations
+    implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which there are derivatives
 
 
 class Plan(eqx.Module):
