@@ -15,7 +15,19 @@ from contextlib import contextmanager
 
 from driftjax import __version__
 
-VERBS = ("learn", "diagnose", "inspect", "calibrate", "simulate", "plan", "equilibria", "bench", "runs", "report")
+VERBS = (
+    "learn",
+    "diagnose",
+    "inspect",
+    "calibrate",
+    "simulate",
+    "plan",
+    "equilibria",
+    "tune",
+    "bench",
+    "runs",
+    "report",
+)
 HELP = """usage: driftjax VERB [options]
 
 A differentiable, jit-compiled car in JAX that learns to drift.
@@ -27,6 +39,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
   simulate       drive manoeuvres on a car with any effects and noise: a log in the log format, and the truth beside it
   plan           minimum-time plan of a car on a track: plan.nc, plan.csv, figures
   equilibria     map of a car's steady states: grip and drift branches
+  tune           weights and switching lead of the drift MPC by gradients through laps, against random search
   bench          how fast each part is, as a ratio against a peer measured beside it: table, JSON, figures
   runs           list the run folders below runs/
   report RUN     rebuild figures, table and report.html of a run

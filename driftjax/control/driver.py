@@ -135,7 +135,7 @@ class Driver(eqx.Module):
         s = expected_arc_lengths(sensed.s, X.at[0].set(x), jnp.full(self.horizon + 1, kappa), self.ocp.dt)
         reference = self.table.reference(s)
         barrier = jnp.where(memory.planned, WARM_BARRIER, COLD_BARRIER)
-        options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0))
+        options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
         return Posed(x, memory.command, memory.reached, reference, X, U, options)
 
     def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:

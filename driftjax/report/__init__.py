@@ -10,3 +10,5 @@ from driftjax.report.page import write_report as write_report
 from driftjax.report.plan import write_plan_figures as write_plan_figures
 from driftjax.report.table import run_line as run_line
 from driftjax.report.table import table as table
+from driftjax.report.tuning import tuning_words as tuning_words
+from driftjax.report.tuning import write_tuning as write_tuning

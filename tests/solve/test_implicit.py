@@ -64,10 +64,10 @@ def test_derivatives_equal_central_differences():
     assert bool(jnp.all(found.result == RESULTS.successful))
     limited = len(STEPS)  # the first row of the second case
     assert int(jnp.sum(jnp.abs(found.U[limited]) > 0.8 - 1e-8)) >= 2
-    assert float(abs(found.X[limited, -1, 1])) > 0.05 - 1e-8
+    assert float(abs(found.X[limited, -1, 1])) > 0.05 - 1e-6
     values, slopes = (a.reshape(2, len(STEPS), *a.shape[1:]) for a in (values, slopes))
     apart = jnp.swapaxes(values[:, 1:8] - values[:, 8:], 1, 2) / (2 * H)
-    np.testing.assert_allclose(slopes[:, 0], apart, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(slopes[:, 0], apart, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(slopes[..., 6], 0.0)  # a guess carries no derivative
     backward = eqx.filter_jit(jax.vmap(lambda t: jax.jacrev(lambda t: pick(t, 80)[0])(t)))(both)
     np.testing.assert_allclose(backward, slopes[:, 0], rtol=1e-8, atol=1e-10)

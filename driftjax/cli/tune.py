@@ -1,0 +1,71 @@
+"""`driftjax tune`: weights and switching lead by gradients through closed-loop laps, against random search."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, merged, peek, progress, typed, within
+from driftjax.cli.learn import check
+from driftjax.core import BadInput, from_dict, num_workers, read_yaml
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from driftjax.learn.config import load_learn_config
+from driftjax.tune.config import TuneConfig
+
+QUICK = {"training": 1, "held_out": 2, "budget": 12}
+
+
+@dataclasses.dataclass(frozen=True)
+class Tune:
+    """Q, R and switching lead of the drift MPC by gradients through closed-loop laps, judged on plants held out."""
+
+    options: Annotated[TuneConfig, tyro.conf.arg(name="")]
+    car: str = "sedan"
+    """Name of the car whose shipped settings of `driftjax learn` are the defaults: sedan or rc."""
+    quick: bool = False
+    """One training plant, two held out and one step: shows that it runs, and measures nothing."""
+    config: Path | None = None
+    """YAML file of options, where they differ from the car's defaults."""
+    out: Path | None = None
+    """Run folder; runs/tune-CAR-TIME where left out."""
+    workers: int | None = None
+    """Processes that drive side by side; one per core where left out, none on a GPU. Results do not depend on it."""
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise BadInput(f"key 'workers' is {self.workers}; give at least 1.")
+
+
+def run(argv: list[str]) -> int:
+    """Search, judge, tell."""
+    early, _ = peek(argv, "car", "config")
+    default = Tune(defaults(early["car"], early["config"], "--quick" in argv))
+    asked = typed(Tune, argv, "driftjax tune", default)
+    config = asked.options
+    check(config.learn)
+    folder = RunFolder.create(asked.out or default_out("tune", config.learn.car), to_dict(config), "tune")
+    return within(folder, lambda: work(config, folder, asked.workers))
+
+
+def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
+    """The car's shipped options, small where it should be `quick`, with those of the YAML `file` put in."""
+    written = read_yaml(Path(file)) if file else {}
+    learn = load_learn_config(car or str((written.get("learn") or {}).get("car", "sedan")))
+    base = to_dict(TuneConfig(learn=learn)) | (QUICK if quick else {})
+    return from_dict(TuneConfig, merged(base, written), file or "defaults")
+
+
+def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:
+    """Run; then write and print what came out."""
+    from driftjax.report import tuning_words, write_tuning
+    from driftjax.tune.run import run as tune
+
+    print(f"run folder: {folder.path}", flush=True)
+    with progress() as report:
+        num = num_workers(config.training * config.budget) if workers is None else workers
+        results = tune(config, folder, report, num if num > 1 else 0)
+    print(tuning_words(results))
+    print(f"report: {write_tuning(folder)}")
+    return 0

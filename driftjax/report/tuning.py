@@ -1,0 +1,105 @@
+"""What `driftjax tune` found, in words and one figure."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from driftjax.data import RunFolder
+from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
+from driftjax.report.table import aligned, interval, number
+
+KINDS = {"default": (NOMINAL, "default"), "tuned": (EXPLORED, "tuned by gradients"), "random": (GPR, "random search")}
+
+
+def tuning_words(results: dict[str, Any]) -> str:
+    """Settings, losses and differences as a table, and who won in a sentence."""
+    held, settings = results["held_out"], results["settings"]
+    num = len(held["plants"])
+    head = (
+        "setting",
+        *results["parameters"],
+        "laps",
+        "training loss",
+        "held-out loss",
+        "lateral error [m]",
+        "completed",
+    )
+    rows = [head] + [
+        (
+            label,
+            *(format(value, ".3g") for value in settings[kind]["values"].values()),
+            str(settings[kind]["cost"]),
+            number(settings[kind]["loss"], ".3f"),
+            interval(held["loss"][kind], ".3f"),
+            interval(held["lateral_error"][kind], ".3f"),
+            f"{held['completed'][kind]}/{num}",
+        )
+        for kind, (_, label) in KINDS.items()
+    ]
+    lines = [*aligned(rows), "", "Paired differences on the plants held out (in brackets: 95 % interval over plants):"]
+    lines += [
+        f"  {pair}: loss {interval(cell, '.3f')}, lateral error {interval(apart, '.3f')} m"
+        for (pair, cell), apart in zip(
+            held["loss_difference"].items(), held["lateral_error_difference"].values(), strict=True
+        )
+    ]
+    return "\n".join([*lines, "", *sentences(results)])
+
+
+def sentences(results: dict[str, Any]) -> list[str]:
+    """Who won, on what, and what went wrong on the way."""
+    held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
+    lines = [
+        f"Against the default, tuning by gradients {_verdict(held['loss_difference']['tuned - default'])}.",
+        f"Against random search, tuning by gradients {_verdict(held['loss_difference']['tuned - random'])}.",
+        f"Time: {tuned['seconds']:.0f} s by gradients ({tuned['slopes']} of them, {tuned['slope_seconds']:.0f} s), "
+        f"{drawn['seconds']:.0f} s by random search, compiling included.",
+        f"Laps that failed: {tuned['failed_laps']} and {drawn['failed_laps']}; "
+        f"laps without derivatives, left out of a gradient: {tuned['laps_without_slope']}.",
+    ]
+    return lines
+
+
+def _verdict(cell: dict[str, Any]) -> str:
+    mean, (low, high) = cell["mean"], cell["ci95"]
+    words = f"{'lowers' if mean < 0 else 'does not lower'} the loss on plants held out"
+    told = low is not None and (high < 0 or low > 0)
+    return words + ("" if told else ", by less than its interval: these plants do not tell")
+
+
+def _ways(axis: Axes, results: dict[str, Any]) -> None:
+    for kind in ("tuned", "random"):
+        colour, label = KINDS[kind]
+        cost, loss = np.array(results["settings"][kind]["history"]).T
+        axis.step(cost, loss, where="post", color=colour, label=label)
+    axis.set_xlabel("laps per training plant (a gradient counts as 7)")
+    axis.set_ylabel("lowest training loss [-]")
+    axis.set_ylim(bottom=0)
+    axis.legend(loc="best")
+
+
+def _pairs(axis: Axes, results: dict[str, Any]) -> None:
+    plants = results["held_out"]["plants"]
+    at = np.arange(len(KINDS))
+    for plant in plants:
+        axis.plot(at, [plant["loss"][kind] for kind in KINDS], color="0.75", lw=1.0, zorder=1)
+    for i, (kind, (colour, _)) in enumerate(KINDS.items()):
+        axis.plot(np.full(len(plants), i), [plant["loss"][kind] for plant in plants], "o", color=colour, ms=4)
+        axis.plot([i - 0.2, i + 0.2], [results["held_out"]["loss"][kind]["mean"]] * 2, color=colour, lw=2.5)
+    axis.set_xticks(at, [label for _, label in KINDS.values()])
+    axis.set_ylabel("loss on plants held out [-]")
+    axis.set_ylim(bottom=0)
+
+
+def write_tuning(run: RunFolder) -> Path:
+    """`tuning` as PNG and PDF and `report.txt`; returns the latter's path."""
+    results = run.read_json("results")
+    figure, axes = new_figure(1, 2, (10.0, 4.0))
+    _ways(axes[0, 0], results)
+    _pairs(axes[0, 1], results)
+    save(figure, run.path / "figures", "tuning")
+    path = run.path / "report.txt"
+    path.write_text(tuning_words(results) + "\n", encoding="utf-8")
+    return path

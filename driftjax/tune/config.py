@@ -1,0 +1,65 @@
+"""What a person may choose about `driftjax tune`."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from driftjax.core import require
+from driftjax.learn.config import LearnConfig
+from driftjax.tune.parameters import NAMES
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Errors that count as one in the loss."""
+
+    e: float = 0.5
+    """Lateral error against the planned path [m]."""
+    beta: float = 0.2
+    """Sideslip less the planned one [rad]."""
+    change: float = 0.5
+    """Change of the steering command per step [rad]."""
+    failed: float = 10.0
+    """Loss of a lap that is not completed [-]."""
+
+    def __post_init__(self) -> None:
+        held = (self.e, self.beta, self.change, self.failed)
+        require(min(held) > 0, f"keys 'e', 'beta', 'change' and 'failed' hold {held}; all must be positive.")
+
+
+@dataclass(frozen=True)
+class TuneConfig:
+    """Q, R and switching lead of the path-tracking drift MPC, tuned on some plants and judged on others."""
+
+    training: int = 4
+    """Plants to tune on, drawn as `driftjax learn` draws them."""
+    held_out: int = 8
+    """Plants to judge on, drawn after those and never tuned on."""
+    budget: int = 44
+    """Laps per training plant that tuning may take, and random search too; a gradient counts as 7."""
+    weights: float = 4.0
+    """Box of both searches: each weight within this factor of where it starts [-]."""
+    lead: float = 2.0
+    """Box of both searches: the switching lead within this factor of where it starts [-]."""
+    blend: float = 3.0
+    """Stretch over which the switch is smooth where gradients are taken; laps that are judged switch at once [m]."""
+    scales: Scales = field(default_factory=Scales)
+    learn: LearnConfig = field(default_factory=LearnConfig)
+    """Car, track and controller as in `driftjax learn`: nominal laps; what concerns learning is without effect."""
+
+    def __post_init__(self) -> None:
+        require(self.training >= 1, f"key 'training' is {self.training}; give at least 1.")
+        require(self.held_out >= 2, f"key 'held_out' is {self.held_out}; give at least 2.")
+        require(self.budget >= 2, f"key 'budget' is {self.budget}; give at least 2.")
+        require(self.weights > 1, f"key 'weights' is {self.weights}; give a factor above 1.")
+        require(self.lead > 1, f"key 'lead' is {self.lead}; give a factor above 1.")
+        require(self.blend > 0, f"key 'blend' is {self.blend}; give a length in metres above 0.")
+        require(not self.learn.plant, "key 'plant' names plants; those of `tune` are drawn.")
+        held = (*self.learn.path.Q, self.learn.switch.lead)
+        require(min(held) > 0, f"keys 'Q' and 'lead' hold {held}; what is 0 cannot be tuned by factors.")
+
+    @property
+    def box(self) -> Float[np.ndarray, " 6"]:
+        """Largest magnitude of each parameter, a logarithm of a factor [-]."""
+        return np.log([self.lead if name == "lead" else self.weights for name in NAMES])

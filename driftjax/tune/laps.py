@@ -1,0 +1,82 @@
+"""Closed-loop laps of chosen plants at chosen parameters, in processes beside each other."""
+
+import dataclasses
+from functools import cached_property
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.control.driver import Driver
+from driftjax.gp import zero_gp
+from driftjax.learn.metrics import LapFigures
+from driftjax.learn.scenario import Scenario, drivers
+from driftjax.learn.stage import drive_lanes
+from driftjax.sim import LapCode
+from driftjax.tune.config import TuneConfig
+from driftjax.tune.loss import Slopes, lap_errors, lap_loss, slope_lanes
+from driftjax.tune.parameters import moved
+from driftjax.vehicle import no_residual
+
+
+class Driven(NamedTuple):
+    """Laps with the controller as it is driven: points K, plants L."""
+
+    loss: Float[np.ndarray, "K L"]
+    code: np.ndarray
+    figures: LapFigures
+
+
+@dataclasses.dataclass(frozen=True)
+class Course:
+    """All plants of a run on one course."""
+
+    config: TuneConfig
+    scenario: Scenario
+
+    @cached_property
+    def drivers(self) -> Driver:
+        """Nominal drivers of all plants, before tuning."""
+        scenario = self.scenario
+        untaught = scenario.over_lanes(no_residual(zero_gp(1, 5, 3), scenario.lags))
+        return drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught)
+
+    @cached_property
+    def plants(self) -> list[str]:
+        """Names of the plants: those to tune on, then those held out."""
+        return [lane.plant for lane in self.scenario.lanes]
+
+    def lanes(self, p: Float[np.ndarray, " 6"], which: slice):
+        """Lanes of the plants `which` at `p`."""
+        scenario = self.scenario
+        speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
+        every = (moved(self.drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
+        return jax.tree.map(lambda a: a[which] if eqx.is_array(a) else a, every)
+
+    def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> Driven:
+        """A lap of each plant `which` at each of `points`."""
+        learn, scales = self.scenario.config, self.config.scales
+        each = [self.lanes(p, which) for p in points]
+        lanes = jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *each)
+        trace, code, _, figures = self.scenario.blocks.map(
+            drive_lanes, lanes, self.scenario.sensors, learn.lap, learn.mpc.dt
+        )
+        judge = lambda t, c, table: lap_loss(lap_errors(t, table, scales), c, scales)
+        loss: Array = jax.jit(jax.vmap(judge))(trace, code, lanes[0].table)
+        return jax.tree.map(lambda a: np.asarray(a).reshape(len(points), -1), Driven(loss, code, figures))
+
+    def slopes(self, p: Float[np.ndarray, " 6"], which: slice) -> Slopes:
+        """Derivatives at `p` of the laps of the plants `which` with the smooth switch."""
+        learn = self.scenario.config
+        shared = (self.scenario.sensors, learn.lap, learn.mpc.dt, self.config.scales, self.config.blend)
+        found = self.scenario.blocks.map(slope_lanes, self.lanes(p, which), *shared)
+        return jax.tree.map(np.asarray, found)
+
+
+def ending(code: int) -> str:
+    """How a lap ended, in a word."""
+    return LapCode(code).name.lower().replace("_", " ")

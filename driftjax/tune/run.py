@@ -1,0 +1,105 @@
+"""`driftjax tune`: both searches on the training plants, then one lap each on the plants held out."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from driftjax.core import workers
+from driftjax.data.folder import RunFolder
+from driftjax.learn.metrics import interval
+from driftjax.learn.scenario import build
+from driftjax.tune.config import TuneConfig
+from driftjax.tune.laps import Course, Driven, ending
+from driftjax.tune.parameters import NAMES, values
+from driftjax.tune.search import Search, descend, random_search
+
+Report = Callable[[str, int, int], None]
+KINDS = ("default", "tuned", "random")
+PAIRS = (("default", "tuned"), ("default", "random"), ("random", "tuned"))
+
+
+def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
+    """Search, judge, write `results.json`; return it. Deterministic but for the seconds."""
+    report("plan", 0, 4)
+    num = config.training + config.held_out
+    learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
+    with workers(num_workers) as blocks:
+        course = Course(config, build(learn, blocks))
+        found = searched(course, report)
+        report("laps of held-out plants", 3, 4)
+        points = np.stack([found[kind]["p"] for kind in KINDS])
+        results = told(course, found, course.drive(points, slice(config.training, num)))
+    folder.write_json("results", results)
+    report("done", 4, 4)
+    return results
+
+
+def searched(course: Course, report: Report) -> dict[str, dict[str, Any]]:
+    """The three settings: where the search starts, and what either search found on the training plants."""
+    config, notes = course.config, {"failed_laps": 0, "laps_without_slope": 0, "slopes": 0, "slope_seconds": 0.0}
+    training, box = slice(0, config.training), config.box
+
+    def evaluate(points: np.ndarray) -> np.ndarray:
+        driven = course.drive(points, training)
+        notes["failed_laps"] += int(np.sum(~driven.figures.completed))
+        return driven.loss.mean(axis=1)
+
+    def slope(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        begun = time.monotonic()
+        found = course.slopes(p, training)
+        notes["laps_without_slope"] += int(np.sum(~found.known))
+        notes["slopes"] += 1
+        notes["slope_seconds"] += time.monotonic() - begun
+        return found.gradient.mean(axis=0), found.gauss.mean(axis=0)
+
+    def timed(search: Callable[[], Search]) -> dict[str, Any]:
+        notes.update(dict.fromkeys(notes, 0))
+        begun = time.monotonic()
+        found = search()
+        return found._asdict() | {"seconds": time.monotonic() - begun} | notes
+
+    report("gradients through laps", 1, 4)
+    tuned = timed(lambda: descend(evaluate, slope, box, config.budget))
+    report("random search", 2, 4)
+    drawn = timed(lambda: random_search(evaluate, box, config.budget, config.learn.seed))
+    first = {"p": np.zeros(len(box)), "loss": tuned["history"][0][1], "cost": 0}
+    return {"default": first, "tuned": tuned, "random": drawn}
+
+
+def told(course: Course, found: dict[str, dict[str, Any]], driven: Driven) -> dict[str, Any]:
+    """`results.json`."""
+    config, names = course.config, course.plants
+    error = driven.figures.lateral_error
+    settings = {
+        kind: one | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(course.drivers, one["p"])}
+        for kind, one in found.items()
+    }
+    per_plant = [
+        {
+            "plant": name,
+            "loss": dict(zip(KINDS, driven.loss[:, i].tolist(), strict=True)),
+            "lateral_error": dict(zip(KINDS, error[:, i].tolist(), strict=True)),
+            "drift_share": dict(zip(KINDS, driven.figures.drift_share[:, i].tolist(), strict=True)),
+            "ended": {kind: ending(driven.code[k, i]) for k, kind in enumerate(KINDS)},
+        }
+        for i, name in enumerate(names[config.training :])
+    ]
+    row = {kind: i for i, kind in enumerate(KINDS)}
+    apart = lambda values: {f"{b} - {a}": interval(values[row[b]] - values[row[a]]) for a, b in PAIRS}
+    return {
+        "parameters": list(NAMES),
+        "box": dict(zip(NAMES, np.exp(config.box).tolist(), strict=True)),
+        "training_plants": names[: config.training],
+        "settings": settings,
+        "held_out": {
+            "plants": per_plant,
+            "loss": {kind: interval(driven.loss[row[kind]]) for kind in KINDS},
+            "lateral_error": {kind: interval(error[row[kind]]) for kind in KINDS},
+            "completed": {kind: int(np.sum(driven.figures.completed[row[kind]])) for kind in KINDS},
+            "loss_difference": apart(driven.loss),
+            "lateral_error_difference": apart(error),
+        },
+    }
