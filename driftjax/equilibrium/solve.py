@@ -109,7 +109,8 @@ def solve(
 
     `branch` is the `Branch` asked for: a solution on another one has result `off_branch`. `not_converged` means
     that no zero was found near the guess, not that there is none. Differentiable in `model` and `fixed` by the
-    implicit function theorem; the guess carries no gradient.
+    implicit function theorem; the guess carries no gradient. Without `result == successful` the derivatives mean as
+    little as the values.
     """
     weight = nominal.m * G
     x0, u0 = jax.lax.stop_gradient(guess)
