@@ -36,7 +36,7 @@ class TuneConfig:
     """Plants to tune on, drawn as `driftjax learn` draws them."""
     held_out: int = 8
     """Plants to judge on, drawn after those and never tuned on."""
-    budget: int = 44
+    budget: int = 23
     """Laps per training plant that tuning may take, and random search too; a gradient counts as 7."""
     weights: float = 4.0
     """Box of both searches: each weight within this factor of where it starts [-]."""

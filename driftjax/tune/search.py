@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 Evaluate = Callable[[Float[np.ndarray, "K P"]], Float[np.ndarray, " K"]]
 Slope = Callable[[Float[np.ndarray, " P"]], tuple[Float[np.ndarray, " P"], Float[np.ndarray, "P P"]]]
-DAMPINGS = np.array([1e-3, 1e-2, 1e-1, 1.0])  # tried side by side, of the mean curvature
+DAMPINGS = np.array([1e-2, 1e-1, 1.0, 10.0])  # tried side by side, of the mean curvature
+REACH = np.log(1.6)  # furthest that a step moves any parameter: slopes of a lap say little beyond
 HARDER = 1e3  # factor on them where none of the steps is better
 GIVE_UP = 2  # rounds of trials in a row without a better point
 
@@ -51,6 +52,7 @@ def descend(evaluate: Evaluate, slope: Slope, box: Float[np.ndarray, " P"], budg
 def _step(p: np.ndarray, gradient: np.ndarray, gauss: np.ndarray, damping: float, box: np.ndarray) -> np.ndarray:
     size = max(float(np.trace(gauss)) / len(p), 1e-12)
     step = -np.linalg.solve(gauss + damping * size * np.eye(len(p)), gradient)
+    step *= min(1.0, REACH / max(float(np.abs(step).max()), 1e-12))
     return np.clip(p + step, -box, box)
 
 
