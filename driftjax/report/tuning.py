@@ -51,22 +51,22 @@ def tuning_words(results: dict[str, Any]) -> str:
 def sentences(results: dict[str, Any]) -> list[str]:
     """Who won, on what, and what went wrong on the way."""
     held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
-    lines = [
-        f"Against the default, tuning by gradients {_verdict(held['loss_difference']['tuned - default'])}.",
-        f"Against random search, tuning by gradients {_verdict(held['loss_difference']['tuned - random'])}.",
+    return [
+        f"Against the default, tuning by gradients {_verdict(held, 'tuned - default')}.",
+        f"Against random search, tuning by gradients {_verdict(held, 'tuned - random')}.",
         f"Time: {tuned['seconds']:.0f} s by gradients ({tuned['slopes']} of them, {tuned['slope_seconds']:.0f} s), "
         f"{drawn['seconds']:.0f} s by random search, compiling included.",
         f"Laps that failed: {tuned['failed_laps']} and {drawn['failed_laps']}; "
         f"laps without derivatives, left out of a gradient: {tuned['laps_without_slope']}.",
     ]
-    return lines
 
 
-def _verdict(cell: dict[str, Any]) -> str:
-    mean, (low, high) = cell["mean"], cell["ci95"]
-    words = f"{'lowers' if mean < 0 else 'does not lower'} the loss on plants held out"
+def _verdict(held: dict[str, Any], pair: str) -> str:
+    mean, (low, high) = held["loss_difference"][pair]["mean"], held["loss_difference"][pair]["ci95"]
+    words = f"{'lowers' if mean < 0 else 'does not lower'} the mean loss on plants held out"
     told = low is not None and (high < 0 or low > 0)
-    return words + ("" if told else ", by less than its interval: these plants do not tell")
+    words += "" if told else ", but the interval of the difference holds 0"
+    return f"{words}; it is lower on {held['loss_lower_on'][pair]} of {len(held['plants'])} of them"
 
 
 def _ways(axis: Axes, results: dict[str, Any]) -> None:

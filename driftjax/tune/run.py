@@ -100,6 +100,7 @@ def told(course: Course, found: dict[str, dict[str, Any]], driven: Driven) -> di
             "lateral_error": {kind: interval(error[row[kind]]) for kind in KINDS},
             "completed": {kind: int(np.sum(driven.figures.completed[row[kind]])) for kind in KINDS},
             "loss_difference": apart(driven.loss),
+            "loss_lower_on": {f"{b} - {a}": int(np.sum(driven.loss[row[b]] < driven.loss[row[a]])) for a, b in PAIRS},
             "lateral_error_difference": apart(error),
         },
     }

@@ -63,7 +63,7 @@ def test_results_report_and_figure_are_written_and_the_gain_is_told(here, capsys
     assert low < high < 0 and held["completed"]["tuned"] == 3
     for name in ("config.yaml", "versions.json", "report.txt", "figures/tuning.png", "figures/tuning.pdf"):
         assert (here / "r" / name).is_file()
-    assert "Against random search, tuning by gradients lowers the loss" in out and "Laps that failed" in out
+    assert "Against random search, tuning by gradients lowers the mean loss" in out and "Laps that failed" in out
     assert (here / "r" / "report.txt").read_text().strip() in out
 
 
@@ -72,7 +72,7 @@ def test_where_random_search_wins_it_is_said(here, capsys, monkeypatch):
     monkeypatch.setattr(MadeUp, "slopes", lambda self, p, which: none)
     assert main(["tune", "--out", "r", "--budget", "60", "--workers", "1"]) == 0
     out = capsys.readouterr().out
-    assert "Against random search, tuning by gradients does not lower the loss" in out
+    assert "Against random search, tuning by gradients does not lower the mean loss" in out
     assert "left out of a gradient: 1." in out
 
 
