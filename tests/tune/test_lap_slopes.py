@@ -74,9 +74,8 @@ def test_slopes_through_the_loop_equal_central_differences_and_a_step_along_them
     assert int(jnp.sum(drifting)) >= 8
     h = 1e-4
     apart = np.array([float(value(h * e, width)[0] - value(-h * e, width)[0]) / (2 * h) for e in np.eye(len(NAMES))])
-    print("relative error", np.abs(gradient - apart) / np.abs(apart))
-    np.testing.assert_allclose(gradient, apart, rtol=2e-3, atol=1e-5 * np.abs(apart).max())
-    step = -0.05 * gradient / jnp.linalg.norm(gradient)
+    np.testing.assert_allclose(gradient, apart, rtol=1e-4, atol=1e-6 * np.abs(apart).max())
+    step = -1e-3 * gradient / jnp.linalg.norm(gradient)
     assert float(value(step, width)[0]) < float(value(zero, width)[0])
 
 
