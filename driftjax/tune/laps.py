@@ -2,7 +2,7 @@
 
 import dataclasses
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -67,7 +67,8 @@ class Course:
         )
         judge = lambda t, c, table: lap_loss(lap_errors(t, table, scales), c, scales)
         loss: Array = jax.jit(jax.vmap(judge))(trace, code, lanes[0].table)
-        return jax.tree.map(lambda a: np.asarray(a).reshape(len(points), -1), Driven(loss, code, figures))
+        plain: Any = jax.tree.map(lambda a: np.asarray(a).reshape(len(points), -1), (loss, code, figures))
+        return Driven(*plain)
 
     def slopes(self, p: Float[np.ndarray, " 6"], which: slice) -> Slopes:
         """Derivatives at `p` of the laps of the plants `which` with the smooth switch."""

@@ -53,7 +53,7 @@ def searched(course: Course, report: Report) -> dict[str, dict[str, Any]]:
         notes["laps_without_slope"] += int(np.sum(~found.known))
         notes["slopes"] += 1
         notes["slope_seconds"] += time.monotonic() - begun
-        return found.gradient.mean(axis=0), found.gauss.mean(axis=0)
+        return np.asarray(found.gradient).mean(axis=0), np.asarray(found.gauss).mean(axis=0)
 
     def timed(search: Callable[[], Search]) -> dict[str, Any]:
         notes.update(dict.fromkeys(notes, 0))
@@ -72,7 +72,7 @@ def searched(course: Course, report: Report) -> dict[str, dict[str, Any]]:
 def told(course: Course, found: dict[str, dict[str, Any]], driven: Driven) -> dict[str, Any]:
     """`results.json`."""
     config, names = course.config, course.plants
-    error = driven.figures.lateral_error
+    error = np.asarray(driven.figures.lateral_error)
     settings = {
         kind: one | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(course.drivers, one["p"])}
         for kind, one in found.items()

@@ -1,6 +1,7 @@
 """`driftjax tune` with made-up laps: what it writes and says; bad input in one sentence."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from driftjax.learn.metrics import LapFigures
 from driftjax.tune.laps import Driven
 from driftjax.tune.loss import Slopes
 from driftjax.tune.parameters import NAMES
+
+FIGURES: Any = LapFigures  # of NumPy's arrays here
+SLOPES: Any = Slopes
 
 
 class MadeUp:
@@ -28,12 +32,12 @@ class MadeUp:
         spun = np.zeros(apart.shape[:2], bool)
         spun[:, -1] = points[:, 5] > 0.1
         loss = np.where(spun, self.config.scales.failed, np.sum(apart**2, axis=-1))
-        return Driven(loss, np.where(spun, 2, 1), LapFigures(loss, loss, loss, loss, ~spun))
+        return Driven(loss, np.where(spun, 2, 1), FIGURES(loss, loss, loss, loss, ~spun))
 
     def slopes(self, p, which):
         apart = p - self._aim(which)
         num = len(apart)
-        return Slopes(np.sum(apart**2, axis=1), 2 * apart, np.tile(2 * np.eye(6), (num, 1, 1)), np.ones(num, bool))
+        return SLOPES(np.sum(apart**2, axis=1), 2 * apart, np.tile(2 * np.eye(6), (num, 1, 1)), np.ones(num, bool))
 
 
 @pytest.fixture
@@ -68,7 +72,7 @@ def test_results_report_and_figure_are_written_and_the_gain_is_told(here, capsys
 
 
 def test_where_random_search_wins_it_is_said(here, capsys, monkeypatch):
-    none = Slopes(np.zeros(1), np.zeros((1, 6)), np.zeros((1, 6, 6)), np.zeros(1, bool))
+    none = SLOPES(np.zeros(1), np.zeros((1, 6)), np.zeros((1, 6, 6)), np.zeros(1, bool))
     monkeypatch.setattr(MadeUp, "slopes", lambda self, p, which: none)
     assert main(["tune", "--out", "r", "--budget", "60", "--workers", "1"]) == 0
     out = capsys.readouterr().out
