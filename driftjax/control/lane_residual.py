@@ -24,7 +24,7 @@ class Learnt(NamedTuple):
     H: list[Matrix]  # second derivatives of each output
 
 
-def learnt(residual: Residual, z: Components, unit: Sequence[float]) -> Learnt:
+def learnt(residual: Residual, z: Components, unit: Sequence[Array | float]) -> Learnt:
     """The residual at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch), derivatives per that unit.
 
     Leaves of `residual` have a leading axis, of 1 where all lanes share it. Points are the columns of matrix products,
@@ -43,7 +43,7 @@ def learnt(residual: Residual, z: Components, unit: Sequence[float]) -> Learnt:
 
 
 def _bounded(
-    mean: Expansion, near: Expansion, k: int, reach: Array, gate: Array, unit: Sequence[float]
+    mean: Expansion, near: Expansion, k: int, reach: Array, gate: Array, unit: Sequence[Array | float]
 ) -> tuple[Array, list[Array], Matrix]:
     """Output `k` of `Residual` with its derivatives, by the chain rule from those of mean and nearness."""
     value = lambda m, n: gate * bounded(m, n, reach)

@@ -13,7 +13,7 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
-from driftjax.solve.sparse import Matrix, column, dot, runge_kutta, runge_kutta_curvature, times, total
+from driftjax.solve.sparse import Entry, Matrix, column, dot, runge_kutta, runge_kutta_curvature, times, total
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_residual
 
@@ -43,9 +43,9 @@ class DriftLanes(AbstractLanes):
         n = len(self.Q)
 
         def rates(*w: Array) -> list[Array]:
-            found = list(self.car(State(*w[:3]), Control(w[n], self.Fxr_unit * w[n + 1])))
+            found = list(self.car(State(w[0], w[1], w[2]), Control(w[n], self.Fxr_unit * w[n + 1])))
             found = [a + b for a, b in zip(found, w[n + 2 :], strict=True)] if len(w) > n + 2 else found
-            return found if n == 3 else [*found, *curvilinear_rates(*w[:5], kappa)[1:]]
+            return found if n == 3 else [*found, *curvilinear_rates(w[0], w[1], w[2], w[3], w[4], kappa)[1:]]
 
         return rates
 
@@ -100,9 +100,8 @@ class DriftLanes(AbstractLanes):
             M = [[total((row[j], dot(row[n + 2 :], column(J, j)))) for j in range(n + 2)] for row in M]
         M = [[times(share, row[j]) for j, share in self._columns()] for row in M]
         left = self._shares()[1]
-        blank = [None] * (len(x) + len(u))
         for i, share in enumerate(left):
-            row = list(blank)
+            row: list[Entry] = [None] * (len(x) + len(u))
             row[n + i], row[len(x) + i] = share + jnp.zeros_like(x[0]), 1 - share + jnp.zeros_like(x[0])
             M.append(row)
         return [*y, *reached], M

@@ -71,7 +71,7 @@ class Blocks:
 class Rehearsal(Blocks):
     """Lanes that are not computed: one worker compiles what `map` would call, and zeros come back."""
 
-    def __init__(self, pool: ProcessPoolExecutor):
+    def __init__(self, pool: Executor):
         super().__init__()
         self._workers = pool
         self._begun: dict[str, Future] = {}

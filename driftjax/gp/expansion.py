@@ -1,5 +1,6 @@
 """The mean of a GP with first and second derivatives at many points at once, by matrix products."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -45,7 +46,7 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Ar
     nf = Z.shape[1]
     centre = jnp.mean(Z, axis=0)
     a, b = ((Z - centre) * inverse).T, ((z - centre) * inverse).T  # (nf, M), (nf, P)
-    q = sum((b[i][None] - a[i][:, None]) ** 2 for i in range(nf))  # (M, P)
+    q = functools.reduce(jnp.add, ((b[i][None] - a[i][:, None]) ** 2 for i in range(nf)))  # (M, P)
     one = jnp.ones_like(a[:1])
     moments = jnp.concatenate([one, a, jnp.stack([a[i] * a[j] for i, j in pairs(nf)])]) * amounts
     if kernel in PROPORTIONAL:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from driftjax.control.driver import Driver, Memory, decide
+from driftjax.control.lane_solve import safeguarded
 from driftjax.control.lqr import LQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
@@ -76,14 +77,21 @@ def sliding(s: float) -> Sensed:
     return Sensed(jnp.asarray(9.0), half, jnp.asarray(1.0), jnp.asarray(s), zero, -half, jnp.asarray(s), zero, -half)
 
 
+@eqx.filter_jit
+def step(one, sensed, memory, needed):
+    """One step of the drift MPC, alone."""
+    posed = one.pose(sensed, memory, needed)
+    return one.conclude(posed, safeguarded(one.ocp, posed), memory)
+
+
 def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
     one, needed = driver("mpc"), jnp.asarray(True)
     start = one.start(jnp.asarray(9.0))._replace(command=jnp.asarray([-0.29, 6000.0]))
-    first, memory = eqx.filter_jit(one.plan)(sliding(50.0), start, needed)
+    first, memory = step(one, sliding(50.0), start, needed)
     assert bool(first.solved) and bool(memory.planned)
     allowed_none = eqx.tree_at(lambda d: d.options.max_steps, one, jnp.asarray(0))
     nothing = memory._replace(X=jnp.full_like(memory.X, jnp.nan))  # and the guess is of no use either
-    second, after = eqx.filter_jit(allowed_none.plan)(sliding(50.5), nothing, needed)
+    second, after = step(allowed_none, sliding(50.5), nothing, needed)
     assert not bool(second.solved)
     np.testing.assert_allclose(jnp.stack(second.command), memory.good[0], rtol=1e-12)
     assert bool(jnp.all(jnp.isfinite(after.command))) and not bool(after.planned)  # starts cold the next time
@@ -97,7 +105,7 @@ def test_each_lane_is_driven_by_its_own_controller_and_the_others_do_not_matter(
     alive = jnp.asarray([True, True, False])
     command, memory, decision = eqx.filter_jit(decide)(stack(one, one, one), sensed, stack(start, start, start), alive)
     assert decision.drifting.tolist() == [False, True, False] and int(decision.num_steps[0]) == 0
-    alone, _ = eqx.filter_jit(one.plan)(sliding(50.0), start, jnp.asarray(True))
+    alone, _ = step(one, sliding(50.0), start, jnp.asarray(True))
     np.testing.assert_allclose(command.delta[1], alone.command.delta, rtol=1e-6)
     np.testing.assert_allclose(jnp.stack(command)[:, 0], one.pursue(sliding(10.0), start), rtol=1e-9)
     assert memory.planned.tolist() == [False, True, False]
