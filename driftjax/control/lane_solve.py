@@ -39,7 +39,7 @@ class Answer(NamedTuple):
 
 
 def acceptable(answer: Answer, options: Options, times: float) -> Array:
-    """Whether an answer is within so many tolerances of optimal; False on NaN."""
+    """Whether an answer, or each of a batch, is within so many tolerances of optimal; False on NaN."""
     return jnp.maximum(answer.kkt, answer.violation) <= times * options.tolerance
 
 
@@ -58,7 +58,7 @@ def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"], times: f
     if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
         return eqx.filter_vmap(safeguarded)(ocp, posed)
     found = _batched(ocp, posed, needed)
-    left = needed & ~jax.vmap(acceptable, (0, 0, None))(found, posed.options, times)
+    left = needed & ~acceptable(found, posed.options, times)
 
     def again(lane: tuple[DriftOCP, Posed, Answer, Array]) -> Answer:
         ocp, posed, found, left = lane

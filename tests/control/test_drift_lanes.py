@@ -1,6 +1,5 @@
 """The drift MPC for batches is the drift MPC of closed-loop laps, entry by entry."""
 
-import dataclasses
 import os
 import subprocess
 import sys
@@ -39,12 +38,7 @@ def reference(num: int, *shape: int) -> Reference:
     return Reference(*(jnp.full((num, *shape), value) for value in (9.0, -0.55, 1.1, 0.1, 0.15, 0.06)))
 
 
-CASES = {
-    "the paper's": (Weights(), None),
-    "path and front slip": (WHOLE, None),
-    "residual": (Weights(), dataclasses.replace(residual(0), lags=jnp.zeros(2))),
-    "all": (WHOLE, residual(0)),
-}
+CASES = {"the paper's": (Weights(), None), "all": (WHOLE, residual(0))}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -58,7 +52,6 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     acting = reached or list(U)  # a state that no lag remembers has no effect
     unscale = np.concatenate([np.ones(5), UNIT, UNIT])  # from SI to the units of the batch
     kept = [*range(len(tracked)), *((7, 8) if reached else ())]
-    order = [*kept, 9, 10]
     to_z = np.concatenate([whole.x_scale / unscale, np.asarray(whole.u_scale) / UNIT])
 
     def value(z):
@@ -69,10 +62,8 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
         return (whole.step(x, u, here) * to_z[:9])[jnp.array(kept)], whole.cost(x, u, here) - change
 
     z = jnp.array([*tracked, *reached, *U])
-    components = [z[i : i + 1] for i in range(len(order) - 2)], [z[i : i + 1] for i in (-2, -1)]
-    components = (components[0], [z[-2:-1], z[-1:]])
-    p = reference(1, 1)
-    p = jax.tree.map(lambda leaf: leaf[0], p)
+    components = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
+    p = jax.tree.map(lambda leaf: leaf[0], reference(1, 1))
     around = batched.around(*components, p)
     y, M = batched.linearise(*components, p, around)
     dense = lambda rows: np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in rows])
@@ -82,7 +73,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     np.testing.assert_allclose(dense(M), exact, rtol=1e-8, atol=1e-10 * np.abs(exact).max())
     costate = jnp.asarray(np.random.default_rng(1).normal(size=len(kept)))
     H = batched.curvature(*components, [c[None] for c in costate], p, around)
-    if name in ("the paper's", "path and front slip"):  # the whole problem's own residual has no third derivatives
+    if learnt is None:  # the whole problem's own residual has no third derivatives
         bend = jax.hessian(lambda z: costate @ value(z)[0])(z)
         np.testing.assert_allclose(dense(H), bend, rtol=1e-7, atol=1e-9 * np.abs(bend).max())
     else:
@@ -112,9 +103,8 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     found = np.load(out)
     assert found["num_steps"][0] == 0  # not needed
     assert (found["kkt"][1:] <= 1e-7).all() and (found["kkt_alone"][1:] <= 1e-7).all()
-    np.testing.assert_allclose(found["U"][1:] / UNIT, found["U_alone"][1:] / UNIT, atol=2e-3)
-    np.testing.assert_allclose(found["X"][1:], found["X_alone"][1:], atol=2e-3)
-    assert np.ptp(found["U"][1:, 0, 0]) > 1e-3  # what was learnt matters
+    np.testing.assert_allclose(found["U"][1:] / UNIT, found["U_alone"][1:] / UNIT, atol=1e-6)
+    np.testing.assert_allclose(found["X"][1:], found["X_alone"][1:], atol=1e-6)
 
 
 def answer(out: str) -> None:
@@ -125,7 +115,7 @@ def answer(out: str) -> None:
     x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (num, 5))
     wide = lambda a: jnp.broadcast_to(a, (num, *np.shape(a)))
     before = wide(BEFORE * UNIT)
-    options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60)))
+    options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
     posed = Posed(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
     together = eqx.filter_jit(answers)(ocp, posed, jnp.arange(num) > 0, 1.0)
