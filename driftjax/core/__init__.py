@@ -10,8 +10,10 @@ from driftjax.core.config import find_config as find_config
 from driftjax.core.config import from_dict as from_dict
 from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
+from driftjax.core.each import each as each
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
+from driftjax.core.integrate import rk4_loop as rk4_loop
 from driftjax.core.integrate import rk4_step as rk4_step
 from driftjax.core.programs import call as call
 from driftjax.core.records import Control as Control

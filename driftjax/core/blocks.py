@@ -58,7 +58,7 @@ class Blocks:
             others = jax.tree.map(_plain, shared)
             each = self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True))
             found = _arrived(lambda: list(each))
-        return jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *found)
+        return jax.tree.map(_joined, *found)
 
     def begin(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
         """`function(*args)` begun in a worker; without one, put off until the result is asked for."""
@@ -97,6 +97,13 @@ def _arrived(result: Callable[[], T]) -> T:
         ) from None
 
 
+def _joined(*parts: Any) -> Any:
+    """Arrays end to end; what is no array is the same in all."""
+    if not eqx.is_array(parts[0]):
+        return parts[0]
+    return jnp.asarray(np.concatenate(parts)) if isinstance(parts[0], np.ndarray) else jnp.concatenate(parts)
+
+
 def _num(lanes: PyTree) -> int:
     return next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
 
@@ -127,11 +134,10 @@ def num_workers(lanes: int) -> int:
 
 
 @contextmanager
-def workers(num: int, size: int = 1) -> Iterator[Blocks]:
-    """Blocks of `size` lanes computed by `num` processes, which end with the context however it is left; 0 stays in
-    this process."""
+def workers(num: int) -> Iterator[Blocks]:
+    """Blocks computed by `num` processes, which end with the context however it is left; 0 stays in this process."""
     if num == 0:
-        yield Blocks(size if jax.default_backend() == "cpu" else None)
+        yield Blocks(1 if jax.default_backend() == "cpu" else None)
         return
     settings = {name: jax.config.values[name] for name in SETTINGS}
     before = set(multiprocessing.active_children())
@@ -139,7 +145,7 @@ def workers(num: int, size: int = 1) -> Iterator[Blocks]:
     for _ in range(num):
         pool.submit(os.getpid)  # the pool starts its processes on demand: let them load now
     try:
-        yield Blocks(size, pool)
+        yield Blocks(1, pool)
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:

@@ -54,11 +54,20 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
         raise ValueError(f"{function.__qualname__}: only functions of a module itself can be kept")
     leaves, structure = jax.tree.flatten(args)
     traced = tuple(map(eqx.is_array, leaves))
-    arrays = [jnp.asarray(leaf) for leaf in leaves if eqx.is_array(leaf)]
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
+    around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
+    known = (function, structure, traced, tuple(map(jax.typeof, arrays)), tuple(map(repr, static)), around)
+    if known not in _names:
+        _names[known] = _prepared(function, structure, traced, arrays, static, around)
+    run, skeleton, _ = _programs[_names[known]]
+    return run, arrays, skeleton
+
+
+def _prepared(function: Callable, structure: Any, traced: tuple, arrays: list, static: list, around: tuple) -> str:
+    """Name in `_programs` of a program that is there from now on."""
     shapes = [str(jax.typeof(a)) for a in arrays]
-    around = (jax.default_backend(), jax.config.values["jax_enable_x64"], _sources())
-    text = repr((function.__module__, function.__qualname__, structure, traced, shapes, static, around))
+    text = repr((function.__module__, function.__qualname__, structure, traced, shapes, static, around, _sources()))
     name = f"{function.__qualname__}-{hashlib.sha256(text.encode()).hexdigest()}"
     with _locks_guard:
         lock = _locks.setdefault(name, threading.Lock())
@@ -69,8 +78,7 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
             folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
             lowered, skeleton = _lowered(plain, arrays) if folder is None else _kept(folder / name, plain, arrays)
             _programs[name] = lowered.compile(), skeleton, plain
-    run, skeleton, _ = _programs[name]
-    return run, arrays, skeleton
+    return name
 
 
 def _folder() -> Path | None:
@@ -107,6 +115,7 @@ class _Plain:
 
 # The function is held as well: while it lives no other can take the address that its name may hold.
 _programs: dict[str, tuple[Compiled, PyTree, _Plain]] = {}
+_names: dict[tuple, str] = {}  # of programs asked for before: printing what tells them apart takes a millisecond
 _locks: dict[str, threading.Lock] = {}
 _locks_guard = threading.Lock()
 

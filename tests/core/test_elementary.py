@@ -121,6 +121,22 @@ def test_first_and_second_derivatives_forward_and_reverse(name, kind):
         np.testing.assert_allclose(value, exact(x.astype(float)), **tolerance)
 
 
+def test_a_loop_is_differentiated_twice():
+    def swung(x, sin, sincos, arctan, arctan2):
+        def turn(a, share):
+            s, c = sincos(a * share)
+            return sin(a) + arctan(c) + arctan2(s, 1.5 + c), None
+
+        return jax.lax.scan(turn, x[0] * x[1], jnp.arange(1.0, 4.0))[0]
+
+    plain = (jnp.sin, lambda x: (jnp.sin(x), jnp.cos(x)), jnp.arctan, jnp.arctan2)
+    ours = (elementary.sin, elementary.sincos, elementary.arctan, elementary.arctan2)
+    x = jnp.asarray([0.3, 0.7])
+    for take in (jax.hessian, lambda f: jax.jacrev(jax.jacrev(f)), lambda f: jax.jacfwd(jax.jacfwd(f))):
+        expected = take(lambda x: swung(x, *plain))(x)
+        np.testing.assert_allclose(take(lambda x: swung(x, *ours))(x), expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("kind", TYPES)
 def test_derivatives_of_angles_of_points(kind):
     y, x = np.random.default_rng(3).normal(size=(2, 100)).astype(kind)

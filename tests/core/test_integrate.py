@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import lag_step, rk4_step
+from driftjax.core import lag_step, rk4_loop, rk4_step
 from driftjax.core.integrate import heun_step
 
 
@@ -23,6 +23,21 @@ def test_order_of_convergence(step, order):
     errors = [np.abs(pendulum(step, num) - exact).max() for num in (10, 20, 40)]
     assert errors[-1] > 1e-9  # well above rounding, or the order says nothing
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), order, atol=0.35)
+
+
+def test_the_loop_is_the_same_step_with_the_same_derivatives():
+    rate = lambda x: jnp.stack([x[1], -jnp.sin(x[0]) * x[0] * x[1], x[0] * x[2]])
+    bent = lambda x: rk4_step(rate, x, 0.3) @ jnp.arange(1.0, 4.0)
+    moved = lambda x: rk4_loop(lambda x, _: rate(x), x, 0.3) @ jnp.arange(1.0, 4.0)
+    x = jnp.asarray([0.4, -0.7, 1.1])
+    for take in (lambda f: f, jax.grad, jax.jacfwd, jax.hessian):
+        np.testing.assert_allclose(take(moved)(x), take(bent)(x), rtol=1e-12, atol=1e-14)
+
+
+def test_the_loop_passes_each_slope_its_own_row():
+    times = 2.0 + 0.1 * jnp.asarray([0.0, 0.5, 0.5, 1.0])  # x_dot = t^3: Simpson's rule, exact
+    end = rk4_loop(lambda x, t: jnp.stack([t**3]), jnp.zeros(1), 0.1, times)
+    np.testing.assert_allclose(end, (2.1**4 - 2.0**4) / 4, rtol=1e-13)
 
 
 @pytest.mark.parametrize("lag", [0.003, 0.08, 2.0])
