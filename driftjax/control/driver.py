@@ -1,6 +1,5 @@
 """Who drives: pure pursuit on normal segments, a drift controller in the corner, and the switch between them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -15,7 +14,7 @@ from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, predict, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
-from driftjax.core import Control, State, as_float, lag_step, require
+from driftjax.core import Control, State, as_float, each, lag_step, require
 from driftjax.sim import Sensed, keep_where
 from driftjax.solve import Options, shift
 from driftjax.track import Track
@@ -153,7 +152,6 @@ class Driver(eqx.Module):
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
     """One step of all lanes (leading axis); the MPC runs only while some lane that is `alive` needs it."""
-    each: Callable = eqx.filter_vmap
     engaged = each(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
     pursued = each(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
     idle = Decision(

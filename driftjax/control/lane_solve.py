@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -10,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from driftjax.control.lanes import lanes_of
 from driftjax.control.mpc import DriftOCP, Reference, along, solve_mpc, within_limits
+from driftjax.core import each
 from driftjax.solve import LanePlans, Options, solve_lanes
 from driftjax.vehicle import SingleTrack
 
@@ -56,7 +56,7 @@ def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"], times: f
     after the other. Lanes not `needed` cost nothing and come back unsolved.
     """
     if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
-        return eqx.filter_vmap(safeguarded)(ocp, posed)
+        return each(safeguarded)(ocp, posed)
     found = _batched(ocp, posed, needed)
     left = needed & ~acceptable(found, posed.options, times)
 

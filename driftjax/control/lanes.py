@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.control.lane_residual import Learnt, learnt
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
+from driftjax.control.residual import Learnt, learnt
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits

@@ -1,6 +1,7 @@
 """The drift MPC (Wu et al. 2025, Eq. 10): track a reference with the nominal car plus its learnt residual."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,8 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_step
-from driftjax.solve import AbstractOCP, Options, Plan, solve
+from driftjax.control.residual import Nearby, nearby
+from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_loop, rk4_step
+from driftjax.solve import AbstractOCP, Linear, Options, Plan, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, build_car
 
@@ -99,25 +101,26 @@ class DriftOCP(AbstractOCP):
         """What acts over the step (2,), scaled: the mean of the lagging response to the command."""
         return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
-    def _motion(self, v: Array, p: Reference, order: int) -> Array:
+    def _motion(self, v: Array, p: Reference, around: Nearby | None = None) -> Array:
         """(V, beta, r, e, theta) one step later from these and what acts, `v` (7,); all scaled.
 
-        Derivatives are exact up to `order`.
+        With the residual `around` here it is cheap to differentiate, and right up to second order.
         """
         y, acting = v[:5] * self.x_scale[:5], Control(*(v[5:] * self.u_scale))
-        d = self.residual.local(features(State(y[0], y[1], y[2]), acting), order)
+        z = features(State(y[0], y[1], y[2]), acting)
+        d = self.residual(z) if around is None else around.at(z)
 
-        def rates(w: Array) -> Array:
+        def rates(w: Array, _: Any = None) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), acting)
             _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
             return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
 
-        return rk4_step(rates, y, self.dt) / self.x_scale[:5]
+        return (rk4_step if around is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
-        return jnp.concatenate([self._motion(jnp.concatenate([x[:5], acting]), p, 1), u, end])
+        return jnp.concatenate([self._motion(jnp.concatenate([x[:5], acting]), p), u, end])
 
     def _selection(self) -> tuple[Array, Array]:
         """Constant derivatives in (x, u): of what `_motion` takes (7, 11), of last and reached command (4, 11)."""
@@ -131,18 +134,25 @@ class DriftOCP(AbstractOCP):
         )
         return jnp.concatenate([path, acting]), jnp.concatenate([last, reached])
 
-    def jacobian(self, x: Array, u: Array, p: Reference) -> tuple[Array, Array]:
-        """Derivatives (9, 9), (9, 2) of `step`; only seven of its eleven columns need the car."""
-        v = jnp.concatenate([x[:5], self._acting(x, u)])
-        taken, linear = self._selection()
-        both = jnp.concatenate([jax.jacfwd(self._motion)(v, p, 1) @ taken, linear])
-        return both[:, :9], both[:, 9:]
+    def around(self, X: Array, U: Array, p: Reference) -> Nearby:
+        """The residual to second order at all stages."""
+        acting = jax.vmap(self._acting)(X, U) * self.u_scale
+        return nearby(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
 
-    def curvature(self, x: Array, u: Array, costate: Array, p: Reference) -> Array:
+    def linearise(self, x: Array, u: Array, p: Reference, around: Nearby) -> Linear:
+        """`step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
+        acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
+        taken, linear = self._selection()
+        motion = lambda v: (lambda y: (y, y))(self._motion(v, p, around))
+        J, y = jax.jacfwd(motion, has_aux=True)(jnp.concatenate([x[:5], acting]))
+        both = jnp.concatenate([J @ taken, linear])
+        return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
+
+    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, around: Nearby) -> Array:
         """Second derivative (11, 11) of `costate @ step`; without the residual's share solves do not converge."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()
-        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, 2))(v) @ taken
+        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
 
     def _tracking(self, x: Array, p: Reference) -> Array:
         error = x[:5] * self.x_scale[:5] - jnp.stack([p.V, p.beta, p.r, p.e, p.theta])

@@ -27,6 +27,16 @@ def pairs(nf: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(nf) for j in range(i, nf)]
 
 
+def firsts(a: Float[Array, "nf ..."]) -> Float[Array, "pairs ..."]:
+    """Entry i of each of the `pairs`."""
+    return jnp.concatenate([jnp.broadcast_to(a[i], (len(a) - i, *a.shape[1:])) for i in range(len(a))])
+
+
+def seconds(a: Float[Array, "nf ..."]) -> Float[Array, "pairs ..."]:
+    """Entry j of each of the `pairs`."""
+    return jnp.concatenate([a[i:] for i in range(len(a))])
+
+
 def expansions(gp: GP, z: Float[Array, "P nf"]) -> tuple[Expansion, Expansion]:
     """Mean (D outputs) and nearness (one) at the points `z`, as `GP.mean` and `GP.fade` have them."""
     inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale
@@ -43,12 +53,12 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Ar
     Derivatives are moments of the data about the point; as moments about their centre they are one product of matrices
     for all points.
     """
-    nf = Z.shape[1]
+    nf, (i, j) = Z.shape[1], (firsts, seconds)
     centre = jnp.mean(Z, axis=0)
     a, b = ((Z - centre) * inverse).T, ((z - centre) * inverse).T  # (nf, M), (nf, P)
     q = functools.reduce(jnp.add, ((b[i][None] - a[i][:, None]) ** 2 for i in range(nf)))  # (M, P)
     one = jnp.ones_like(a[:1])
-    moments = jnp.concatenate([one, a, jnp.stack([a[i] * a[j] for i, j in pairs(nf)])]) * amounts
+    moments = jnp.concatenate([one, a, i(a) * j(a)]) * amounts
     if kernel in PROPORTIONAL:
         rate = PROPORTIONAL[kernel]
         T = moments @ KERNELS[kernel](q)
@@ -57,10 +67,8 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Ar
         slope = lambda q: jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))[1]
         first, second = jax.jvp(slope, (q,), (jnp.ones_like(q),))
         value, S, R = amounts @ KERNELS[kernel](q), moments[: 1 + nf] @ first, moments @ second
-    hessian = [
-        4 * inverse[i] * inverse[j] * (b[i] * b[j] * R[0] - b[i] * R[1 + j] - b[j] * R[1 + i] + R[1 + nf + k])
-        + (2 * inverse[i] ** 2 * S[0] if i == j else 0.0)
-        for k, (i, j) in enumerate(pairs(nf))
-    ]
+    along = R[1 : 1 + nf]
+    bend = 4 * (i(b) * j(b) * R[0] - i(b) * j(along) - j(b) * i(along) + R[1 + nf :])
+    own = jnp.asarray([2.0 if k == l else 0.0 for k, l in pairs(nf)])[:, None] * S[0]
     gradient = 2 * inverse[:, None] * (b * S[0] - S[1:])
-    return Expansion(value, gradient, jnp.stack(hessian))
+    return Expansion(value, gradient, (i(inverse) * j(inverse))[:, None] * (bend + own))

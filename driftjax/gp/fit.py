@@ -9,7 +9,6 @@ from jax import Array
 
 from driftjax.core import RESULTS
 from driftjax.gp.likelihood import derivatives
-from driftjax.gp.likelihood import likelihood as likelihood
 from driftjax.gp.model import GP, Hyper, condition, scales, squares
 from driftjax.gp.optimise import Minimum, minimise
 from driftjax.gp.orthogonal import directions, unclaimed

@@ -29,12 +29,6 @@ def bounded(mean: Array, near: Array, reach: Array) -> Array:
     return reach * saturate(faded(near) * mean / reach)
 
 
-def taylor(dz: Array, value: Array, gradient: Array, hessian: Array | None = None) -> Array:
-    """Polynomial of first or second degree at the offset `dz` (nf,)."""
-    first = value + gradient @ dz
-    return first if hessian is None else first + 0.5 * (hessian @ dz) @ dz
-
-
 class Hyper(eqx.Module):
     """Hyper-parameters of the D outputs, for inputs and outputs divided by their scales."""
 
@@ -87,10 +81,9 @@ class GP(eqx.Module):
 
     def correlations(self, z: Array) -> Array:
         """(D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
-        k = KERNELS[self.kernel]
         inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale
-        pairs = jax.vmap(lambda w: jax.vmap(lambda zi: k(jnp.sum((w * (z - zi)) ** 2)))(self.Z))(inverse)
-        return jnp.where(self.mask, pairs, 0.0)
+        q = jnp.square(inverse) @ jnp.square(z - self.Z).T
+        return jnp.where(self.mask, KERNELS[self.kernel](q), 0.0)
 
     def _mean(self, correlations: Array) -> Array:
         size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
@@ -116,47 +109,11 @@ class GP(eqx.Module):
         """
         return bounded(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
 
-    def local_bounded_mean(self, z: Array, order: int) -> Array:
-        """`bounded_mean` for differentiation: derivatives in `z` up to `order` (1 or 2) exact, those beyond not.
-
-        Mean and nearness become their Taylor polynomials in closed form, with constant coefficients: differentiating
-        through this costs no GP evaluation per direction, so that a controller can afford the curvature as well.
-        """
-        at = jax.lax.stop_gradient(z)
-        mean, near = self._mean_derivatives(at), self._nearness_derivatives(at)
-        if order == 1:
-            mean, near = mean[:2], near[:2]
-        return bounded(taylor(z - at, *mean), taylor(z - at, *near), self.reach)
-
     @property
     def reach(self) -> Array:
         """(D,): twice the largest target seen, which no `bounded_mean` exceeds."""
         largest = jnp.maximum(-self.lower, self.upper)
         return jnp.where(largest > 0, 2 * largest, 1.0)
-
-    def _mean_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
-        """Mean (D,), its gradient (D, nf) and Hessian (D, nf, nf) at `z`."""
-        weight = jnp.exp(-2 * self.hyper.log_lengthscale) / jnp.square(self.scale)  # (D, nf)
-        offset = z - self.Z  # (M, nf)
-        kernel = KERNELS[self.kernel]
-        slope = lambda q: jax.jvp(kernel, (q,), (jnp.ones_like(q),))[1]
-        q = weight @ jnp.square(offset).T  # (D, M)
-        bend = jax.jvp(slope, (q,), (jnp.ones_like(q),))[1]
-        size = jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale
-        alpha = size[:, None] * jnp.where(self.mask, self.alpha, 0.0)
-        first = 2 * (slope(q) * alpha)
-        outer = jnp.einsum("dm,mi,mj->dij", 4 * bend * alpha, offset, offset)
-        hessian = weight[:, :, None] * outer * weight[:, None, :]
-        hessian = hessian + jnp.sum(first, axis=1)[:, None, None] * jax.vmap(jnp.diag)(weight)
-        return jnp.sum(kernel(q) * alpha, axis=-1), weight * (first @ offset), hessian
-
-    def _nearness_derivatives(self, z: Array) -> tuple[Array, Array, Array]:
-        """Sum of the nearness of all data, its gradient (nf,) and Hessian (nf, nf) at `z`."""
-        near, width = self._nearness(z), FADE_LENGTH * self.scale
-        offset = (z - self.Z) / width
-        outer = jnp.einsum("m,mi,mj->ij", near, offset, offset) / (width[:, None] * width)
-        total = jnp.sum(near)
-        return total, -(near @ offset) / width, outer - jnp.diag(total / width**2)
 
     @property
     def prior_variance(self) -> Array:

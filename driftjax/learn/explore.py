@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import RESULTS, Control, State, features
+from driftjax.core import RESULTS, Control, State, each, features
 from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
 from driftjax.learn.config import ExploreConfig
@@ -61,48 +61,49 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidat
     widest = config.gamma_share * V_b * jnp.arange(1, config.num_sets + 1) / config.num_sets
     bounds = jnp.stack([-widest, widest], axis=1)
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
-    corner = (drifts(scenario), s, origin, r_b, bounds, weights, jnp.asarray(V_b))
-    return scenario.blocks.map(candidate_lanes, (trace, residual), *corner)
+    shaped = scenario.blocks.map(speed_lanes, (trace,), s, origin, r_b, bounds, weights, jnp.asarray(V_b))
+    _, exists = _states(scenario, shaped.V_ep, residual)
+    return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
 
 
-def candidate_lanes(
-    lanes: tuple[Trace, Residual],
-    states: Drifts,
-    s: Array,
-    origin: Array,
-    r_b: Array,
-    bounds: Array,
-    weights,
-    V_b: Array,
+def speed_lanes(
+    lanes: tuple[Trace], s: Array, origin: Array, r_b: Array, bounds: Array, weights: tuple[Array, Array], V_b: Array
 ) -> Candidates:
-    """Candidates of lanes given as (lap, residual)."""
+    """Candidates of lanes given as (lap,), whether or not a drift exists at their speeds."""
 
-    def one(trace: Trace, d: Residual):
+    def one(trace: Trace) -> Candidates:
         at = jnp.where(trace.alive, trace.s, jnp.inf)
         order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
         e = jnp.interp(s, at[order], trace.sensed.e[order])
         sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
                       V_max=3 * V_b)  # fmt: skip
-        _, exists = jax.vmap(lambda V: states(V, d))(sets.V_ep)
-        return Candidates(s, origin, r_b * e, sets.V, sets.V_ep, ~(sets.distinct & exists))
+        return Candidates(s, origin, r_b * e, sets.V, sets.V_ep, ~sets.distinct)
 
-    return jax.vmap(one)(*lanes)
+    return each(one)(*lanes)
+
+
+def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array, Array]:
+    """GP inputs (lanes, K + 1, 5) of the drifts at speeds `V_ep` (lanes, K) and at the planned one; which exist."""
+    planned = jnp.full((len(V_ep), 1), scenario.corner.V_b)
+    return scenario.blocks.map(state_lanes, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
+
+
+def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
+    """Drift states of lanes given as (speeds, residual)."""
+    return each(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
 
 
 def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
-    lanes = (found.V_ep, found.visited, residual)
-    return scenario.blocks.map(
-        choice_lanes, lanes, drifts(scenario), jnp.asarray(scenario.corner.V_b), scenario.config.explore
-    )
+    z, _ = _states(scenario, found.V_ep, residual)
+    return scenario.blocks.map(choice_lanes, (found.V_ep, found.visited, z, residual), scenario.config.explore)
 
 
-def choice_lanes(lanes: tuple[Array, Array, Residual], states: Drifts, V_b: Array, options: ExploreConfig):
-    """Choices of lanes given as (candidate speeds, which were visited, residual)."""
+def choice_lanes(lanes: tuple[Array, Array, Array, Residual], options: ExploreConfig) -> tuple[Array, Array, Array]:
+    """Choices of lanes given as (candidate speeds, which were visited, drift states, residual)."""
 
-    def one(V_ep: Array, visited: Array, d: Residual):
-        z, _ = jax.vmap(lambda V: states(V, d))(jnp.append(V_ep, V_b))
+    def one(V_ep: Array, visited: Array, z: Array, d: Residual):
         choice = select(z[:-1], visited, z[-1], d.gp, jnp.asarray(options.P), options.lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
-    return jax.vmap(one)(*lanes)
+    return each(one)(*lanes)

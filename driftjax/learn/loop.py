@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
-from driftjax.core import RESULTS, as_float
+from driftjax.core import RESULTS, as_float, each
 from driftjax.equilibrium import SlipRadius, continuation
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
@@ -61,7 +61,7 @@ def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: Any
         lags = estimate_lags(nominal, lap, step)
         return learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
 
-    return eqx.filter_vmap(one)(*lanes)
+    return each(one)(*lanes)
 
 
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
@@ -97,7 +97,7 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Pl
 def entry_lanes(lanes: tuple[DriftOCP, Array], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
     """The planned corner of lanes given as (problem, shift of the speed aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return eqx.filter_vmap(lambda o, shift: entry_table(o, table, as_float(lead), shift, options))(*lanes)
+    return each(lambda o, shift: entry_table(o, table, as_float(lead), shift, options))(*lanes)
 
 
 @eqx.filter_jit
@@ -110,4 +110,4 @@ def _steps(
         step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
         return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)
 
-    return eqx.filter_vmap(one)(residual, V_shift)
+    return each(one)(residual, V_shift)

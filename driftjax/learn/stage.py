@@ -8,6 +8,7 @@ from jax import Array
 
 from driftjax.control.driver import Driver, decide
 from driftjax.control.table import ReferenceTable
+from driftjax.core import each
 from driftjax.learn.metrics import LapFigures, lap_figures
 from driftjax.learn.scenario import Scenario
 from driftjax.sim import AnyPlant, LapCode, LapConfig, Laps, Trace, drive
@@ -30,12 +31,13 @@ def drive_lanes(
 ) -> tuple[Trace, Array, Array, LapFigures]:
     """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
     drivers, plants, speed, keys = lanes
-    memory = eqx.filter_vmap(lambda d, v: d.start(v))(drivers, speed)
+    memory = each(lambda d, v: d.start(v))(drivers, speed)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
     laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
     table = drivers.table
-    V_ref = jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
-    figures = jax.vmap(lap_figures, in_axes=(0, 0, 0, 0, None))(laps.trace, laps.code, table, V_ref, lap.lost_error)
+    V_ref = each(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
+    judged = lambda trace, code, table, V: lap_figures(trace, code, table, V, lap.lost_error)
+    figures = each(judged)(laps.trace, laps.code, table, V_ref)
     return laps.trace, laps.code, V_ref, figures
 
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import Control, State, as_float
+from driftjax.core import Control, State, as_float, rk4_loop
 from driftjax.solve import AbstractOCP
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, beyond_peak
@@ -90,12 +90,7 @@ class MinimumTime(AbstractOCP):
 
     def step(self, x: Array, u: Array, p: Stage) -> Array:
         """State one step of `ds` further."""
-        h = self.ds
-        k1 = self.slope(x, u, p.kappa[0])
-        k2 = self.slope(x + h / 2 * k1, u, p.kappa[1])
-        k3 = self.slope(x + h / 2 * k2, u, p.kappa[1])
-        k4 = self.slope(x + h * k3, u, p.kappa[2])
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return rk4_loop(lambda x, kappa: self.slope(x, u, kappa), x, self.ds, p.kappa[jnp.array([0, 1, 1, 2])])
 
     def cost(self, x: Array, u: Array, p: Stage) -> Array:
         """Time of the stage and the prices of its rates and of its course, in units of L0/V0."""

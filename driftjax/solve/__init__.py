@@ -6,6 +6,7 @@ from driftjax.solve.lane_ocp import AbstractLanes as AbstractLanes
 from driftjax.solve.lanes import LanePlans as LanePlans
 from driftjax.solve.lanes import solve_lanes as solve_lanes
 from driftjax.solve.ocp import AbstractOCP as AbstractOCP
+from driftjax.solve.ocp import Linear as Linear
 from driftjax.solve.ocp import Options as Options
 from driftjax.solve.ocp import Plan as Plan
 from driftjax.solve.real_time import real_time_iteration as real_time_iteration

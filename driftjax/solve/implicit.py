@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
-from driftjax.solve.interior_point import Iterate, Problem, minimise, quadratic, split
+from driftjax.solve.interior_point import Iterate, Problem, minimise, problem_of, quadratic
 from driftjax.solve.ocp import AbstractOCP, Options, Plan
 from driftjax.solve.riccati import Quadratic
 
@@ -63,7 +63,7 @@ def _tangent(primals, tangents):
     ocp, x0, params, *_, options = primals
     plan, it = minimise(*primals)
     d_ocp, d_x0, d_params, *_ = tangents
-    problem = _problem(ocp, params, it)
+    problem = problem_of(ocp, params, it.X, it.U)
     m = problem.linearise(it.X, it.U)
     zero = jnp.zeros((), int)
     q = quadratic(problem, m, it, jnp.zeros(()), zero)
@@ -71,7 +71,7 @@ def _tangent(primals, tangents):
     change = _change(problem, it, (ocp, params), (d_ocp, d_params))
     change = change._replace(dx0=jnp.zeros_like(x0) if d_x0 is None else d_x0)
     dX, dU = sweep(q, factors, change)
-    objective = lambda ocp, params, X, U: _problem(ocp, params, it).objective(X, U)
+    objective = lambda ocp, params, X, U: problem_of(ocp, params, it.X, it.U).objective(X, U)
     d_cost = _along(objective, (ocp, params, it.X, it.U), (d_ocp, d_params, dX, dU))
     known = jnp.maximum(plan.kkt, plan.violation) <= options.implicit * options.tolerance  # False on NaN
     mark = jnp.where(known & factors.minimum, 1.0, jnp.nan)
@@ -79,17 +79,11 @@ def _tangent(primals, tangents):
     return plan, Plan(mark * dX, mark * dU, mark * d_cost, None, None, None, none)  # pyright: ignore
 
 
-def _problem(ocp: AbstractOCP, params: PyTree, it: Iterate) -> Problem:
-    stages, last = split(params)
-    Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(it.X[:-1], it.U, stages)
-    return Problem(ocp, stages, last, Gx, Gu, jax.jacfwd(ocp.terminal_constraints)(it.X[-1], last))
-
-
 def _change(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> Change:
     """Derivative of the conditions along `d_theta`, multipliers and slacks eliminated as in the Newton step."""
 
     def conditions(ocp, params):
-        here = _problem(ocp, params, it)
+        here = problem_of(ocp, params, it.X, it.U)
 
         def lagrangian(X, U):
             dynamics = jnp.sum(it.costates * here.defects(X, U))

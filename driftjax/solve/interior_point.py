@@ -49,6 +49,7 @@ class Model(NamedTuple):
     cost_u: Array
     A: Array
     B: Array
+    around: PyTree
     defect: Array
     gap: tuple[Array, Array]
     grad_N: Array
@@ -56,13 +57,14 @@ class Model(NamedTuple):
 
 class Loop(NamedTuple):
     it: Iterate
-    model: Model
     barrier: Array
     caution: Array  # level in CURVATURE and DAMPING
     failures: Array
     num_steps: Array
     kkt: Array
     violation: Array
+    length: Array  # of the last step; 0 where none was taken
+    open: Array  # whether to go on
 
 
 def split(params: PyTree) -> tuple[PyTree, PyTree]:
@@ -92,20 +94,21 @@ class Problem(eqx.Module):
 
     def linearise(self, X: Array, U: Array) -> Model:
         cost_x, cost_u = jax.vmap(jax.grad(self.ocp.cost, (0, 1)))(X[:-1], U, self.stages)
-        A, B = jax.vmap(self.ocp.jacobian)(X[:-1], U, self.stages)
+        around = self.ocp.around(X[:-1], U, self.stages)
+        y, A, B = jax.vmap(self.ocp.linearise)(X[:-1], U, self.stages, around)
         grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
-        return Model(cost_x, cost_u, A, B, self.defects(X, U), self.gaps(X, U), grad_N)
+        return Model(cost_x, cost_u, A, B, around, y - X[1:], self.gaps(X, U), grad_N)
 
-    def hessian(self, it: Iterate, curvature: Array) -> tuple[Array, Array, Array, Array]:
+    def hessian(self, it: Iterate, around: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
         """Blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
         nx = it.X.shape[1]
 
-        def stage(x, u, costate, p):
+        def stage(x, u, costate, p, around):
             H = jax.hessian(lambda w: self.ocp.cost(w[:nx], w[nx:], p))(jnp.concatenate([x, u]))
-            return H + curvature * self.ocp.curvature(x, u, costate, p)
+            return H + curvature * self.ocp.curvature(x, u, costate, p, around)
 
-        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages)
+        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages, around)
         return (
             H[:, :nx, :nx],
             H[:, nx:, :nx],
@@ -114,10 +117,17 @@ class Problem(eqx.Module):
         )
 
 
+def problem_of(ocp: AbstractOCP, params: PyTree, X: Array, U: Array) -> Problem:
+    """`ocp` with the data `params` (N+1 rows); its affine gaps have the same Jacobian at any `X`, `U`."""
+    stages, last = split(params)
+    Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
+    return Problem(ocp, stages, last, Gx, Gu, jax.jacfwd(ocp.terminal_constraints)(X[-1], last))
+
+
 def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
     """Newton system with slacks and duals eliminated."""
     damping = jnp.asarray(DAMPING)[caution]
-    Hxx, Hux, Huu, HN = problem.hessian(it, jnp.asarray(CURVATURE)[caution])
+    Hxx, Hux, Huu, HN = problem.hessian(it, m.around, jnp.asarray(CURVATURE)[caution])
     weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
     pull = jax.tree.map(lambda w, g, s: w * (g - s) - barrier / s, weight, m.gap, it.slack)
 
@@ -236,8 +246,9 @@ def _line_search(problem: Problem, m: Model, it: Iterate, step: Iterate, newton:
         return length / 2, count + 1, attempt(length / 2)
 
     hopeless = along > rounding  # not a descent direction: no step along it is worth trying
-    first = jnp.where(hopeless, MAX_BACKTRACKS, 0)
-    length, count, trial = jax.lax.while_loop(fails, shorten, (longest, first, attempt(longest)))
+    untried = Trial(it.X, it.U, it.slack, jnp.full_like(start, jnp.inf))
+    first = (2 * longest, jnp.where(hopeless, MAX_BACKTRACKS, -1), untried)
+    length, count, trial = jax.lax.while_loop(fails, shorten, first)
     return jnp.where(count < MAX_BACKTRACKS, length, 0.0), trial
 
 
@@ -259,9 +270,21 @@ def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, toleran
     return jnp.maximum(jnp.where(length > 0.8, jnp.minimum(follow, barrier), stay), 0.1 * tolerance)
 
 
-@eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
-def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
-    it, m, barrier = loop.it, loop.model, loop.barrier
+def _judge(problem: Problem, m: Model, loop: Loop, options: Options) -> Loop:
+    """How good the iterate is, the barrier parameter that follows from it, and whether to go on."""
+    it, moved = loop.it, loop.length > 0
+    kkt, violation = _kkt(problem, m, it)
+    products = jnp.stack([jnp.sum(s * z) for s, z in zip(it.slack, it.dual, strict=True)])
+    gap = jnp.sum(products) / max(sum(s.size for s in it.slack), 1)
+    lower = _next_barrier(loop.barrier, gap, kkt, loop.length, options.tolerance)
+    open_ = jnp.maximum(kkt, violation) > options.tolerance
+    open_ &= (loop.num_steps < options.max_steps) & (loop.failures < MAX_FAILURES)
+    return loop._replace(barrier=jnp.where(moved, lower, loop.barrier), kkt=kkt, violation=violation, open=open_)
+
+
+def _move(problem: Problem, m: Model, loop: Loop) -> Loop:
+    """The next iterate; the same one where no step gave descent."""
+    it, barrier = loop.it, loop.barrier
     step, newton = _direction(problem, m, it, quadratic(problem, m, it, barrier, loop.caution), barrier)
     longest, dual = _to_boundary(it.slack, step.slack), _to_boundary(it.dual, step.dual)
     length, trial = _line_search(problem, m, it, step, newton, barrier, longest)
@@ -274,36 +297,29 @@ def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
     )  # fmt: skip
     new = Iterate(trial.X, trial.U, costates, trial.slack, duals)
     new = jax.tree.map(lambda old, candidate: jnp.where(moved, candidate, old), it, new)
-    m = problem.linearise(new.X, new.U)
-    kkt, violation = _kkt(problem, m, new)
-    count = sum(s.size for s in new.slack)
-    products = jnp.stack([jnp.sum(s * z) for s, z in zip(new.slack, new.dual, strict=True)])
-    gap = jnp.sum(products) / max(count, 1)
-    lower = _next_barrier(barrier, gap, kkt, jnp.minimum(length, dual), options.tolerance)
     easy = length > 0.3 * longest  # at most one halving; a short way to a bound is not the model's fault
     caution = jnp.clip(loop.caution + jnp.where(easy, -1, 1), 0, len(DAMPING) - 1)
     failures = jnp.where(moved, 0, loop.failures + 1)
-    barrier = jnp.where(moved, lower, barrier)
-    return Loop(new, m, barrier, caution, failures, loop.num_steps + 1, kkt, violation)
+    length = jnp.where(moved, jnp.minimum(length, dual), 0.0)
+    return loop._replace(it=new, caution=caution, failures=failures, num_steps=loop.num_steps + 1, length=length)
+
+
+@eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
+def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
+    """Judge the iterate and move on from it; derivatives stand here once, which keeps the program short."""
+    m = problem.linearise(loop.it.X, loop.it.U)
+    loop = _judge(problem, m, loop, options)
+    return jax.lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
 
 
 def minimise(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> tuple[Plan, Iterate]:
     """The last iterate from the guess `X`, `U`, as a plan and with its multipliers; see `driftjax.solve.solve`."""
-    stages, last = split(params)
-    Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
-    GN = jax.jacfwd(ocp.terminal_constraints)(X[-1], last)
-    problem = Problem(ocp, stages, last, Gx, Gu, GN)
+    problem = problem_of(ocp, params, X, U)
     it = _start(problem, x0, X, U, options.barrier)
     large = jnp.asarray(jnp.inf, X.dtype)
     zero = jnp.zeros((), int)
-    m = problem.linearise(it.X, it.U)
-    loop = Loop(it, m, options.barrier, zero, zero, zero, large, large)
-
-    def unfinished(s: Loop):
-        open_ = jnp.maximum(s.kkt, s.violation) > options.tolerance
-        return open_ & (s.num_steps < options.max_steps) & (s.failures < MAX_FAILURES)
-
-    end = jax.lax.while_loop(unfinished, lambda s: _iterate(problem, s, options), loop)
+    loop = Loop(it, options.barrier, zero, zero, zero, large, large, jnp.zeros((), X.dtype), options.max_steps > 0)
+    end = jax.lax.while_loop(lambda s: s.open, lambda s: _iterate(problem, s, options), loop)
     return _plan(problem, end, options), end.it
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.core.materialise import materialised
-from driftjax.solve.interior_point import BOUNDARY_FRACTION, SLACK_FLOOR
+from driftjax.solve.interior_point import BOUNDARY_FRACTION, SLACK_FLOOR, split
 from driftjax.solve.lane_ocp import AbstractLanes, Components
 from driftjax.solve.ocp import Options
 from driftjax.solve.sparse import Entry, column, dot, hessian, total
@@ -286,7 +286,7 @@ def solve_lanes(
     """
     dtype = U[0].dtype
     tolerance, barrier = options.tolerance.astype(dtype), options.barrier.astype(dtype)
-    stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
+    stages, last = split(params)
     lanes, before = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier), list(u_before)
     large = jnp.full_like(U[0][0], jnp.inf)
     loop = _Loop(lanes, jnp.full_like(large, barrier), large, large, jnp.zeros((), jnp.int32))

@@ -1,6 +1,7 @@
 """What the solver needs to know of an optimal control problem, and what it gives back."""
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,6 +10,14 @@ from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.core import RESULTS, as_float
+
+
+class Linear(NamedTuple):
+    """A step and its derivatives."""
+
+    y: Float[Array, " nx"]  # next state
+    A: Float[Array, "nx nx"]
+    B: Float[Array, "nx nu"]
 
 
 class AbstractOCP(eqx.Module):
@@ -41,11 +50,19 @@ class AbstractOCP(eqx.Module):
         """Gaps of the last state; none unless overridden by the problem."""
         return jnp.zeros((0,), x.dtype)
 
-    def jacobian(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> tuple[Array, Array]:
-        """Derivatives (nx, nx), (nx, nu) of `step`; worth overriding where many of its columns are known."""
-        return jax.jacfwd(self.step, (0, 1))(x, u, p)
+    def around(self, X: Float[Array, "N nx"], U: Float[Array, "N nu"], p: PyTree) -> PyTree:
+        """What `linearise` and `curvature` read at the iterate, with N rows, made for all stages at once; None unless
+        overridden."""
 
-    def curvature(self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree) -> Array:
+    def linearise(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree, around: PyTree) -> Linear:
+        """Next state (nx,) and its derivatives (nx, nx), (nx, nu); to be overridden where there is a cheaper way."""
+        step = lambda x, u: (lambda y: (y, y))(self.step(x, u, p))
+        (A, B), y = jax.jacfwd(step, (0, 1), has_aux=True)(x, u)
+        return Linear(y, A, B)
+
+    def curvature(
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree, around: PyTree
+    ) -> Array:
         """Second derivative of `costate @ step` in (x, u), square of size nx + nu.
 
         A cheaper model of it changes the speed of convergence, never the solution; but derivatives of the solution

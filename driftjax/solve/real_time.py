@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.core.materialise import materialised
+from driftjax.solve.interior_point import split
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
 from driftjax.solve.lanes import LanePlans, solve_lanes
 from driftjax.solve.ocp import Options
@@ -68,7 +69,7 @@ def _square(away: Components, h: list[Entry], H: Matrix) -> Array:
 def _models(ocp: AbstractLanes, X: Components, U: Components, params: PyTree) -> _Model:
     """Stages 0..N-1 at once, and in the row N the expansion of the terminal cost."""
     n, head = len(X), [x[:-1] for x in X]
-    stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
+    stages, last = split(params)
     y, M = ocp.linearise(head, U, stages, ocp.around(head, U, stages))
     h, H = hessian(lambda *z: ocp.cost(list(z[:n]), list(z[n:]), stages), *head, *U)
     hN, HN = hessian(lambda *x: ocp.terminal(list(x), last), *(x[-1] for x in X))

@@ -25,10 +25,6 @@ class Residual(eqx.Module):
         """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
         return self.gate * self.gp.bounded_mean(z)
 
-    def local(self, z: Float[Array, "5"], order: int) -> Float[Array, "3"]:
-        """The same value for cheap differentiation: exact derivatives in `z` up to `order`, 1 or 2."""
-        return self.gate * self.gp.local_bounded_mean(z, order)
-
     def scaled(self, share: Array) -> "Residual":
         """A share of what was learnt, from nothing at 0 to all of it at 1."""
         return Residual(self.gp, share * self.gate, share * self.lags)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.gp import FitResult, Hyper, fit, scales
-from driftjax.gp.fit import likelihood
+from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squares
 from experiments.bench.config import Config
 from experiments.bench.drift import residual_rows

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from driftjax.control.driver import Driver
 from driftjax.core import Blocks, workers
 from driftjax.learn.config import LearnConfig, load_learn_config
 from driftjax.learn.loop import remember
-from driftjax.learn.scenario import build, drivers
+from driftjax.learn.scenario import Scenario, build, drivers
 from driftjax.learn.stage import run_stage
 from driftjax.learn.stages import drive_nominal, first_progress
 from driftjax.sim import LapCode
@@ -36,20 +36,19 @@ def settings(num: int) -> LearnConfig:
 
 
 def taught() -> Residual:
-    """What one plant's nominal lap teaches, with a leading axis of one lane."""
+    """What one plant's nominal lap teaches."""
     with workers(0) as blocks:
         scenario = build(settings(1), blocks)
         stage, _ = drive_nominal(scenario, 0)
         progress = remember(scenario, first_progress(scenario), stage, None, 0)
-    return progress.memory.residual
+    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.memory.residual)
 
 
 def drive(num: int, num_workers: int, residual: Residual) -> Driven:
     """A GP lap of `num` plants at once, with every worker's programs compiled before."""
     with workers(num_workers) as blocks:
         warm_up(blocks, max(1, num_workers), residual)
-        scenario = build(settings(num), blocks)
-        lanes = drivers(scenario, "mpc", scenario.over_lanes(scenario.table), repeated(residual, num))
+        scenario, lanes = laid_out(blocks, num, residual)
         start = time.perf_counter()
         stage = run_stage(scenario, lanes, 1)
         jax.block_until_ready(stage.laps.code)
@@ -59,13 +58,14 @@ def drive(num: int, num_workers: int, residual: Residual) -> Driven:
 
 def warm_up(blocks: Blocks, num: int, residual: Residual) -> None:
     """A lap of `num` plants, one per worker."""
+    scenario, lanes = laid_out(blocks, num, residual)
+    run_stage(scenario, lanes, 0)
+
+
+def laid_out(blocks: Blocks, num: int, residual: Residual) -> tuple[Scenario, Driver]:
+    """`num` plants, all driven with the same residual."""
     scenario = build(settings(num), blocks)
-    run_stage(scenario, drivers(scenario, "mpc", scenario.over_lanes(scenario.table), repeated(residual, num)), 0)
-
-
-def repeated(residual: Residual, num: int) -> Residual:
-    """The one lane of `residual`, `num` times."""
-    return jax.tree.map(lambda a: jnp.repeat(a, num, axis=0) if eqx.is_array(a) else a, residual)
+    return scenario, drivers(scenario, "mpc", *scenario.over_lanes((scenario.table, residual)))
 
 
 def measure(cfg: Config) -> Measured:

@@ -11,6 +11,7 @@ from scipy.linalg import solve_discrete_are
 from driftjax.control.lqr import lqr
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, predict, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
+from driftjax.control.residual import nearby
 from driftjax.control.table import ReferenceTable, expected_arc_lengths
 from driftjax.core import BadInput, Control, State, features, rk4_step
 from driftjax.gp import Hyper, condition, scales, zero_gp
@@ -143,23 +144,22 @@ def residual() -> Residual:
     )
 
 
-def test_the_local_form_of_a_residual_has_its_value_and_its_derivatives():
+def test_the_residual_near_a_point_has_its_value_and_its_derivatives():
     d = residual()
     z = features(*DRIFT) + jnp.asarray([0.3, 0.05, -0.1, 0.02, 300.0])
     exact, bend = jax.jacfwd(d)(z), jax.jacfwd(jax.jacrev(d))(z)
-    for order in (1, 2):
-        local = lambda q, order=order: d.local(q, order)
-        np.testing.assert_allclose(local(z), d(z), rtol=1e-12)
-        np.testing.assert_allclose(jax.jacfwd(local)(z), exact, rtol=1e-9, atol=1e-15)
-        np.testing.assert_allclose(jax.jacrev(local)(z), exact, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(jax.jacfwd(jax.jacrev(lambda q: d.local(q, 2)))(z), bend, rtol=1e-8, atol=1e-14)
+    several = nearby(d, jnp.stack([0.9 * z, z]))
+    near = jax.tree.map(lambda a: a[1], several)
+    np.testing.assert_allclose(near.at(z), d(z), rtol=1e-12)
+    np.testing.assert_allclose(jax.jacfwd(near.at)(z), exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(jax.jacfwd(jax.jacrev(near.at))(z), bend, rtol=1e-8, atol=1e-14)
     assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
     assert float(d(z)[2]) == 0  # gated off
 
 
 def test_no_residual_is_zero_everywhere():
     d = no_residual(residual().gp)
-    assert bool(jnp.all(d(features(*DRIFT)) == 0)) and bool(jnp.all(d.local(features(*DRIFT), 2) == 0))
+    assert bool(jnp.all(d(features(*DRIFT)) == 0))
 
 
 @pytest.mark.parametrize(
@@ -179,10 +179,13 @@ def test_the_derivatives_of_the_problem_are_those_of_its_step():
     u, costate = jnp.asarray([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
     p = Reference(*jnp.asarray([9.0, -0.5, 1.1, 0.0, 0.5, 0.06]))
     h = 1e-6
-    A, B = ocp.jacobian(x, u, p)
+    at = lambda w: jax.tree.map(lambda a: a[0], ocp.around(w[None, :9], w[None, 9:], p))
+    derivatives = lambda w: ocp.linearise(w[:9], w[9:], p, at(w))
+    y, A, B = derivatives(jnp.concatenate([x, u]))
+    np.testing.assert_allclose(y, ocp.step(x, u, p), rtol=1e-12)
     slopes = lambda f, w: np.stack([(f(w + h * one) - f(w - h * one)) / (2 * h) for one in np.eye(len(w))], axis=1)
     np.testing.assert_allclose(A, slopes(lambda w: ocp.step(w, u, p), x), atol=1e-7)
     np.testing.assert_allclose(B, slopes(lambda w: ocp.step(x, w, p), u), atol=1e-7)
-    gradient = lambda w: costate @ jnp.concatenate(ocp.jacobian(w[:9], w[9:], p), axis=1)
+    gradient = lambda w: costate @ jnp.concatenate(derivatives(w)[1:], axis=1)
     bend = slopes(gradient, jnp.concatenate([x, u]))
-    np.testing.assert_allclose(ocp.curvature(x, u, costate, p), bend, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(ocp.curvature(x, u, costate, p, at(jnp.concatenate([x, u]))), bend, rtol=1e-5, atol=1e-6)

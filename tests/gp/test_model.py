@@ -12,7 +12,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from driftjax.gp import Hyper, condition, scales, zero_gp
-from driftjax.gp.fit import likelihood
+from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squares
 
 LENGTH = np.array([[0.7, 1.1, 1.6], [1.3, 0.6, 0.9]])

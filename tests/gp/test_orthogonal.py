@@ -8,7 +8,7 @@ import pytest
 from gp_data import smooth
 
 from driftjax.gp import Hyper, claimed, condition, fit, scales, unclaimed
-from driftjax.gp.fit import likelihood
+from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squares
 from driftjax.gp.orthogonal import directions
 
