@@ -120,7 +120,7 @@ class Keeping(Generic[T]):
         return self.last
 
 
-def timed(call: Callable[[], Any], units: int, at_least: float = 0.02) -> Callable[[], float]:
+def timed(call: Callable[[], Any], units: int, at_least: float = 0.1) -> Callable[[], float]:
     """A function that gives seconds per unit of one run; `call` does `units` of them, and is repeated within a run
     until that takes `at_least` [s]. Compiles and warms up first."""
     jax.block_until_ready(call())

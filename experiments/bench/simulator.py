@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import Control, State, rk4_step, threads
+from driftjax.core import Control, State, call, rk4_step, threads
 from driftjax.vehicle import DoubleTrack, PlantState, SingleTrack, load_plant, load_vehicle
 from experiments.bench.config import Dtype
 from experiments.bench.drift import U_REF, U_SPREAD, X_REF, X_SPREAD
@@ -36,16 +36,19 @@ def advance(lanes: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState
     return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*lanes)
 
 
-def ours(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], State]:
-    """One step of `batch` single-track cars in `num` threads, ready to be run."""
+def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
+    """One step of `batch` single-track cars in one call, which XLA shares among its threads, ready to be run."""
     V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
     car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
-    beside, lanes = threads(batch, num), (State(V, beta, r), Control(delta, Fxr), dt)
-    return lambda: beside.map(step, lanes, car)
+    lanes = (State(V, beta, r), Control(delta, Fxr), dt)
+    return lambda: call(step, lanes, car)
 
 
 def ours_plant(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], PlantState]:
-    """One step of `batch` double-track cars, with all that they have and the nominal car lacks."""
+    """One step of `batch` double-track cars, with all that they have and the nominal car lacks, in `num` threads.
+
+    XLA does not share a program that long among its own threads.
+    """
     V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
     plant = jax.tree.map(lambda leaf: leaf.astype(dtype), load_plant("sedan").build())
     state = jax.vmap(plant.rolling)(V)

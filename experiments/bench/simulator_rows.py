@@ -28,7 +28,7 @@ def measure(cfg: Config) -> Measured:
     told, vectorised = _peers()
     rows = []
     for dtype in cfg.dtype:
-        mine, plant = (make(dtype, cfg.cars, cfg.threads) for make in (ours, ours_plant))
+        mine, plant = ours(dtype, cfg.cars), ours_plant(dtype, cfg.cars, cfg.threads)
         steps = {name: make(columns(cfg.cars, dtype)) for name, make in told.items()}
         calls = {"ours": mine, "plant": plant} | steps
         times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
