@@ -57,28 +57,28 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
-    known = (function, structure, traced, tuple(map(jax.typeof, arrays)), tuple(map(repr, static)), around)
-    if known not in _names:
-        _names[known] = _prepared(function, structure, traced, arrays, static, around)
-    run, skeleton, _ = _programs[_names[known]]
+    key = (function, structure, traced, tuple(map(jax.typeof, arrays)), tuple(map(repr, static)), around)
+    if key not in _programs:
+        with _locks_guard:
+            lock = _locks.setdefault(key, threading.Lock())
+        with lock:  # of several threads one compiles
+            if key not in _programs:
+                _programs[key] = _compiled(_Plain(function, structure, static, traced), arrays, around)
+    run, skeleton, _ = _programs[key]
     return run, arrays, skeleton
 
 
-def _prepared(function: Callable, structure: Any, traced: tuple, arrays: list, static: list, around: tuple) -> str:
-    """Name in `_programs` of a program that is there from now on."""
-    shapes = [str(jax.typeof(a)) for a in arrays]
-    text = repr((function.__module__, function.__qualname__, structure, traced, shapes, static, around, _sources()))
-    name = f"{function.__qualname__}-{hashlib.sha256(text.encode()).hexdigest()}"
-    with _locks_guard:
-        lock = _locks.setdefault(name, threading.Lock())
-    with lock:  # of several threads one compiles
-        if name not in _programs:
-            plain = _Plain(function, structure, static, traced)
-            # a value that prints as an address is another in each process; a GPU needs calls that cannot be kept
-            folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
-            lowered, skeleton = _lowered(plain, arrays) if folder is None else _kept(folder / name, plain, arrays)
-            _programs[name] = lowered.compile(), skeleton, plain
-    return name
+def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
+    """The program, from the folder if it is there."""
+    shapes, (module, name) = [str(jax.typeof(a)) for a in arrays], (plain.function.__module__, plain.name)
+    text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, around, _sources()))
+    # a value that prints as an address is another in each process; a GPU needs calls that cannot be kept
+    folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
+    if folder is None:
+        lowered, skeleton = _lowered(plain, arrays)
+    else:
+        lowered, skeleton = _kept(folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()}", plain, arrays)
+    return lowered.compile(), skeleton, plain
 
 
 def _folder() -> Path | None:
@@ -101,6 +101,11 @@ class _Plain:
         self.function, self.structure, self.static, self.traced = function, structure, static, traced
         self.skeleton: PyTree = None
 
+    @property
+    def name(self) -> str:
+        """Of the function in its module."""
+        return self.function.__qualname__
+
     def __call__(self, *arrays):
         given = iter(arrays)
         leaves = [next(given) if is_array else leaf for leaf, is_array in zip(self.static, self.traced, strict=True)]
@@ -113,10 +118,9 @@ class _Plain:
         return found
 
 
-# The function is held as well: while it lives no other can take the address that its name may hold.
-_programs: dict[str, tuple[Compiled, PyTree, _Plain]] = {}
-_names: dict[tuple, str] = {}  # of programs asked for before: printing what tells them apart takes a millisecond
-_locks: dict[str, threading.Lock] = {}
+# The function and its static values are held as well: while they live no other can take an address that a key holds.
+_programs: dict[tuple, tuple[Compiled, PyTree, _Plain]] = {}
+_locks: dict[tuple, threading.Lock] = {}
 _locks_guard = threading.Lock()
 
 
