@@ -13,7 +13,7 @@ from driftjax.control.residual import Learnt, learnt
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
-from driftjax.solve.sparse import Entry, Matrix, column, dot, runge_kutta, runge_kutta_curvature, times, total
+from driftjax.solve.sparse import Entry, Matrix, column, dot, midpoint_curvature, runge_kutta, times, total
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_residual
 
@@ -86,43 +86,47 @@ class DriftLanes(AbstractLanes):
         return learnt(self.residual, [*X[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
     def _moved(self, x: Components, u: Components, p: Reference, around: Learnt | None):
-        """What is tracked one step later, and its derivatives by (tracked, acting, residual's rates)."""
+        """What is tracked one step later, its derivatives by (tracked, acting, residual's rates)."""
         acting = self._actuated(x, u)[0]
         held = [] if around is None else around.d
         return runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
 
     def linearise(self, x: Components, u: Components, p: Reference, around: Learnt | None) -> tuple[Components, Matrix]:
-        """Next state and its derivatives, chained over the stages of the RK4 step."""
-        n, reached = len(self.Q), self._actuated(x, u)[1]
+        """Next state and its derivatives, chained over the slopes of the RK4 step."""
         y, M = self._moved(x, u, p, around)
+        return [*y, *self._actuated(x, u)[1]], self._by_state_and_input(M, x, around)
+
+    def _by_state_and_input(self, M: Matrix, x: Components, around: Learnt | None) -> Matrix:
+        """Derivatives of the next state from those of what is tracked by (tracked, acting, residual's rates)."""
+        n, m = len(self.Q), len(self.R)
         if around is not None:
             J = self._wide(around.J)
-            M = [[total((row[j], dot(row[n + 2 :], column(J, j)))) for j in range(n + 2)] for row in M]
+            M = [[total((row[j], dot(row[n + m :], column(J, j)))) for j in range(n + m)] for row in M]
         M = [[times(share, row[j]) for j, share in self._columns()] for row in M]
-        left = self._shares()[1]
-        for i, share in enumerate(left):
-            row: list[Entry] = [None] * (len(x) + len(u))
+        for i, share in enumerate(self._shares()[1]):
+            row: list[Entry] = [None] * (len(x) + m)
             row[n + i], row[len(x) + i] = share + jnp.zeros_like(x[0]), 1 - share + jnp.zeros_like(x[0])
             M.append(row)
-        return [*y, *reached], M
+        return M
 
     def _wide(self, J: Matrix) -> Matrix:
         """Derivatives by (V, beta, r, acting) as those by (tracked, acting)."""
         return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
 
-    def curvature(
+    def expand(
         self, x: Components, u: Components, costate: Components, p: Reference, around: Learnt | None
-    ) -> Matrix:
-        """Exact second derivatives of the RK4 step."""
-        n, acting = len(self.Q), self._actuated(x, u)[0]
+    ) -> tuple[Components, Matrix, Matrix]:
+        """As `linearise`, and the exact second derivatives of the RK4 step."""
+        n, (acting, end) = len(self.Q), self._actuated(x, u)
+        y, M = self._moved(x, u, p, around)
         held = [] if around is None else around.d
-        rates, costate = self._rates(p.kappa), costate[:n]
-        H = runge_kutta_curvature(rates, x[:n], [*acting, *held], self.dt, costate)
+        H = midpoint_curvature(self._rates(p.kappa), x[:n], [*acting, *held], (y, M), self.dt, costate[:n])
         if around is not None:
-            weight = [dot(costate, column(self._moved(x, u, p, around)[1], n + 2 + k)) for k in range(3)]
+            weight = [dot(costate[:n], column(M, n + len(self.R) + k)) for k in range(3)]
             H = self._with_residual(H, around, weight)
         columns = self._columns()
-        return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
+        H = [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
+        return [*y, *end], self._by_state_and_input(M, x, around), H
 
     def _with_residual(self, H: Matrix, around: Learnt, weight: Components) -> Matrix:
         """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.gp import bounded
-from driftjax.gp.expansion import Expansion, expansions, firsts, pairs, seconds
+from driftjax.gp.expansion import Expansion, expansions, pairs
 from driftjax.solve.lane_ocp import Components
 from driftjax.solve.sparse import Matrix, hessian
 from driftjax.vehicle import Residual
@@ -31,7 +32,8 @@ class Nearby(NamedTuple):
     def at(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
         """The polynomial of second order about one point."""
         dz = z - self.z
-        return self.value + self.gradient @ dz + self.hessian @ (DEGREES * firsts(dz) * seconds(dz))
+        products = jnp.stack([degree * dz[i] * dz[j] for degree, (i, j) in zip(DEGREES, PAIRS, strict=True)])
+        return self.value + self.gradient @ dz + self.hessian @ products
 
 
 class Learnt(NamedTuple):
@@ -43,37 +45,36 @@ class Learnt(NamedTuple):
 
 
 def nearby(residual: Residual, z: Float[Array, "P 5"]) -> Nearby:
-    """The residual at all points `z` = (V, beta, r, delta, Fxr), by products of matrices."""
-    mean, near = expansions(residual.gp, z)
-    found = _bounded(mean, near, residual.gp.reach[:, None], residual.gate[:, None])
-    return Nearby(z, *(jnp.moveaxis(a, -1, 0) for a in found))
+    """The residual at all points `z` = (V, beta, r, delta, Fxr)."""
+    found = _expanded(jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, residual), list(z.T[:, :, None]))
+    last = lambda entries: jnp.stack(entries, axis=-1)[:, :, 0].transpose(1, 0, 2)  # (3, P, 1) each
+    return Nearby(z, found.value[:, :, 0].T, last(found.gradient), last(found.hessian))
 
 
 def learnt(residual: Residual, z: Components, unit: Sequence[Array | float]) -> Learnt:
     """The residual at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch), derivatives per that unit.
 
-    Leaves of `residual` have a leading axis, of 1 where all lanes share it. Points are the columns of matrix products,
-    all points of a lane in one product, or of all lanes.
+    Leaves of `residual` have a leading axis, of 1 where all lanes share it.
     """
-    lanes, shape = len(residual.gate), z[0].shape
-    whole = jnp.stack([value * scale for value, scale in zip(z, unit, strict=True)])
-    points = whole.reshape(NUM_INPUTS, -1, lanes).T  # (lanes, points, inputs)
-    back = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:-1], *shape)
-    mean, near = jax.tree.map(back, jax.vmap(expansions)(residual.gp, points))
-    wide = lambda a: a.T.reshape(3, *[1] * (len(shape) - 1), lanes)
-    reach, gate = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.gate)
-    found = _bounded(mean, near, reach, gate)
-    J: Matrix = [[found.gradient[k, i] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
-    entry = {(i, j): found.hessian[:, at] * (unit[i] * unit[j]) for at, (i, j) in enumerate(PAIRS)}
+    found = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
+    J: Matrix = [[found.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
+    entry = {(i, j): found.hessian[at] * (unit[i] * unit[j]) for at, (i, j) in enumerate(PAIRS)}
     H = [[[entry[min(i, j), max(i, j)][k] for j in range(NUM_INPUTS)] for i in range(NUM_INPUTS)] for k in range(3)]
     return Learnt([found.value[k] for k in range(3)], J, H)
 
 
-def _bounded(mean: Expansion, near: Expansion, reach: Array, gate: Array) -> Expansion:
-    """`Residual` by the chain rule from mean and nearness; `reach` and `gate` have the axes of their values."""
+def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:
+    """`Residual` by the chain rule from mean and nearness, at inputs (..., lanes)."""
+    mean, near = expansions(residual.gp, z)
+    wide = lambda a: a.T.reshape(3, *[1] * (z[0].ndim - 1), len(a))
+    reach, gate = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.gate)
     value = lambda m, n: gate * bounded(m, n, reach)
     n = jnp.broadcast_to(near.value, mean.value.shape)
-    (by_m, by_n), ((mm, mn), (_, nn)) = jax.tree.map(lambda a: a[:, None], hessian(value, mean.value, n))
-    (m1, m2), (n1, n2) = [tuple(jax.vmap(f)(e.gradient) for f in (firsts, seconds)) for e in (mean, near)]
-    bend = by_m * mean.hessian + by_n * near.hessian + mm * m1 * m2 + mn * (m1 * n2 + n1 * m2) + nn * n1 * n2
-    return Expansion(value(mean.value, n), by_m * mean.gradient + by_n * near.gradient, bend)
+    (by_m, by_n), ((mm, mn), (_, nn)) = hessian(value, mean.value, n)
+    dm, dn = mean.gradient, near.gradient
+    gradient = [by_m * a + by_n * b for a, b in zip(dm, dn, strict=True)]
+    bend = [
+        by_m * hm + by_n * hn + mm * dm[i] * dm[j] + mn * (dm[i] * dn[j] + dn[i] * dm[j]) + nn * dn[i] * dn[j]
+        for (i, j), hm, hn in zip(PAIRS, mean.hessian, near.hessian, strict=True)
+    ]
+    return Expansion(value(mean.value, n), gradient, bend)

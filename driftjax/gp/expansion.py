@@ -1,6 +1,7 @@
-"""The mean of a GP with first and second derivatives at many points at once, by matrix products."""
+"""The mean of a GP with first and second derivatives at many points of many lanes at once, by matrix products."""
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from driftjax.core import each
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.model import FADE_LENGTH, GP
 
@@ -15,11 +17,19 @@ PROPORTIONAL = {"se": -0.5}  # kernels whose derivative in q is so many times th
 
 
 class Expansion(NamedTuple):
-    """Functions of `nf` inputs to second order at P points."""
+    """D functions of `nf` inputs to second order, each entry (D, ...) over the points."""
 
-    value: Float[Array, "D P"]
-    gradient: Float[Array, "D nf P"]
-    hessian: Float[Array, "D pairs P"]  # entries (i, j), i <= j, row by row
+    value: Array
+    gradient: list[Array]
+    hessian: list[Array]  # entries (i, j), i <= j, row by row
+
+
+class _Sums(NamedTuple):
+    """Sums over the data m of amount_m and a derivative of the kernel in q, times products of the data's inputs."""
+
+    value: Float[Array, "*lanes P"]
+    S: Float[Array, "*lanes 1+nf P"]  # first derivative: times 1, a_i
+    R: Float[Array, "*lanes 1+nf+pairs P"]  # second derivative: times 1, a_i, a_i a_j
 
 
 def pairs(nf: int) -> list[tuple[int, int]]:
@@ -27,48 +37,65 @@ def pairs(nf: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(nf) for j in range(i, nf)]
 
 
-def firsts(a: Float[Array, "nf ..."]) -> Float[Array, "pairs ..."]:
-    """Entry i of each of the `pairs`."""
-    return jnp.concatenate([jnp.broadcast_to(a[i], (len(a) - i, *a.shape[1:])) for i in range(len(a))])
+def expansions(gp: GP, z: Sequence[Array]) -> tuple[Expansion, Expansion]:
+    """Mean (D outputs) and nearness (one), as `GP.mean` and `GP.fade` have them.
 
-
-def seconds(a: Float[Array, "nf ..."]) -> Float[Array, "pairs ..."]:
-    """Entry j of each of the `pairs`."""
-    return jnp.concatenate([a[i:] for i in range(len(a))])
-
-
-def expansions(gp: GP, z: Float[Array, "P nf"]) -> tuple[Expansion, Expansion]:
-    """Mean (D outputs) and nearness (one) at the points `z`, as `GP.mean` and `GP.fade` have them."""
-    inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale
+    Leaves of `gp` have a leading axis of lanes, of 1 where all share it; `z` are the inputs, arrays (..., lanes). All
+    points of a lane go through one product of matrices, or of all lanes.
+    """
+    inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale[:, None]  # (lanes, D, nf)
     size = jnp.exp(2 * gp.hyper.log_amplitude) * gp.output_scale
-    amounts = size[:, None] * jnp.where(gp.mask, gp.alpha, 0.0)
-    mean = jax.vmap(_sum_of_kernels, (None, None, 0, 0, None))(gp.kernel, gp.Z, inverse, amounts, z)
-    near = _sum_of_kernels("se", gp.Z, 1 / (FADE_LENGTH * gp.scale), gp.mask.astype(z.dtype), z)
-    return mean, jax.tree.map(lambda a: a[None], near)
+    amounts = size[:, :, None] * jnp.where(gp.mask[:, None], gp.alpha, 0.0)
+    mean = _sum_of_kernels(gp.kernel, gp.Z, inverse, amounts, z)
+    near = _sum_of_kernels("se", gp.Z, 1 / (FADE_LENGTH * gp.scale)[:, None], gp.mask[:, None].astype(z[0].dtype), z)
+    return mean, near
 
 
-def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Array) -> Expansion:
-    """Sum of amounts_m k(|inverse (z - Z_m)|^2) at all `z`.
+def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Sequence[Array]) -> Expansion:
+    """Sums of amounts_m k(|inverse (z - Z_m)|^2), per output.
 
     Derivatives are moments of the data about the point; as moments about their centre they are one product of matrices
-    for all points.
+    for all points. One output after the other: products of a batch of matrices take several times longer on a CPU.
     """
-    nf, (i, j) = Z.shape[1], (firsts, seconds)
-    centre = jnp.mean(Z, axis=0)
+    shape, nf = z[0].shape, len(z)
+    lanes, centre = len(Z), jnp.mean(Z, axis=1)
+    points = jnp.stack(z).reshape(nf, -1, lanes).T  # (lanes, P, nf)
+    back = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:-1], *shape)
+    along = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:], *[1] * (len(shape) - 1), lanes)
+    sums = each(functools.partial(_sums, kernel))
+    found = [jax.tree.map(back, sums(Z, centre, inverse[:, k], amounts[:, k], points)) for k in range(inverse.shape[1])]
+    value, S, R = (jnp.stack(parts) for parts in zip(*found, strict=True))
+    over = [along(inverse[:, :, i]) for i in range(nf)]
+    b = [(zi - along(centre[:, i])) * w for i, (zi, w) in enumerate(zip(z, over, strict=True))]
+    gradient = [2 * w * (bi * S[:, 0] - S[:, 1 + i]) for i, (bi, w) in enumerate(zip(b, over, strict=True))]
+    bend = [
+        4 * (b[i] * b[j] * R[:, 0] - b[i] * R[:, 1 + j] - b[j] * R[:, 1 + i] + R[:, 1 + nf + at])
+        for at, (i, j) in enumerate(pairs(nf))
+    ]
+    own = [2 * S[:, 0] if i == j else 0.0 for i, j in pairs(nf)]
+    hessian = [over[i] * over[j] * (h + d) for (i, j), h, d in zip(pairs(nf), bend, own, strict=True)]
+    return Expansion(value, gradient, hessian)
+
+
+def _sums(kernel: str, Z: Array, centre: Array, inverse: Array, amounts: Array, z: Array) -> _Sums:
+    """Of one output and one lane: Z (M, nf), z (P, nf)."""
+    nf = len(centre)
     a, b = ((Z - centre) * inverse).T, ((z - centre) * inverse).T  # (nf, M), (nf, P)
-    q = functools.reduce(jnp.add, ((b[i][None] - a[i][:, None]) ** 2 for i in range(nf)))  # (M, P)
-    one = jnp.ones_like(a[:1])
-    moments = jnp.concatenate([one, a, i(a) * j(a)]) * amounts
+    products = jnp.stack([a[i] * a[j] for i, j in pairs(nf)])
+    moments = jnp.concatenate([jnp.ones_like(a[:1]), a, products]) * amounts
     if kernel in PROPORTIONAL:
         rate = PROPORTIONAL[kernel]
-        T = moments @ KERNELS[kernel](q)
-        value, S, R = T[0], rate * T[: 1 + nf], rate**2 * T
-    else:
-        slope = lambda q: jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))[1]
-        first, second = jax.jvp(slope, (q,), (jnp.ones_like(q),))
-        value, S, R = amounts @ KERNELS[kernel](q), moments[: 1 + nf] @ first, moments @ second
-    along = R[1 : 1 + nf]
-    bend = 4 * (i(b) * j(b) * R[0] - i(b) * j(along) - j(b) * i(along) + R[1 + nf :])
-    own = jnp.asarray([2.0 if k == l else 0.0 for k, l in pairs(nf)])[:, None] * S[0]
-    gradient = 2 * inverse[:, None] * (b * S[0] - S[1:])
-    return Expansion(value, gradient, (i(inverse) * j(inverse))[:, None] * (bend + own))
+        T = moments @ KERNELS[kernel](_squares(a, b))
+        return _Sums(T[0], rate * T[: 1 + nf], rate**2 * T)
+    # by differences: kernels with a kink in q would magnify what rounding leaves of a product
+    q = functools.reduce(jnp.add, ((b[i][None] - a[i][:, None]) ** 2 for i in range(nf)))  # (M, P)
+    slope = lambda q: jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))[1]
+    first, second = jax.jvp(slope, (q,), (jnp.ones_like(q),))
+    return _Sums(amounts @ KERNELS[kernel](q), moments[: 1 + nf] @ first, moments @ second)
+
+
+def _squares(a: Float[Array, "nf M"], b: Float[Array, "nf P"]) -> Float[Array, "M P"]:
+    """Squared distances of all columns, by one product of matrices: absolute errors as of the largest square."""
+    square = lambda c: jnp.sum(c**2, axis=0)[None]
+    rows = jnp.concatenate([-2 * a, square(a), jnp.ones_like(a[:1])])
+    return rows.T @ jnp.concatenate([b, jnp.ones_like(b[:1]), square(b)])

@@ -16,7 +16,7 @@ JITTER = 100.0  # added to the diagonal, in units of eps times the signal varian
 
 def saturate(x: Array) -> Array:
     """x / (1 + x^4)^(1/4): x to 1.5 % up to 1/2, and never beyond 1."""
-    return x * (1 + x**4) ** -0.25
+    return x * jax.lax.rsqrt(jnp.sqrt(1 + x**4))
 
 
 def faded(near: Array) -> Array:

@@ -2,10 +2,13 @@
 
 import abc
 from collections.abc import Sequence
+from typing import Self
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jax import Array
-from jaxtyping import PyTree
+from jaxtyping import Int, PyTree
 
 from driftjax.solve.sparse import Matrix, dot, hessian, jacobian
 
@@ -20,8 +23,14 @@ class AbstractLanes(eqx.Module):
     subject to x_{k+1} = step(x_k, u_k, p_k), input, change and state limits.
 
     All functions take components (one array per entry of x and u, of any one shape) and act on each element by itself.
-    Scale the variables to order one. At most two inputs.
+    Scale the variables to order one. At most two inputs. Arrays in a problem have a leading axis of lanes, of 1 where
+    all share them.
     """
+
+    def of(self, lanes: Int[Array, " few"]) -> Self:
+        """The problems of some lanes."""
+        some = lambda a: a[lanes] if eqx.is_array(a) and jnp.ndim(a) and len(a) > 1 else a
+        return jax.tree.map(some, self)
 
     @abc.abstractmethod
     def step(self, x: Components, u: Components, p: PyTree) -> Components:
@@ -52,18 +61,21 @@ class AbstractLanes(eqx.Module):
         return ()
 
     def around(self, X: Components, U: Components, p: PyTree) -> PyTree:
-        """What `linearise` and `curvature` read at the iterate, made for all stages (N, batch) at once; None unless
-        overridden."""
+        """What `linearise` and `expand` read at the iterate; None unless overridden."""
 
     def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix]:
         """Next state and its derivatives [state][state and input]; to be overridden where there is a cheaper way."""
         return jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u)
 
-    def curvature(self, x: Components, u: Components, costate: Components, p: PyTree, around: PyTree) -> Matrix:
-        """Second derivatives of `costate @ step` in (x, u); a cheaper model changes the speed, never the solution."""
+    def expand(
+        self, x: Components, u: Components, costate: Components, p: PyTree, around: PyTree
+    ) -> tuple[Components, Matrix, Matrix]:
+        """As `linearise`, and second derivatives of `costate @ step` in (x, u).
+
+        Cheaper second derivatives change the speed of the solver, never the solution.
+        """
 
         def weighed(*z: Array) -> Array:
-            ends = self.step(list(z[: len(x)]), list(z[len(x) :]), p)
-            return dot(costate, ends)
+            return dot(costate, self.step(list(z[: len(x)]), list(z[len(x) :]), p))
 
-        return hessian(weighed, *x, *u)[1]
+        return *self.linearise(x, u, p, around), hessian(weighed, *x, *u)[1]

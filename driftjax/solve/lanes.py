@@ -1,38 +1,40 @@
 """Optimal control problems in batches: a primal-dual interior point, many lanes at once, batch on the last axis.
 
-Every iteration linearises the dynamics anew with the Hessian of the Lagrangian, solves the barrier problem's Newton
-system by one Riccati sweep and goes to the boundary by a fraction. There is no line search: nearly all lanes of a
-tracking problem converge from a fair guess in about ten iterations, the others say so in `result`, and the safeguarded
-`solve` takes them. Everything is elementwise along the batch, so that a CPU fills its vector registers with lanes.
-Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling).
+Every iteration linearises the dynamics anew with second derivatives of the Lagrangian, solves the barrier problem's
+Newton system by one Riccati sweep and goes to the boundary by a fraction. There is no line search: nearly all lanes of
+a tracking problem converge from a fair guess in ten to twenty iterations, the others say so in `result`, and the
+safeguarded `solve` takes them. Everything is elementwise along the batch, so that a CPU fills its vector registers with
+lanes. Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling, Eq. 16: duals kept near the
+barrier).
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.core.materialise import materialised
-from driftjax.solve.interior_point import BOUNDARY_FRACTION, SLACK_FLOOR, split
+from driftjax.solve.interior_point import SLACK_FLOOR, split
+from driftjax.solve.lane_newton import (
+    Error,
+    Lanes,
+    gaps_of,
+    inputs_before,
+    longest,
+    measured,
+    newton_step,
+    newton_system,
+)
 from driftjax.solve.lane_ocp import AbstractLanes, Components
 from driftjax.solve.ocp import Options
-from driftjax.solve.sparse import Entry, column, dot, hessian, total
-from driftjax.solve.stage import Local, Policy, Value, backward, forward
 
-
-class Lanes(NamedTuple):
-    """Iterate: components (stages, batch); slacks and duals of each limit in the order of `_gaps`."""
-
-    X: Components  # (N+1, batch)
-    U: Components  # (N, batch)
-    costates: Components  # (N, batch), of the dynamics into x_1..x_N
-    slack: Components  # (N, batch)
-    dual: Components
+MANY, SHARE = 64, 8  # of so many lanes the last eighth goes on by itself
+CENTRALITY = 10.0  # factor by which a product of slack and dual may differ from the barrier
 
 
 class LanePlans(eqx.Module):
@@ -49,203 +51,93 @@ class LanePlans(eqx.Module):
     result: RESULTS
 
 
-class _Gap(NamedTuple):
-    """sign (y - bound) >= 0 for an entry of a family of variables."""
-
-    family: str
-    entry: int
-    sign: float
-    bound: Array | float
-
-
-def _gaps(ocp: AbstractLanes) -> list[_Gap]:
-    families = (("input", ocp.input_limits()), ("change", ocp.change_limits()), ("state", ocp.state_limits()))
-    return [
-        _Gap(family, i, sign, bound)
-        for family, limits in families
-        for i, pair in enumerate(limits)
-        for sign, bound in zip((1.0, -1.0), pair, strict=True)
-        if bound is not None
-    ]
-
-
-def _measured(gaps: list[_Gap], u: Components, change: Components, x_next: Components) -> Components:
-    of = {"input": u, "change": change, "state": x_next}
-    return [gap.sign * (of[gap.family][gap.entry] - gap.bound) for gap in gaps]
-
-
-class _Stage(NamedTuple):
-    """What one stage of the sweep reads."""
-
-    x: Components
-    u: Components
-    before: Components  # input of the stage before
-    after: Components  # state of the stage after, in the guess
-    costate: Components
-    slack: Components
-    dual: Components
-    p: Any
-    around: Any
-
-
-class _Swept(NamedTuple):
-    """Carried backwards: value, and what the stage after contributes to the stationarity of this one."""
-
-    value: Value
-    gradient: Components  # of the Lagrangian in the state after, without its costate
-    change: Components  # of the Lagrangian in the change of the input after
-    error: Array
-    violation: Array
-    size: Array  # sum of the absolute multipliers
-
-
-def _worst(start: Array, values: Sequence[Entry]) -> Array:
-    for value in values:
-        start = start if value is None else jnp.maximum(start, jnp.abs(value))
-    return start
-
-
-def _filled(entries: Any, like: Array) -> Any:
-    """Zeros in place of None."""
-    return jax.tree.map(lambda e: jnp.zeros_like(like) if e is None else e, entries, is_leaf=lambda e: e is None)
-
-
-def _stage_back(ocp: AbstractLanes, barrier: Array, carry: _Swept, s: _Stage):
-    gaps, nx, nu = _gaps(ocp), len(s.x), len(s.u)
-    one = s.u[0]
-    change = [a - b for a, b in zip(s.u, s.before, strict=True)]
-    g = _measured(gaps, s.u, change, s.after)
-    y, M = ocp.linearise(s.x, s.u, s.p, s.around)
-    defect = [a - b for a, b in zip(y, s.after, strict=True)]
-    h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), s.p), *s.x, *s.u)
-    bend = ocp.curvature(s.x, s.u, s.costate, s.p, s.around)
-    H = [[total((a, b)) for a, b in zip(p, q, strict=True)] for p, q in zip(H, bend, strict=True)]
-    weight = ocp.rate_weight() or [0.0] * nu
-    inv = [1 / slack for slack in s.slack]
-    stiff = [z * i for z, i in zip(s.dual, inv, strict=True)]
-    pull = [w * (gap - slack) - barrier * i for w, gap, slack, i in zip(stiff, g, s.slack, inv, strict=True)]
-
-    def of(family: str, index: int, values: Components, signed: bool) -> list[Entry]:
-        return [gap.sign * v if signed else v for gap, v in zip(gaps, values, strict=True)
-                if (gap.family, gap.entry) == (family, index)]  # fmt: skip
-
-    moved = [2 * weight[l] * change[l] for l in range(nu)]
-    system = Local(
-        A=[row[:nx] for row in M],
-        B=[row[nx:] for row in M],
-        c=defect,
-        H=[[total((H[i][j], *(of("input", i - nx, stiff, False) if i == j >= nx else ()))) for j in range(nx + nu)]
-           for i in range(nx + nu)],
-        h=[total((h[i], *(of("input", i - nx, pull, True) if i >= nx else ()))) for i in range(nx + nu)],
-        rate=[total((2 * weight[l] + jnp.zeros_like(one), *of("change", l, stiff, False))) for l in range(nu)],
-        pull=[total((moved[l], *of("change", l, pull, True))) for l in range(nu)],
-    )  # fmt: skip
-    # limits of the state after belong to its value
-    P = [[total((carry.value.P[i][j], *(of("state", i, stiff, False) if i == j else ()))) for j in range(nx)]
-         for i in range(nx)]  # fmt: skip
-    p = [total((carry.value.p[i], *of("state", i, pull, True))) for i in range(nx)]
-    value, policy = backward(carry.value._replace(P=P, p=p), system)
-    # stationarity in the state after, the input, the change of the input
-    held = lambda family, i: [-e for e in of(family, i, s.dual, True)]
-    rx = [total((carry.gradient[i], -s.costate[i], *held("state", i))) for i in range(nx)]
-    rw = [total((moved[l], *held("change", l))) for l in range(nu)]
-    ru = [total((h[nx + l], dot(column(system.B, l), s.costate), *held("input", l), rw[l], -carry.change[l]))
-          for l in range(nu)]  # fmt: skip
-    gradient = [total((h[i], dot(column(system.A, i), s.costate))) for i in range(nx)]
-    products = [slack * z for slack, z in zip(s.slack, s.dual, strict=True)]
-    misfit = [gap - slack for gap, slack in zip(g, s.slack, strict=True)]
-    value, gradient, rw = _filled((value, gradient, rw), one)
-    swept = _Swept(
-        value,
-        gradient,
-        rw,
-        _worst(carry.error, (*rx, *ru, *products)),
-        _worst(carry.violation, (*defect, *misfit)),
-        carry.size + total(jnp.abs(v) for v in (*s.costate, *s.dual)),
-    )
-    return swept, _filled(((policy, system.A, system.B, defect), (p, P, carry.value.S), misfit), one)
-
-
-class _Ahead(NamedTuple):
-    """Carried forwards: steps of state and input before, longest rates of approach to a bound."""
-
-    dx: Components
-    dw: Components
-    primal: Array
-    dual: Array
-
-
-def _stage_forth(ocp: AbstractLanes, barrier: Array, carry: _Ahead, given):
-    (policy, A, B, defect), (p, P, S), misfit, slack, dual = given
-    gaps = _gaps(ocp)
-    dx, du = forward(Policy(*policy), Local(A, B, defect, [], [], [None] * len(carry.dw), []), carry.dx, carry.dw)
-    costate = [total((p[i], dot(P[i], dx), dot(S[i], du))) for i in range(len(dx))]
-    of = {"input": du, "change": [a - b for a, b in zip(du, carry.dw, strict=True)], "state": dx}
-    d_slack, d_dual, primal, ahead = [], [], carry.primal, carry.dual
-    for gap, r, s, z in zip(gaps, misfit, slack, dual, strict=True):
-        over = 1 / s
-        ds = gap.sign * of[gap.family][gap.entry] + r
-        dz = barrier * over - z - z * over * ds
-        primal, ahead = jnp.maximum(primal, -ds * over), jnp.maximum(ahead, -dz / z)
-        d_slack.append(ds)
-        d_dual.append(dz)
-    return _Ahead(dx, du, primal, ahead), (dx, du, costate, d_slack, d_dual)
-
-
 class _Loop(NamedTuple):
     lanes: Lanes
     barrier: Array
-    kkt: Array
-    violation: Array
+    error: Error
     num_steps: Array
 
 
-def _before(U: Components, u_before: Components) -> Components:
-    return [jnp.concatenate([b[None], u[:-1]]) for u, b in zip(U, u_before, strict=True)]
-
-
-def _open(kkt: Array, violation: Array, tolerance: Array, needed: Array) -> Array:
+def _open(error: Error, tolerance: Array, needed: Array) -> Array:
     """Lanes still to be solved; one that is not a number any more holds up none."""
-    error = jnp.maximum(kkt, violation)
-    return needed & ~(error <= tolerance) & ~jnp.isnan(error)
+    worst = jnp.maximum(error.kkt, error.violation)
+    return needed & ~(worst <= tolerance) & ~jnp.isnan(worst)
 
 
-def _iterate(
-    ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Components, tolerance: Array, needed: Array, loop: _Loop
-):
+class _Batch(NamedTuple):
+    """What does not change between iterations."""
+
+    ocp: AbstractLanes
+    stages: PyTree  # parameters (N, batch) or (N, 1)
+    last: PyTree
+    u_before: Components
+    needed: Array
+
+    def of(self, lanes: Array) -> "_Batch":
+        """Of some lanes."""
+        num = len(self.needed)
+        wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
+        stages, last, u_before, needed = _of_lanes(wide, lanes)
+        return _Batch(self.ocp.of(lanes), stages, last, u_before, needed)
+
+
+def _rows(tree: PyTree) -> Array:
+    """All values of each lane in one column: one gather for all, since XLA fails on many that it makes one of."""
+    leaves = jax.tree.leaves(tree)
+    return jnp.concatenate([a.reshape(-1, a.shape[-1]).astype(jnp.result_type(*leaves)) for a in leaves])
+
+
+def _unrowed(rows: Array, tree: PyTree) -> PyTree:
+    """Columns as arrays like those of `tree`, but for the number of lanes."""
+    leaves, structure = jax.tree.flatten(tree)
+    ends = np.cumsum([a[..., 0].size for a in leaves])
+    parts = jnp.split(rows, ends[:-1])
+    like = [p.reshape(*a.shape[:-1], -1).astype(a.dtype) for p, a in zip(parts, leaves, strict=True)]
+    return jax.tree.unflatten(structure, like)
+
+
+def _of_lanes(tree: PyTree, lanes: Array) -> PyTree:
+    return _unrowed(_rows(tree)[:, lanes], tree)
+
+
+def _solved(batch: _Batch, loop: _Loop, tolerance: Array, max_steps: Array | int) -> _Loop:
+    """Iterates until all are solved; the last of many lanes go on among themselves, so that few hold up few."""
+    num = len(batch.needed)
+    few = num // SHARE if num >= MANY else 0
+    still = lambda s: _open(s.error, tolerance, batch.needed)
+    more = lambda s: (jnp.sum(still(s)) > few) & (s.num_steps < max_steps)
+    loop = jax.lax.while_loop(more, lambda s: _iterate(batch, tolerance, s), loop)
+    if not few:
+        return loop
+    lanes = jnp.argsort(~still(loop))[:few]
+    state = loop[:-1]
+    it, barrier, error = _of_lanes(state, lanes)
+    rest = _solved(batch.of(lanes), _Loop(it, barrier, error, loop.num_steps), tolerance, max_steps)
+    it, barrier, error = _unrowed(_rows(state).at[:, lanes].set(_rows(rest[:-1])), state)
+    return _Loop(it, barrier, error, rest.num_steps)
+
+
+def _iterate(batch: _Batch, tolerance: Array, loop: _Loop) -> _Loop:
     it, barrier = loop.lanes, loop.barrier
-    zero = jnp.zeros_like(barrier)
-    nx, nu = len(it.X), len(it.U)
-    end = [x[-1] for x in it.X]
-    grad, P = _filled(hessian(lambda *x: ocp.terminal(list(x), last), *end), zero)
-    blank = lambda n, m: [[zero] * m for _ in range(n)]
-    begin = _Swept(Value(P, blank(nx, nu), blank(nu, nu), grad, [zero] * nu), grad, [zero] * nu, zero, zero, zero)
-    head, tail = [x[:-1] for x in it.X], [x[1:] for x in it.X]
-    around = materialised(ocp.around)(head, it.U, stages)
-    read = _Stage(head, it.U, _before(it.U, u_before), tail, it.costates, it.slack, it.dual, stages, around)
-    back = materialised(lambda carry, s: _stage_back(ocp, barrier, carry, s))
-    swept, (system, ahead, misfit) = jax.lax.scan(back, begin, read, reverse=True)
-    num = it.costates[0].shape[0] * (nx + len(it.dual))
-    kkt = swept.error / jnp.maximum(1.0, swept.size / num / 100)
-    forth = materialised(lambda carry, s: _stage_forth(ocp, barrier, carry, s))
-    start = _Ahead([zero] * nx, [zero] * nu, zero, zero)
-    reached, (dX, dU, costates, d_slack, d_dual) = jax.lax.scan(
-        forth, start, (system, ahead, misfit, it.slack, it.dual)
-    )
-    tiny = 1e-12
-    open_ = _open(kkt, swept.violation, tolerance, needed)
-    step = jnp.where(open_, jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(reached.primal, tiny)), 0.0)
-    dual = jnp.where(open_, jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(reached.dual, tiny)), 0.0)
+    newton, error = materialised(lambda it, barrier: newton_system(*batch[:-1], it, barrier))(it, barrier)
+    d = materialised(lambda it, newton, barrier: newton_step(batch.ocp, it, newton, barrier))(it, newton, barrier)
+    open_ = _open(error, tolerance, batch.needed)
+    step, dual = longest(it.slack, d.d_slack, open_), longest(it.dual, d.d_dual, open_)
     move = lambda values, steps, length: [v + length * d for v, d in zip(values, steps, strict=True)]
+    slack = move(it.slack, d.d_slack, step)
     new = Lanes(
-        [x.at[1:].add(step * d) for x, d in zip(it.X, dX, strict=True)],
-        move(it.U, dU, step),
-        [c + step * (n - c) for c, n in zip(it.costates, costates, strict=True)],
-        move(it.slack, d_slack, step),
-        move(it.dual, d_dual, dual),
+        [x.at[1:].add(step * dx) for x, dx in zip(it.X, d.dX, strict=True)],
+        move(it.U, d.dU, step),
+        [c + step * (n - c) for c, n in zip(it.costates, d.costates, strict=True)],
+        slack,
+        [_central(z, s, barrier, open_) for z, s in zip(move(it.dual, d.d_dual, dual), slack, strict=True)],
     )
-    barrier = _next_barrier(new, barrier, jnp.minimum(step, dual), tolerance)
-    return _Loop(new, barrier, kkt, swept.violation, loop.num_steps + 1)
+    return _Loop(new, _next_barrier(new, barrier, jnp.minimum(step, dual), tolerance), error, loop.num_steps + 1)
+
+
+def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:
+    """Products of slack and dual kept near the barrier: a lane at a limit without its dual can no longer move."""
+    return jnp.where(open_, jnp.clip(dual, barrier / (CENTRALITY * slack), CENTRALITY * barrier / slack), dual)
 
 
 def _next_barrier(new: Lanes, barrier: Array, length: Array, tolerance: Array) -> Array:
@@ -259,8 +151,8 @@ def _next_barrier(new: Lanes, barrier: Array, length: Array, tolerance: Array) -
 
 def _start(ocp: AbstractLanes, x0: Components, u_before: Components, X: Components, U: Components, barrier) -> Lanes:
     X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
-    change = [u - b for u, b in zip(U, _before(U, u_before), strict=True)]
-    slack = [jnp.maximum(g, SLACK_FLOOR) for g in _measured(_gaps(ocp), U, change, [x[1:] for x in X])]
+    change = [u - b for u, b in zip(U, inputs_before(U, u_before), strict=True)]
+    slack = [jnp.maximum(g, SLACK_FLOOR) for g in measured(gaps_of(ocp), U, change, [x[1:] for x in X])]
     return Lanes(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
 
@@ -289,22 +181,20 @@ def solve_lanes(
     stages, last = split(params)
     lanes, before = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier), list(u_before)
     large = jnp.full_like(U[0][0], jnp.inf)
-    loop = _Loop(lanes, jnp.full_like(large, barrier), large, large, jnp.zeros((), jnp.int32))
+    loop = _Loop(lanes, jnp.full_like(large, barrier), Error(large, large), jnp.zeros((), jnp.int32))
 
     needed = jnp.full_like(large, True, bool) if needed is None else needed
 
-    def unfinished(s: _Loop):
-        return jnp.any(_open(s.kkt, s.violation, tolerance, needed)) & (s.num_steps < options.max_steps)
-
-    end = jax.lax.while_loop(unfinished, lambda s: _iterate(ocp, stages, last, before, tolerance, needed, s), loop)
-    done = jnp.maximum(end.kkt, end.violation) <= tolerance
-    finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
+    problem = _Batch(ocp, stages, last, before, needed)
+    end = _solved(problem, loop, tolerance, options.max_steps)
+    done = jnp.maximum(end.error.kkt, end.error.violation) <= tolerance
+    finite = jnp.isfinite(end.error.kkt) & jnp.isfinite(end.error.violation)
     result = jax.vmap(_result)(done, finite)
     it = end.lanes
-    cost = _objective(ocp, it, _before(it.U, before), stages, last)
+    cost = _objective(ocp, it, inputs_before(it.U, before), stages, last)
     dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), dtype)
     X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
-    return LanePlans(X, U, costates, dual, cost, end.kkt, end.violation, end.num_steps, result)
+    return LanePlans(X, U, costates, dual, cost, end.error.kkt, end.error.violation, end.num_steps, result)
 
 
 def _objective(ocp: AbstractLanes, it: Lanes, before: Components, stages: PyTree, last: PyTree) -> Array:

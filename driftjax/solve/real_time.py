@@ -37,8 +37,8 @@ class _Quadratic(AbstractLanes):
         away = [a - b for a, b in zip((*x, *u), p.z, strict=True)]
         return [jnp.asarray(total((y, dot(row, away)))) for y, row in zip(p.y, p.M, strict=True)], p.M
 
-    def curvature(self, x: Components, u: Components, costate: Components, p: _Model, around: None) -> Matrix:
-        return [[None] * len(p.z) for _ in p.z]
+    def expand(self, x: Components, u: Components, costate: Components, p: _Model, around: None):
+        return *self.linearise(x, u, p, None), [[None] * len(p.z) for _ in p.z]
 
     def cost(self, x: Components, u: Components, p: _Model) -> Array:
         return _square([a - b for a, b in zip((*x, *u), p.z, strict=True)], p.h, p.H)

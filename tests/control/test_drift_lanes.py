@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -72,15 +73,31 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     exact = jax.jacfwd(lambda z: value(z)[0])(z)
     np.testing.assert_allclose(dense(M), exact, rtol=1e-8, atol=1e-10 * np.abs(exact).max())
     costate = jnp.asarray(np.random.default_rng(1).normal(size=len(kept)))
-    H = batched.curvature(*components, [c[None] for c in costate], p, around)
-    if learnt is None:  # the whole problem's own residual has no third derivatives
-        bend = jax.hessian(lambda z: costate @ value(z)[0])(z)
-        np.testing.assert_allclose(dense(H), bend, rtol=1e-7, atol=1e-9 * np.abs(bend).max())
-    else:
-        finite = lambda z: np.array([np.ravel(e)[0] for e in pulled(batched, z, costate, p)])
-        bend = [(finite(z.at[i].add(1e-5)) - finite(z.at[i].add(-1e-5))) / 2e-5 for i in range(len(z))]
-        np.testing.assert_allclose(dense(H), bend, rtol=1e-5, atol=1e-7 * np.abs(bend).max())
     np.testing.assert_allclose(batched.cost(*components, p)[0], value(z)[1], rtol=1e-12)
+    expanded = batched.expand(*components, [c[None] for c in costate], p, around)
+    np.testing.assert_allclose(np.ravel(expanded[0]), np.ravel(y), rtol=1e-14)
+    np.testing.assert_allclose(dense(expanded[1]), dense(M), rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_second_derivatives_become_exact_with_short_steps(name):
+    weights, learnt = CASES[name]
+
+    def error(dt: float) -> float:
+        """Largest, over the largest second derivative; of what is multiplied by dt."""
+        batched = drift_lanes(replace(CONFIG, dt=dt), weights, CAR, learnt)
+        reached = [-0.22, 6.3] if batched.lags is not None else []
+        z = jnp.array([*X[: len(batched.Q)], *reached, *U])
+        costate = jnp.asarray(np.random.default_rng(1).normal(size=len(z) - 2))
+        x, u, p = [e[None] for e in z[:-2]], [e[None] for e in z[-2:]], jax.tree.map(lambda a: a[0], reference(1, 1))
+        H = batched.expand(x, u, [c[None] for c in costate], p, batched.around(x, u, p))[2]
+        finite = jax.jit(lambda z: jnp.stack(pulled(batched, z, costate, p))[:, 0])
+        bend = np.array([(finite(z.at[i].add(1e-5)) - finite(z.at[i].add(-1e-5))) / 2e-5 for i in range(len(z))])
+        found = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
+        return np.abs(found - bend).max() / np.abs(bend).max()
+
+    assert error(0.05) < 0.2
+    assert error(0.005) < error(0.02) / 10
 
 
 def pulled(batched, z, costate, p):
