@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,12 +148,12 @@ def residual() -> Residual:
 def test_the_residual_near_a_point_has_its_value_and_its_derivatives():
     d = residual()
     z = features(*DRIFT) + jnp.asarray([0.3, 0.05, -0.1, 0.02, 300.0])
-    exact, bend = jax.jacfwd(d)(z), jax.jacfwd(jax.jacrev(d))(z)
-    several = nearby(d, jnp.stack([0.9 * z, z]))
+    exact, bend = (jax.jit(by)(z) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
+    several = jax.jit(lambda z: nearby(d, z))(jnp.stack([0.9 * z, z]))
     near = jax.tree.map(lambda a: a[1], several)
     np.testing.assert_allclose(near.at(z), d(z), rtol=1e-12)
-    np.testing.assert_allclose(jax.jacfwd(near.at)(z), exact, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(jax.jacfwd(jax.jacrev(near.at))(z), bend, rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(near.at))(z), exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(jax.jacrev(near.at)))(z), bend, rtol=1e-8, atol=1e-14)
     assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
     assert float(d(z)[2]) == 0  # gated off
 
@@ -180,12 +181,14 @@ def test_the_derivatives_of_the_problem_are_those_of_its_step():
     p = Reference(*jnp.asarray([9.0, -0.5, 1.1, 0.0, 0.5, 0.06]))
     h = 1e-6
     at = lambda w: jax.tree.map(lambda a: a[0], ocp.around(w[None, :9], w[None, 9:], p))
-    derivatives = lambda w: ocp.linearise(w[:9], w[9:], p, at(w))
+    derivatives = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
+    step = eqx.filter_jit(ocp.step)
     y, A, B = derivatives(jnp.concatenate([x, u]))
-    np.testing.assert_allclose(y, ocp.step(x, u, p), rtol=1e-12)
+    np.testing.assert_allclose(y, step(x, u, p), rtol=1e-12)
     slopes = lambda f, w: np.stack([(f(w + h * one) - f(w - h * one)) / (2 * h) for one in np.eye(len(w))], axis=1)
-    np.testing.assert_allclose(A, slopes(lambda w: ocp.step(w, u, p), x), atol=1e-7)
-    np.testing.assert_allclose(B, slopes(lambda w: ocp.step(x, w, p), u), atol=1e-7)
+    np.testing.assert_allclose(A, slopes(lambda w: step(w, u, p), x), atol=1e-7)
+    np.testing.assert_allclose(B, slopes(lambda w: step(x, w, p), u), atol=1e-7)
     gradient = lambda w: costate @ jnp.concatenate(derivatives(w)[1:], axis=1)
     bend = slopes(gradient, jnp.concatenate([x, u]))
-    np.testing.assert_allclose(ocp.curvature(x, u, costate, p, at(jnp.concatenate([x, u]))), bend, rtol=1e-5, atol=1e-6)
+    found = eqx.filter_jit(ocp.curvature)(x, u, costate, p, at(jnp.concatenate([x, u])))
+    np.testing.assert_allclose(found, bend, rtol=1e-5, atol=1e-6)

@@ -55,6 +55,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     kept = [*range(len(tracked)), *((7, 8) if reached else ())]
     to_z = np.concatenate([whole.x_scale / unscale, np.asarray(whole.u_scale) / UNIT])
 
+    @jax.jit
     def value(z):
         """The whole problem in the units of the batch: next state (kept entries) and cost less that of the change."""
         full = jnp.concatenate([jnp.asarray(X), BEFORE, jnp.asarray(acting)]).at[jnp.array(kept)].set(z[:-2])
@@ -70,7 +71,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     dense = lambda rows: np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in rows])
     np.testing.assert_allclose(np.ravel(y), value(z)[0], rtol=1e-12)
     np.testing.assert_allclose(np.ravel(batched.step(*components, p)), value(z)[0], rtol=1e-12)
-    exact = jax.jacfwd(lambda z: value(z)[0])(z)
+    exact = jax.jit(jax.jacfwd(lambda z: value(z)[0]))(z)
     np.testing.assert_allclose(dense(M), exact, rtol=1e-8, atol=1e-10 * np.abs(exact).max())
     costate = jnp.asarray(np.random.default_rng(1).normal(size=len(kept)))
     np.testing.assert_allclose(batched.cost(*components, p)[0], value(z)[1], rtol=1e-12)
