@@ -1,4 +1,4 @@
-"""Shared settings of the tests: float64, the persistent compilation cache, one device thread, quick compilation."""
+"""Shared settings of the tests: float64, the persistent compilation cache, one device thread."""
 
 import os
 import tempfile
@@ -7,9 +7,6 @@ from pathlib import Path
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("NPROC", "1")  # XLA's CPU client with two or more threads can deadlock on LAPACK calls
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
-
-# XLA's older emitters and one LLVM module per program: as correct, as fast to run, and compiled in half the time
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1")
 
 import jax
 import pytest
@@ -21,8 +18,6 @@ jax.config.update("jax_compilation_cache_dir", os.environ.get(
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-FIRST = "test_hidden_effects.py"  # takes longest, and compiles what the other tests of the diagnosis load
-LONG = ("diagnose", "learn")  # folders whose programs run for so long that optimising them pays
 MAPS = 20000  # memory maps from which programs are given up
 
 
@@ -34,22 +29,3 @@ def programs_let_go():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > MAPS:
         jax.clear_caches()
-
-
-def pytest_collection_modifyitems(items):
-    """The longest file begins at once: begun last, it would leave all workers but one idle. The rest keep their order,
-    but for the other tests of the diagnosis: when they begin, its programs have been compiled."""
-    items.sort(key=lambda item: (item.path.name != FIRST, item.path.parent.name == "diagnose"))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def compiled_quickly(request):
-    """Programs are compiled without optimisation where they run briefly, and as users have them under `-m slow`."""
-    quick = request.config.getoption("markexpr") == "not slow" and request.path.parent.name not in LONG
-    with pytest.MonkeyPatch.context() as patch:
-        if quick:
-            patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # for processes begun by a test
-        before = jax.config.read("jax_disable_most_optimizations")
-        jax.config.update("jax_disable_most_optimizations", quick)
-        yield
-        jax.config.update("jax_disable_most_optimizations", before)
