@@ -18,7 +18,6 @@ jax.config.update("jax_compilation_cache_dir", os.environ.get(
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-FIRST = "test_hidden_effects.py"  # takes longest, and compiles what the other tests of the diagnosis load
 MAPS = 20000  # memory maps from which programs are given up
 
 
@@ -30,9 +29,3 @@ def programs_let_go():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > MAPS:
         jax.clear_caches()
-
-
-def pytest_collection_modifyitems(items):
-    """The longest file begins at once: begun last, it would leave all workers but one idle. The rest keep their order,
-    but for the other tests of the diagnosis: when they begin, its programs have been compiled."""
-    items.sort(key=lambda item: (item.path.name != FIRST, item.path.parent.name == "diagnose"))
