@@ -1,8 +1,7 @@
 """A fresh sample of the hidden-effects bench, small enough for every run of the tests, and how the bench counts.
 
 Each run draws new effects, strengths, manoeuvres and noise from a seed that it prints; DRIFTJAX_SEED repeats a run.
-The catalogue is the small one of `recorded`, a case some 24 s of data to name from and 12 s held out. Limits on counts
-are those that chance crosses in less than one run of a thousand at the rate told; many cases have narrower ones.
+The catalogue is the small one of `recorded`, a case some 24 s of data to name from and 12 s held out.
 """
 
 import dataclasses
@@ -12,7 +11,6 @@ import os
 import numpy as np
 import pytest
 from recorded import EFFECTS, NAMES, recorded, sedan
-from scipy.stats import binom
 
 from driftjax.data import Run
 from experiments.hidden_effects import judged
@@ -22,9 +20,8 @@ from experiments.hidden_effects.confusion import confusions
 from experiments.hidden_effects.draw import Numbers, plan
 from experiments.hidden_effects.trial import examine
 
-FEW = Numbers(none=5, none_noise=0, quiet=0, single=10, weak=0, pair=4, absent=2, poor=0, std=0, mb=0)
-MANY = dataclasses.replace(FEW, none=16, single=40, pair=12, absent=8)
-GAIN = 3  # every so-many-th case with one or two hidden measures the gain too, which takes as long again
+NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, poor=0, std=0, mb=0)
+GAIN = 4  # every so-many-th case measures the gain too, which takes as long again
 WHOLE = 6  # runs of a recording in which nothing spun
 
 
@@ -44,41 +41,31 @@ def driven(case: Case) -> tuple[Run, ...]:
     raise AssertionError(f"the car spins in every recording of {case.line()}")
 
 
-def least(num: int, rate: float) -> int:
-    """Fewer than so many of `num` has p < 1e-3 where each comes true at `rate`."""
-    return int(binom.ppf(1e-3, num, rate))
-
-
-@pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
-def sample(request):
+@pytest.fixture(scope="module")
+def sample():
     """Results of the sample by condition."""
     found: dict[str, list[judged.Result]] = {}
     print(f"DRIFTJAX_SEED={seed()}")
-    cases = plan(request.param, ("sedan",), seed(), tuple(NAMES))
-    judge = [case for case in cases if case.condition in ("single", "pair")][::GAIN]
-    for case in cases:
-        result = examine(case, sedan(), driven(case), EFFECTS, 3 if case in judge else 0)
+    for i, case in enumerate(plan(NUMBERS, ("sedan",), seed(), tuple(NAMES))):
+        result = examine(case, sedan(), driven(case), EFFECTS, 0 if i % GAIN else 3)
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s")
         found.setdefault(case.condition, []).append(result)
     return found
 
 
 def test_what_was_hidden_is_named(sample):
-    """Some 95 % of names are right, and a guess is in 1 of 10: at least 5 of 10, 29 of 40."""
-    right = list(map(judged.first, sample["single"]))
-    assert sum(right) >= least(len(right), 0.9), confusions(sample["single"])
+    """Some 95 % of names are right: fewer than 13 of 20 has p < 1e-3 down to 90 %; a guess is right in 1 of 10."""
+    assert sum(map(judged.first, sample["single"])) >= 13, confusions(sample["single"])
 
 
 def test_both_of_two_are_found(sample):
-    """Some 95 %, and hardly any by a guess: at least 1 of 4, 5 of 12."""
-    both = list(map(judged.both, sample["pair"]))
-    assert sum(both) >= least(len(both), 0.84), confusions(sample["pair"])
+    """Some 95 %: fewer than 2 of 6 has p < 1e-3 down to 84 %."""
+    assert sum(map(judged.both, sample["pair"])) >= 2, confusions(sample["pair"])
 
 
 def test_nothing_is_named_where_nothing_is_hidden(sample):
-    """Chance names something in at most 5 %, 10 % in data as short: in at most 3 of 5, 6 of 16."""
-    nothing = [not judged.named(result) for result in sample["none"]]
-    assert sum(nothing) >= least(len(nothing), 0.9), confusions(sample["none"])
+    """Chance names something in at most 5 %, 10 % in data as short: 5 of 8 has p < 5e-4."""
+    assert sum(map(judged.named, sample["none"])) <= 4, confusions(sample["none"])
 
 
 def test_an_effect_that_the_catalogue_lacks_is_never_named(sample):
@@ -87,9 +74,9 @@ def test_an_effect_that_the_catalogue_lacks_is_never_named(sample):
 
 
 def test_intervals_hold_the_truth(sample):
-    """Nominally 95 %: at least 11 of 18 at 90 %."""
+    """Nominally 95 %: under 65 % of 20 or more has p < 1e-3 down to 90 %."""
     held = [inside for kind in ("single", "pair") for result in sample[kind] for inside in judged.inside(result)]
-    assert len(held) > 8 and sum(held) >= least(len(held), 0.9), held
+    assert np.mean(held) >= 0.65, held
 
 
 def test_the_extended_car_predicts_better(sample):
