@@ -86,7 +86,7 @@ class DriftLanes(AbstractLanes):
         return learnt(self.residual, [*X[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
     def _moved(self, x: Components, u: Components, p: Reference, around: Learnt | None):
-        """What is tracked one step later, its derivatives by (tracked, acting, residual's rates)."""
+        """What is tracked one step later, and its derivatives by (tracked, acting, residual's rates)."""
         acting = self._actuated(x, u)[0]
         held = [] if around is None else around.d
         return runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
@@ -116,7 +116,7 @@ class DriftLanes(AbstractLanes):
     def expand(
         self, x: Components, u: Components, costate: Components, p: Reference, around: Learnt | None
     ) -> tuple[Components, Matrix, Matrix]:
-        """As `linearise`, and the exact second derivatives of the RK4 step."""
+        """As `linearise`, and second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
         n, (acting, end) = len(self.Q), self._actuated(x, u)
         y, M = self._moved(x, u, p, around)
         held = [] if around is None else around.d

@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -30,13 +31,17 @@ def rk4_ends(f: Callable[[T], T], x: T, dt: float | Array) -> tuple[T, T, T]:
     return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4), k1, k4
 
 
+# of the four slopes in steps: where each is taken along the one before, its share in the step
+RK4_INTO, RK4_WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
+
+
 def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, along: Any = None) -> Array:
     """The step of `rk4_step` for x_dot = f(x, p), with the four slopes taken in a loop; `along` holds four rows of p.
 
     A quarter of the program, and so of what derivatives of it take to compile; XLA cannot then do the first slopes
     again for each use of the later ones either, which in second derivatives costs most of the time.
     """
-    stages = (jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6, along)
+    stages = (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS), along)
 
     def stage(carry, now):
         k, end = carry

@@ -38,6 +38,7 @@ class Gap(NamedTuple):
 
 
 def gaps_of(ocp: AbstractLanes) -> list[Gap]:
+    """One per limit that there is: of inputs, their changes, states."""
     families = (("input", ocp.input_limits()), ("change", ocp.change_limits()), ("state", ocp.state_limits()))
     return [
         Gap(family, i, sign, bound)
@@ -49,11 +50,13 @@ def gaps_of(ocp: AbstractLanes) -> list[Gap]:
 
 
 def measured(gaps: list[Gap], u: Components, change: Components, x_next: Components) -> Components:
+    """Values of the gaps, positive within the limits."""
     of = {"input": u, "change": change, "state": x_next}
     return [gap.sign * (of[gap.family][gap.entry] - gap.bound) for gap in gaps]
 
 
 def inputs_before(U: Components, u_before: Components) -> Components:
+    """Input of the stage before each stage (N, batch); `u_before` (batch,) that before the first."""
     return [jnp.concatenate([b[None], u[:-1]]) for u, b in zip(U, u_before, strict=True)]
 
 

@@ -69,9 +69,9 @@ class _Batch(NamedTuple):
 
     ocp: AbstractLanes
     stages: PyTree  # parameters (N, batch) or (N, 1)
-    last: PyTree
+    last: PyTree  # those of the end (batch,) or (1,)
     u_before: Components
-    needed: Array
+    needed: Array  # lanes to be solved
 
     def of(self, lanes: Array) -> "_Batch":
         """Of some lanes."""
@@ -182,11 +182,8 @@ def solve_lanes(
     lanes, before = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier), list(u_before)
     large = jnp.full_like(U[0][0], jnp.inf)
     loop = _Loop(lanes, jnp.full_like(large, barrier), Error(large, large), jnp.zeros((), jnp.int32))
-
     needed = jnp.full_like(large, True, bool) if needed is None else needed
-
-    problem = _Batch(ocp, stages, last, before, needed)
-    end = _solved(problem, loop, tolerance, options.max_steps)
+    end = _solved(_Batch(ocp, stages, last, before, needed), loop, tolerance, options.max_steps)
     done = jnp.maximum(end.error.kkt, end.error.violation) <= tolerance
     finite = jnp.isfinite(end.error.kkt) & jnp.isfinite(end.error.violation)
     result = jax.vmap(_result)(done, finite)

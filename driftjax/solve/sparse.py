@@ -11,9 +11,9 @@ from typing import Any
 import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from driftjax.core.integrate import RK4_INTO, RK4_WEIGHTS
 from driftjax.core.materialise import bind, materialised
 
 Entry = Any  # an array, or None for zero
@@ -93,9 +93,6 @@ def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> l
     return [read(v) for v in jaxpr.outvars]
 
 
-HALVES, SIXTHS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6  # of dt: into a slope, its weight
-
-
 def runge_kutta(
     rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array], dt: Array | float
 ) -> tuple[list[Array], Matrix]:
@@ -120,8 +117,8 @@ def runge_kutta(
 
     none = _filled([[None] * nz for _ in range(nx)], shape, zero)
     begin = [[total((none[i][j], zero + 1 if i == j else None)) for j in range(nz)] for i in range(nx)]
-    carry = ([zero] * nx, none, list(x), begin)
-    (_, _, ends, M), _ = jax.lax.scan(materialised(chained), carry, (jnp.asarray(HALVES), jnp.asarray(SIXTHS)))
+    carry, tableau = ([zero] * nx, none, list(x), begin), (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS))
+    (_, _, ends, M), _ = jax.lax.scan(materialised(chained), carry, tableau)
     return ends, M
 
 
