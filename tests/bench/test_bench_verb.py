@@ -12,12 +12,13 @@ import pytest
 from driftjax.cli import main
 from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
-from experiments.bench import gp_rows, mpc_rows, simulator_rows
+from experiments.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from experiments.bench.casadi_mpc import Transcribed
 from experiments.bench.compiling import EVENTS, Spans
 from experiments.bench.config import Config
 from experiments.bench.drift import TOLERANCE, WEIGHTS, X_REF, car, config, starts
 from experiments.bench.mpc import Solved
+from experiments.bench.peers import missing
 from experiments.bench.rows import Row, Timing, alternate, timed
 from experiments.bench.run import environment
 from experiments.bench.table import cells, markdown, seconds
@@ -130,6 +131,12 @@ def test_peers_of_the_simulator_make_the_same_step(dtype, within):
     cfg = dataclasses.replace(QUICK, dtype=(dtype,))
     facts = [row.facts for row in simulator_rows.measure(cfg).rows if "difference" in row.facts]
     assert len(facts) == 3 and all(fact["difference"] < within for fact in facts)
+
+
+@pytest.mark.skipif(bool(missing("g++")), reason="no g++ here")
+def test_loading_the_steps_in_cpp_leaves_denormal_numbers_alone():
+    cpp_step.compiled("vector")
+    assert (np.array([2e-308]) * 0.5)[0] > 0
 
 
 def test_only_the_mpc_gets_more_threads():
