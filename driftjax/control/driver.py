@@ -11,16 +11,16 @@ from jaxtyping import Float
 
 from driftjax.control.lane_solve import Answer, Posed, acceptable, answers
 from driftjax.control.lqr import LQR
-from driftjax.control.mpc import DriftOCP, predict, within_limits
+from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
-from driftjax.control.table import ReferenceTable, expected_arc_lengths
+from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, each, lag_step, require
 from driftjax.sim import Sensed, keep_where
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
-# First barrier parameter without and with a plan to start from. Objectives far from the reference are of order
-# 1e4: a smaller first barrier lets the iterates run into their bounds and jam there.
+# First barrier parameter when the drift controller takes over, and later on. Objectives far from the reference are of
+# order 1e4: a smaller first barrier lets the iterates run into their bounds and jam there.
 COLD_BARRIER, WARM_BARRIER = 30.0, 0.3
 ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
@@ -47,11 +47,8 @@ class Memory(NamedTuple):
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
     reached: Float[Array, " 2"]  # what steering and drive have made of the commands so far, by the learnt lags
-    X: Float[Array, "N+1 5"]  # where the last solve ended, one step later: guess of the next one
-    U: Float[Array, "N 2"]
     good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: what is driven where a solve fails
     drifting: Array  # whether the drift controller drove the last step
-    planned: Array  # whether `X`, `U` hold a finite guess
 
 
 class Decision(NamedTuple):
@@ -83,11 +80,9 @@ class Driver(eqx.Module):
         """Stages of the MPC."""
         return self.ocp.horizon
 
-    def start(self, speed: Array) -> Memory:
+    def start(self) -> Memory:
         """Memory of a driver that has not driven yet."""
-        X = jnp.zeros((self.horizon + 1, 5)).at[:, 0].set(speed)
-        U = jnp.zeros((self.horizon, 2))
-        return Memory(jnp.zeros(2), jnp.zeros(2), X, U, U, *jnp.zeros((2,), bool))
+        return Memory(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
 
     def engaged(self, sensed: Sensed, memory: Memory) -> Array:
         """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
@@ -114,40 +109,29 @@ class Driver(eqx.Module):
         u = self.lqr(State(sensed.V, sensed.beta, sensed.r), x_ref, u_ref)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
-    def first_guess(self, x: Array, memory: Memory, kappa: Array) -> tuple[Array, Array]:
-        """Plan to start the MPC from: where the last solve ended, else the last command held.
-
-        A held command satisfies the dynamics, which matters more to the solver than being near the reference.
-        """
-        held = within_limits(self.ocp, jnp.tile(memory.command, (self.horizon, 1)), memory.command)
-        X = predict(self.ocp, x, held, memory.reached, kappa)
-        return jnp.where(memory.planned, memory.X, X), jnp.where(memory.planned, memory.U, held)
-
     def pose(self, sensed: Sensed, memory: Memory, needed: Array) -> Posed:
-        """What the drift MPC has to solve now.
+        """What the drift MPC has to solve now, with the reference as guess.
 
-        Where it is not `needed` no iteration is spent: a lane at rest must not hold up the batch.
+        The guess decides which optimum is found: beside the drift that is asked for there is often one with the front
+        wheel saturated and the speed falling, hardly dearer where speed weighs little, and a solve that goes on from
+        the last one slides over into it. Where it is not `needed` no iteration is spent: a lane at rest must not hold
+        up the batch.
         """
         x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
-        kappa = self.table.row(self.table.kappa, sensed.s)
-        X, U = self.first_guess(x, memory, kappa)
-        s = expected_arc_lengths(sensed.s, X.at[0].set(x), jnp.full(self.horizon + 1, kappa), self.ocp.dt)
-        reference = self.table.reference(s)
-        barrier = jnp.where(memory.planned, WARM_BARRIER, COLD_BARRIER)
+        s = self.table.schedule(sensed.s, self.horizon, self.ocp.dt)
+        reference, U = self.table.reference(s), self.table.inputs(s[:-1])
+        X = reference.states().at[0].set(x)
+        barrier = jnp.where(memory.drifting, WARM_BARRIER, COLD_BARRIER)
         options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
         return Posed(x, memory.command, memory.reached, reference, X, U, options)
 
     def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:
         """Command of the drift MPC; where the solve fails, that of the last good plan, one step later."""
-        X, U = posed.X, posed.U
         solved = acceptable(found, posed.options, ACCEPTABLE)
-        good = jnp.where(memory.planned, memory.good, U)  # before the first solve: the command held
+        good = jnp.where(memory.drifting, memory.good, posed.U)  # before the first solve: the reference's
         good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
-        # an unfinished solve is still the better guess: the next one goes on from it
-        usable = jnp.all(jnp.isfinite(found.X)) & jnp.all(jnp.isfinite(found.U))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
-        guess = shift(jnp.where(usable, found.X, X)), shift(jnp.where(usable, found.U, U))
-        return decision, Memory(good[0], memory.reached, *guess, shift(good), jnp.asarray(True), usable)
+        return decision, Memory(good[0], memory.reached, shift(good), jnp.asarray(True))
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
@@ -162,7 +146,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
         jnp.zeros(engaged.shape, int),
     )
     idle_flag = jnp.zeros_like(engaged)
-    resting = memory._replace(command=pursued, drifting=idle_flag, planned=idle_flag)
+    resting = memory._replace(command=pursued, drifting=idle_flag)
     if drivers.kind == "pursuit":
         return idle.command, resting, idle  # nothing here looks at what is reached
 

@@ -71,6 +71,10 @@ class Reference(eqx.Module):
     theta: Float[Array, " N+1"]  # heading of the car less that of the path [rad]
     kappa: Float[Array, " N+1"]  # curvature of the path where the car is expected [1/m]
 
+    def states(self) -> Float[Array, "N+1 5"]:
+        """(V, beta, r, e, theta), the states that it asks for."""
+        return jnp.stack([self.V, self.beta, self.r, self.e, self.theta], axis=1)
+
 
 class DriftOCP(AbstractOCP):
     """Eq. 10 with the state (V, beta, r, e, theta, last command (2), command reached (2)), each over its scale.
@@ -232,22 +236,6 @@ def along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) ->
         return end, end
 
     return jnp.concatenate([reached[None], jax.lax.scan(move, reached, U)[1]])
-
-
-def predict(
-    ocp: DriftOCP, x: Float[Array, " 5"], U: Float[Array, "N 2"], reached: Float[Array, " 2"], kappa: Array
-) -> Float[Array, "N+1 5"]:
-    """States from `x` under commands `U` [rad, N] on a path of constant curvature `kappa` [1/m], all SI."""
-    zero = jnp.zeros_like(kappa)
-    constant = Reference(zero, zero, zero, zero, zero, kappa)
-
-    def move(y, stage):
-        u, actuators = stage
-        scaled = jnp.concatenate([y, u, actuators]) / ocp.x_scale
-        after = ocp.step(scaled, u / ocp.u_scale, constant)[:5] * ocp.x_scale[:5]
-        return after, after
-
-    return jnp.concatenate([x[None], jax.lax.scan(move, x, (U, along(ocp, reached, U)[:-1]))[1]])
 
 
 class MPCSolution(eqx.Module):

@@ -43,6 +43,19 @@ class ReferenceTable(eqx.Module):
         i = jnp.clip(jnp.floor(q).astype(int), 0, values.shape[0] - 2)
         return i, q - i
 
+    def schedule(self, s: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
+        """Arc lengths at `num` steps of `dt` [s] from `s` on, at the speed tracked."""
+
+        def move(s, _):
+            after = s + dt * self.row(self.V, s)
+            return after, after
+
+        return jnp.concatenate([s[None], jax.lax.scan(move, s, length=num)[1]])
+
+    def inputs(self, s: Float[Array, " N"]) -> Float[Array, "N 2"]:
+        """Steering [rad] and force [N] that go with the rows at `s`."""
+        return jnp.stack([jax.vmap(lambda one, c=c: self.row(c, one))(s) for c in (self.delta, self.Fxr)], axis=1)
+
     def reference(self, s: Float[Array, " N+1"]) -> Reference:
         """Rows where the car is expected to be at each stage of the horizon."""
         at = lambda values: jax.vmap(lambda one: self.row(values, one))(s)
@@ -52,10 +65,3 @@ class ReferenceTable(eqx.Module):
         """Tracked state and its input at `s`."""
         x = State(self.row(self.V, s), self.row(self.beta, s), self.row(self.r, s))
         return x, Control(self.row(self.delta, s), self.row(self.Fxr, s))
-
-
-def expected_arc_lengths(s: Array, X: Float[Array, "N+1 5"], kappa: Float[Array, " N+1"], dt: Array) -> Array:
-    """Arc length (N+1,) along the horizon if the car moves as in the guess `X` = (V, beta, r, e, theta)."""
-    V, beta, _, e, theta = X.T
-    advance = dt * V * jnp.cos(theta + beta) / jnp.maximum(1 - e * kappa, 0.2)
-    return s + jnp.concatenate([jnp.zeros(1), jnp.cumsum(advance[:-1])])

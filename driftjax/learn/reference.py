@@ -103,12 +103,10 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
     s0 = table.drift_start - lead
     x, u = table.state(s0)
     x0, previous = jnp.stack([x.V, x.beta, x.r, jnp.zeros_like(s0), -x.beta]), jnp.stack([u.delta, u.Fxr])
-    s = _schedule(table, s0, ocp.horizon, ocp.dt)
+    s = table.schedule(s0, ocp.horizon, ocp.dt)
     plan = table.reference(s)
     target = Reference(plan.V + V_shift, plan.beta, plan.r, plan.e, plan.theta, plan.kappa)
-    X = jnp.stack([plan.V, plan.beta, plan.r, plan.e, plan.theta], axis=1)
-    at = lambda values: jax.vmap(lambda one: table.row(values, one))(s[:-1])
-    U = jnp.stack([at(table.delta), at(table.Fxr)], axis=1)
+    X, U = plan.states(), table.inputs(s[:-1])
 
     def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:
         steps = jnp.where(last.error < ENTRY_ERROR, 0, options.max_steps)
@@ -128,16 +126,6 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
     new = _onto(table, s, found.X, found.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
     return Planned(new, good, found.error, found.num_steps)
-
-
-def _schedule(table: ReferenceTable, s0: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
-    """Arc lengths of the plan at steps of `dt` from `s0`."""
-
-    def move(s, _):
-        after = s + dt * table.row(table.V, s)
-        return after, after
-
-    return jnp.concatenate([s0[None], jax.lax.scan(move, s0, length=num)[1]])
 
 
 def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:

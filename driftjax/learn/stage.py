@@ -31,7 +31,7 @@ def drive_lanes(
 ) -> tuple[Trace, Array, Array, LapFigures]:
     """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
     drivers, plants, speed, keys = lanes
-    memory = each(lambda d, v: d.start(v))(drivers, speed)
+    memory = each(lambda d: d.start())(drivers)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
     laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
     table = drivers.table

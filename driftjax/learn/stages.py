@@ -78,10 +78,7 @@ def drive_nominal(scenario: Scenario, number: int) -> tuple[Stage, Planned]:
 
 
 def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
-    """Reference of the nominal car: the plan is its own entry; else the paper's step."""
-    if scenario.config.reference == "entry":
-        plan = scenario.plan
-        return scenario.over_lanes(Planned(scenario.table, jnp.asarray(True), plan.violation, plan.num_steps))
+    """The reference as the nominal car can drive it; the planner's may have more grip."""
     return plan_reference(scenario, untaught, jnp.zeros(scenario.num_lanes))
 
 

@@ -63,7 +63,7 @@ def slope_lanes(
 
     def errors(p: Array) -> tuple[Array, tuple[Array, Array]]:
         now = moved(drivers, p)
-        memory = eqx.filter_vmap(lambda d, v: d.start(v))(now, speed)
+        memory = eqx.filter_vmap(lambda d: d.start())(now)
         policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, jnp.asarray(width))
         laps = drive(plants, now.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
         found = jax.vmap(lambda t, table: lap_errors(t, table, scales))(laps.trace, now.table)

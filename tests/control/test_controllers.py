@@ -10,10 +10,10 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from driftjax.control.lqr import lqr
-from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, predict, within_limits
+from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.residual import nearby
-from driftjax.control.table import ReferenceTable, expected_arc_lengths
+from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput, Control, State, features, rk4_step
 from driftjax.gp import Hyper, condition, scales, zero_gp
 from driftjax.track import from_curvature
@@ -105,8 +105,11 @@ def test_the_prediction_holds_a_steady_drift_on_its_circle(ocp):
     assert np.all(rates < [0.02, 0.02, 0.02])  # the state given is a drift to its printed digits
     kappa = x.r / x.V
     start = jnp.stack([x.V, x.beta, x.r, jnp.asarray(0.0), -x.beta])
-    X = predict(ocp, start, jnp.tile(jnp.stack(u), (5, 1)), jnp.stack(u), kappa)
-    np.testing.assert_allclose(X, np.tile(np.asarray(start), (6, 1)), atol=0.02)
+    zero, before = jnp.asarray(0.0), jnp.stack(u)
+    x = jnp.concatenate([start, before, before]) / ocp.x_scale
+    for _ in range(5):
+        x = ocp.step(x, before / ocp.u_scale, Reference(zero, zero, zero, zero, zero, kappa))
+    np.testing.assert_allclose(x[:5] * ocp.x_scale[:5], start, atol=0.02)
 
 
 def table() -> ReferenceTable:
@@ -128,10 +131,13 @@ def test_a_reference_table_is_linear_between_rows_and_constant_beyond():
     np.testing.assert_allclose([*x, *u], expected[3] - 2 + np.array([2, 3, 4, 7, 8]), rtol=1e-12)
 
 
-def test_expected_arc_lengths_advance_with_the_speed_along_the_path():
-    X = jnp.tile(jnp.asarray([10.0, -0.3, 0.5, 2.0, 0.3]), (5, 1))  # course along the path, 2 m inside a left turn
-    s = expected_arc_lengths(jnp.asarray(7.0), X, jnp.full(5, 0.05), jnp.asarray(0.1))
-    np.testing.assert_allclose(s, 7.0 + np.arange(5) * 0.1 * 10.0 / (1 - 2.0 * 0.05), rtol=1e-12)
+def test_a_schedule_advances_at_the_speed_tracked():
+    t = table()
+    s = np.asarray(t.schedule(jnp.asarray(2.0), 3, jnp.asarray(0.01)))
+    assert s[0] == 2.0
+    np.testing.assert_allclose(np.diff(s), [0.01 * float(t.row(t.V, jnp.asarray(one))) for one in s[:-1]], rtol=1e-12)
+    V = np.array([float(t.row(t.V, jnp.asarray(one))) for one in s])
+    np.testing.assert_allclose(t.inputs(jnp.asarray(s)), V[:, None] + [5.0, 6.0], rtol=1e-12)  # as `table` has it
 
 
 def residual() -> Residual:

@@ -57,7 +57,7 @@ def value(p, width):
     """Sum of squares of the piece driven; it is not a whole lap, so nothing here asks for its end."""
     drivers, plants, speed, keys = lanes()
     now = moved(drivers, p)
-    memory = eqx.filter_vmap(lambda d, v: d.start(v))(now, speed)
+    memory = eqx.filter_vmap(lambda d: d.start())(now)
     policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, width)
     laps = drive(plants, now.path, speed, policy, memory, SENSORS, LAP, dt=DT, keys=keys)
     errors = jax.vmap(lambda t, table: lap_errors(t, table, SCALES))(laps.trace, now.table)
