@@ -29,6 +29,10 @@ class GPConfig:
     """Shortest length scale, in standard deviations of an input: what varies faster over a lap is taken for noise."""
     kernel: Literal["se", "matern52"] = "se"
     """Kernel: squared exponential or Matern-5/2, one length scale per input."""
+    lags: bool = True
+    """Estimate the lags of steering and drive: the MPC knows them, the GP's inputs hold what commands reached."""
+    bounded: bool = True
+    """Fade the mean out far from data and bound it by twice the largest target; else the bare mean is used."""
     orthogonal: bool = True
     """Of an extended car: whether the GP leaves to the named effects what a change of their parameters could do."""
 
@@ -54,15 +58,26 @@ class ExploreConfig:
     """lambda: 1 seeks variance only, 0 nearness only."""
     num_sets: int = 3
     """Number of nested bounds on gamma, so of candidate speeds."""
+    laps: int | None = None
+    """Laps of exploration; as many as there are candidates where left out."""
     gamma_share: float = 0.04
     """Widest bound on gamma, as a share of the planned cornering speed [-]."""
+    speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
+    """Candidates: from the V-sets; drawn at random or evenly spaced within the widest bound; or the planned speed
+    again and again. The last three are there to compare with."""
 
     def __post_init__(self) -> None:
         require(self.w1 > 0 and self.w2 > 0, "keys 'w1' and 'w2' must be positive.")
         require(min(self.P) >= 0, f"key 'P' is {self.P}; no weight may be negative.")
         require(0 <= self.lam <= 1, f"key 'lam' is {self.lam}; lambda lies in 0..1.")
         require(self.num_sets >= 0, f"key 'num_sets' is {self.num_sets}; give 0 for no exploration, or more.")
+        require(self.laps is None or self.laps >= 1, f"key 'laps' is {self.laps}; give at least 1, or leave it out.")
         require(0 < self.gamma_share < 0.5, f"key 'gamma_share' is {self.gamma_share}; give a share below 0.5.")
+
+    @property
+    def num_laps(self) -> int:
+        """Laps of exploration: no candidate is driven twice."""
+        return self.num_sets if self.laps is None else min(self.laps, self.num_sets)
 
 
 @dataclass(frozen=True)
@@ -81,6 +96,8 @@ class LearnConfig:
     """Sensor noise: a shipped name or a YAML."""
     plants: int = 4
     """Plants drawn from the car's distribution and driven side by side."""
+    first_plant: int = 0
+    """Number of the first plant drawn: with 16, and 16 plants, numbers 16 to 31 of the same sequence."""
     plant: tuple[Path, ...] = ()
     """Plants instead of drawn ones: shipped names, plant YAMLs, or vehicle YAMLs such as an extended.yaml."""
     noise_seeds: int = 1
@@ -91,6 +108,8 @@ class LearnConfig:
     """Controllers driven side by side: `path` also tracks e and theta, `paper` is the paper's."""
     reference: Literal["entry", "step"] = "entry"
     """Reference along s: planned with its entry on the corrected car, or the paper's step to the equilibrium."""
+    layers: Literal["both", "reference", "mpc"] = "both"
+    """Where what was learnt is used: in the reference and in the MPC, or in one of them only."""
     gpr_laps: int = 3
     """Most GP laps; fewer where the error has converged."""
     converged: float = 0.05
@@ -122,6 +141,7 @@ class LearnConfig:
 
     def __post_init__(self) -> None:
         require(self.plants >= 1, f"key 'plants' is {self.plants}; give at least 1.")
+        require(self.first_plant >= 0, f"key 'first_plant' is {self.first_plant}; give 0 or more.")
         require(self.noise_seeds >= 1, f"key 'noise_seeds' is {self.noise_seeds}; give at least 1.")
         require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
         require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")

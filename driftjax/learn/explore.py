@@ -62,8 +62,21 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidat
     bounds = jnp.stack([-widest, widest], axis=1)
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
     shaped = scenario.blocks.map(speed_lanes, (trace,), s, origin, r_b, bounds, weights, jnp.asarray(V_b))
+    if config.speeds != "sets":
+        V_ep = V_b + widest[-1] * _offsets(config, scenario.keys)
+        level = jnp.broadcast_to(V_ep[..., None], shaped.V.shape)
+        shaped = eqx.tree_at(lambda c: (c.V, c.V_ep, c.visited), shaped, (level, V_ep, jnp.zeros(V_ep.shape, bool)))
     _, exists = _states(scenario, shaped.V_ep, residual)
     return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
+
+
+def _offsets(config: ExploreConfig, keys: Array) -> Array:
+    """(lanes, K) of the speeds that the V-sets are compared with, over their widest bound."""
+    K = config.num_sets
+    if config.speeds == "random":
+        return jax.vmap(lambda key: jax.random.uniform(key, (K,), minval=-1.0, maxval=1.0))(keys)
+    even = jnp.linspace(-1.0, 1.0, K) if config.speeds == "uniform" else jnp.zeros(K)
+    return jnp.broadcast_to(even, (len(keys), K))
 
 
 def speed_lanes(

@@ -58,7 +58,7 @@ def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: Any
 
     def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
         lap = samples(trace, table)
-        lags = estimate_lags(nominal, lap, step)
+        lags = estimate_lags(nominal, lap, step) if config.lags else memory.residual.lags
         return learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
 
     return each(one)(*lanes)

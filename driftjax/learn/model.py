@@ -30,7 +30,8 @@ def empty(config: GPConfig, lags: Array | None = None) -> Memory:
     """Memory of a lane that has not driven; `lags` (2,) of its actuators may be known all the same [s]."""
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), no_residual(gp, lags), jnp.ones(3))
+    residual = no_residual(gp, lags, config.bounded)
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), residual, jnp.ones(3))
 
 
 def learn(
@@ -59,7 +60,7 @@ def learn(
     gate = jnp.clip(1 - held_out**2, 0.0, 1.0)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, memory.residual.lags)
-    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags)
+    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
     return Memory(*kept, residual, held_out)
 
 

@@ -115,7 +115,11 @@ def lay_out(
 
     `lap` is the length of the track [m].
     """
-    plants = [] if on else load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed)
+    plants = (
+        []
+        if on
+        else load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed, config.first_plant)
+    )
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
         (Lane(name, controller, seed), index)
@@ -124,7 +128,9 @@ def lay_out(
         for seed in range(config.noise_seeds)
     ]
     noise = jax.random.key(config.seed)
-    keys = [jax.random.fold_in(jax.random.fold_in(noise, index), lane.seed) for lane, index in each]
+    keys = [
+        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), lane.seed) for lane, index in each
+    ]
     if on:
         batch = repeated(on[1], len(each))
     else:

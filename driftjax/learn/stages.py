@@ -29,7 +29,7 @@ def stage_names(config: LearnConfig) -> list[str]:
     names += ["paper"] if config.compare and "paper" not in config.controllers else []
     names += ["nominal"] + (["single-layer"] if config.compare else [])
     names += [f"gpr-{k}" for k in range(1, config.gpr_laps + 1)] + ["gpr-best"]
-    explore = [f"explore-{k}" for k in range(1, config.explore.num_sets + 1)]
+    explore = [f"explore-{k}" for k in range(1, config.explore.num_laps + 1)]
     return names + explore + (["explore-best"] if explore else [])
 
 
@@ -51,7 +51,7 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
         return _explore(scenario, progress, number)
     if kind == "gpr":
         return None if bool(progress.converged) else _gpr(scenario, progress, number)
-    untaught = scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
+    untaught = _untaught(scenario)
     plan = scenario.over_lanes(scenario.table)
     if kind in ("pursuit", "lqr"):
         stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)
@@ -72,9 +72,23 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
 
 def drive_nominal(scenario: Scenario, number: int) -> tuple[Stage, Planned]:
     """One lap of every lane by the drift MPC before anything is learnt, and the reference that it tracked."""
-    untaught = scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
+    untaught = _untaught(scenario)
     planned = _nominal_reference(scenario, untaught)
     return run_stage(scenario, drivers(scenario, "mpc", planned.table, untaught), number), planned
+
+
+def _untaught(scenario: Scenario) -> Residual:
+    """What every lane knows before its first lap."""
+    return scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
+
+
+def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
+    """What the reference, and what the MPC, knows of what was learnt."""
+    layers = scenario.config.layers
+    return (
+        _untaught(scenario) if layers == "mpc" else residual,
+        _untaught(scenario) if layers == "reference" else residual,
+    )
 
 
 def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
@@ -84,8 +98,8 @@ def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
     """One GP lap: reference and MPC from what was learnt, then learn from it."""
-    residual = progress.memory.residual
-    planned = plan_reference(scenario, residual, jnp.zeros(scenario.num_lanes))
+    known, residual = _layers(scenario, progress.memory.residual)
+    planned = plan_reference(scenario, known, jnp.zeros(scenario.num_lanes))
     stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
     progress = remember(scenario, progress, stage, residual, number)
@@ -115,7 +129,8 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     chosen, V_ep, left = choose(scenario, found, residual)
     if not bool(jnp.any(left)):
         return None
-    planned = plan_reference(scenario, residual, jnp.where(left, V_ep - V_b, 0.0))
+    known, residual = _layers(scenario, residual)
+    planned = plan_reference(scenario, known, jnp.where(left, V_ep - V_b, 0.0))
     # a lane that has driven all its sets repeats its best
     table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)

@@ -14,20 +14,21 @@ from driftjax.gp import GP
 class Residual(eqx.Module):
     """What was learnt of a car: the lags of its actuators, and the model error d(z) left at what these reached.
 
-    The model error is a GP faded to nothing where it has no data.
+    The model error is a GP, faded to nothing where it has no data.
     """
 
     gp: GP
     gate: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
     lags: Float[Array, "2"]  # time constants of steering and drive [s]; they only matter while commands change
+    bounded: bool = eqx.field(static=True, default=True)  # False: the bare mean, however far from data
 
     def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
         """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
-        return self.gate * self.gp.bounded_mean(z)
+        return self.gate * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
 
     def scaled(self, share: Array) -> "Residual":
         """A share of what was learnt, from nothing at 0 to all of it at 1."""
-        return Residual(self.gp, share * self.gate, share * self.lags)
+        return Residual(self.gp, share * self.gate, share * self.lags, self.bounded)
 
 
 class Corrected(eqx.Module):
@@ -42,9 +43,9 @@ class Corrected(eqx.Module):
         return State(dx.V + d[0], dx.beta + d[1], dx.r + d[2])
 
 
-def no_residual(like: GP, lags: Float[Array, "2"] | None = None) -> Residual:
+def no_residual(like: GP, lags: Float[Array, "2"] | None = None, bounded: bool = True) -> Residual:
     """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles).
 
     `lags` of its actuators [s] may be known beforehand; none where left out.
     """
-    return Residual(like, jnp.zeros(3), jnp.zeros(2) if lags is None else lags)
+    return Residual(like, jnp.zeros(3), jnp.zeros(2) if lags is None else lags, bounded)

@@ -85,14 +85,14 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
     return base, spreads
 
 
-def sample_plants(car: str, num: int, seed: int) -> list[PlantConfig]:
-    """`num` plants of `car`; plant i depends on `seed` and i only.
+def sample_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
+    """`num` plants of `car` from number `first` on; plant i depends on `seed` and i only.
 
     `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.
     """
     base, spreads = load_distribution(car)
     plants = []
-    for index in range(num):
+    for index in range(first, first + num):
         generator = np.random.default_rng([seed, index])
         drawn = {key: spreads[key].draw(generator) for key in sorted(spreads)}
         mu = drawn.pop("mu", (base.muf + base.mur) / 2)

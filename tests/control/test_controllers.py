@@ -151,8 +151,9 @@ def residual() -> Residual:
     )
 
 
-def test_the_residual_near_a_point_has_its_value_and_its_derivatives():
-    d = residual()
+@pytest.mark.parametrize("bounded", [True, False])
+def test_the_residual_near_a_point_has_its_value_and_its_derivatives(bounded):
+    d = dataclasses.replace(residual(), bounded=bounded)
     z = features(*DRIFT) + jnp.asarray([0.3, 0.05, -0.1, 0.02, 300.0])
     exact, bend = (jax.jit(by)(z) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
     several = jax.jit(lambda z: nearby(d, z))(jnp.stack([0.9 * z, z]))
@@ -162,6 +163,15 @@ def test_the_residual_near_a_point_has_its_value_and_its_derivatives():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(jax.jacrev(near.at)))(z), bend, rtol=1e-8, atol=1e-14)
     assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
     assert float(d(z)[2]) == 0  # gated off
+
+
+def test_far_from_data_a_bounded_residual_fades_and_a_free_one_is_the_mean():
+    bounded = residual()
+    free, far = dataclasses.replace(bounded, bounded=False), bounded.gp.Z[0] + 8 * bounded.gp.scale
+    stretched = eqx.tree_at(lambda d: d.gp.hyper.log_lengthscale, free, jnp.full((3, 5), 3.0))
+    assert np.all(np.abs(dataclasses.replace(stretched, bounded=True)(far)) < 1e-3)
+    np.testing.assert_allclose(stretched(far), stretched.gate * stretched.gp.mean(far), rtol=1e-12)
+    assert np.all(np.abs(np.asarray(stretched(far))[:2]) > 0.02)
 
 
 def test_no_residual_is_zero_everywhere():

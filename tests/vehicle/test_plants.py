@@ -54,6 +54,7 @@ def test_samples_lie_in_the_documented_ranges_and_fill_them(car):
 def test_plant_depends_on_seed_and_index_only():
     few, many = sample_plants("sedan", 3, seed=5), sample_plants("sedan", 6, seed=5)
     assert few == many[:3]
+    assert sample_plants("sedan", 2, seed=5, first=4) == many[4:]
     assert len({plant.mur for plant in many + sample_plants("sedan", 6, seed=6)}) == 12
 
 
