@@ -100,7 +100,8 @@ class Driver(eqx.Module):
     def pursue(self, sensed: Sensed, memory: Memory) -> Array:
         """Command (2,) of pure pursuit within the limits."""
         speed, slope = self.table.row(self.table.speed, sensed.s), self.table.slope(self.table.speed, sensed.s)
-        u = self.pursuit(self.path, sensed.x, sensed.y, sensed.psi, sensed.V, sensed.s, speed, speed * slope)
+        now = (sensed.x, sensed.y, sensed.psi, sensed.V, sensed.r, sensed.s)
+        u = self.pursuit(self.path, *now, speed, speed * slope)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
     def stabilise(self, sensed: Sensed, memory: Memory) -> Array:

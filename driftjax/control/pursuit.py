@@ -9,6 +9,7 @@ from jax import Array
 from driftjax.core import Control, as_float, require
 from driftjax.track import Track
 from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.single_track import G
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,26 @@ class PurePursuit(eqx.Module):
     wheelbase: Array = eqx.field(converter=as_float)
     b: Array = eqx.field(converter=as_float)
     m: Array = eqx.field(converter=as_float)
+    mu: Array = eqx.field(converter=as_float)
 
     def __call__(
-        self, path: Track, x: Array, y: Array, psi: Array, V: Array, s: Array, speed: Array, acceleration: Array
+        self,
+        path: Track,
+        x: Array,
+        y: Array,
+        psi: Array,
+        V: Array,
+        r: Array,
+        s: Array,
+        speed: Array,
+        acceleration: Array,
     ) -> Control:
-        """Unlimited command for a car at (x, y, psi), `s` along `path`, that should drive at `speed` and gain it at
-        `acceleration` [m/s^2].
+        """Command, within no limits of actuators, for a car at (x, y, psi), `s` along `path`, that should drive at
+        `speed` and gain it at `acceleration` [m/s^2].
 
-        delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d.
+        delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d. The
+        force leaves to the rear axle what it needs to turn at V and `r`, so that full drive out of a corner does not
+        spin the car.
         """
         ahead = jnp.maximum(self.preview_min, self.preview_time * V)
         target_x, target_y, _, _ = path.pose(s + ahead)
@@ -53,11 +66,19 @@ class PurePursuit(eqx.Module):
         sin_eta_d = -dx * jnp.sin(psi) + dy * jnp.cos(psi)
         distance_squared = jnp.maximum(dx**2 + dy**2, 1e-6)
         delta = jnp.arctan(2 * self.wheelbase * sin_eta_d / distance_squared)
-        return Control(delta, self.m * (acceleration + self.speed_gain * (speed - V)))
+        load = self.m * (1 - self.b / self.wheelbase)  # that rests on the rear axle [kg]
+        left = load * jnp.sqrt(jnp.maximum((self.mu * G) ** 2 - (V * r) ** 2, 1e-6))
+        return Control(delta, jnp.clip(self.m * (acceleration + self.speed_gain * (speed - V)), -left, left))
 
 
 def pure_pursuit(config: PursuitConfig, vehicle: VehicleConfig) -> PurePursuit:
     """The controller for one car."""
     return PurePursuit(
-        config.preview_time, config.preview_min, config.speed_gain, vehicle.a + vehicle.b, vehicle.b, vehicle.m
+        config.preview_time,
+        config.preview_min,
+        config.speed_gain,
+        vehicle.a + vehicle.b,
+        vehicle.b,
+        vehicle.m,
+        vehicle.mu,
     )

@@ -52,6 +52,7 @@ STAGE: dict[str, Variable] = {
     "V_ref": Variable(_STEP, "m/s", "reference speed"),
     "beta_ref": Variable(_STEP, "rad", "reference sideslip, left positive"),
     "r_ref": Variable(_STEP, "rad/s", "reference yaw rate, left positive"),
+    "e_ref": Variable(_STEP, "m", "offset from the planned path that the reference asks for, left positive"),
     "plant": Variable(("lane",), "1", "name of the plant driven"),
     "controller": Variable(("lane",), "1", "name of the controller"),
     "seed": Variable(("lane",), "1", "noise seed"),

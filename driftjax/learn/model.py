@@ -13,6 +13,7 @@ from driftjax.vehicle import Residual, no_residual
 
 Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
 
+LEAST_SHARE = 0.2  # of the targets, below which what is no noise cannot be told from none
 BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
 
 
@@ -46,8 +47,9 @@ def learn(
 ) -> Memory:
     """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
 
-    The gate of an output is the share of its squared error that the GP takes from rows it was not conditioned on;
-    an output that does not gain there is switched off. What known causes could say by `claim` the GP leaves to them.
+    The gate of an output is the share that the GP takes of what it could take from rows it was not conditioned on:
+    of their squared targets less the noise. An output that does not gain there is switched off. What known causes
+    could say by `claim` the GP leaves to them.
     """
     Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
     mask = jnp.concatenate([memory.mask, mask])
@@ -57,11 +59,16 @@ def learn(
         kernel=config.kernel, shortest=config.shortest, basis=None if claim is None else claim(kept[0]), key=key,
     )  # fmt: skip
     held_out = held_out_error(found.gp, Z, Y, mask, config, claim)
-    gate = jnp.clip(1 - held_out**2, 0.0, 1.0)
+    gate = jnp.clip((1 - held_out**2) / jnp.maximum(1 - noise_share(found.gp), LEAST_SHARE), 0.0, 1.0)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, memory.residual.lags)
     residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
     return Memory(*kept, residual, held_out)
+
+
+def noise_share(gp: GP) -> Array:
+    """(D,): variance of the noise over the mean square of the targets, both of the GP's own data."""
+    return jnp.exp(2 * gp.hyper.log_noise)  # targets are scaled to a mean square of one
 
 
 def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, claim: Claim | None = None) -> Array:

@@ -61,6 +61,7 @@ def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.nd
     values |= {"alive": trace.alive, "delta_command": trace.command.delta, "Fxr_command": trace.command.Fxr}
     values |= {name: getattr(trace.decision, name) for name in ("drifting", "solved", "kkt", "num_steps")}
     values |= {"V_ref": stage.V_ref, "beta_ref": reference.beta, "r_ref": reference.r}
+    values |= {"e_ref": jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.e, one))(s))(table, trace.s)}
     values |= {"code": stage.laps.code, **stage.figures._asdict()}
     values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
     values |= {

@@ -29,8 +29,8 @@ def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
     path = from_curvature([0.0, 100.0], [kappa, kappa], 3.0, 401)
     x, y, psi, _ = path.pose(40.0)
     steer = pure_pursuit(PursuitConfig(), CAR)
-    u = steer(path, x + CAR.b * jnp.cos(psi), y + CAR.b * jnp.sin(psi), psi, jnp.asarray(8.0), jnp.asarray(40.0),
-              jnp.asarray(8.0), jnp.asarray(0.0))  # fmt: skip
+    u = steer(path, x + CAR.b * jnp.cos(psi), y + CAR.b * jnp.sin(psi), psi, jnp.asarray(8.0),
+              jnp.asarray(8.0 * kappa), jnp.asarray(40.0), jnp.asarray(8.0), jnp.asarray(0.0))  # fmt: skip
     assert float(u.delta) == pytest.approx(np.arctan((CAR.a + CAR.b) * kappa), abs=1e-6)
     assert float(u.Fxr) == pytest.approx(0.0, abs=1e-9)
 
@@ -38,12 +38,17 @@ def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
 def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
     path = from_curvature([0.0, 100.0], [0.0, 0.0], 3.0, 101)
     steer = pure_pursuit(PursuitConfig(speed_gain=2.0), CAR)
-    at = lambda y, V, ax=0.0: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, 20.0, 10.0, ax)))
+    at = lambda y, V, ax=0.0, r=0.0: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, r, 20.0, 10.0, ax)))
     assert float(at(0.0, 9.0).Fxr) == pytest.approx(CAR.m * 2.0 * 1.0)
     assert float(at(0.0, 12.0).Fxr) == pytest.approx(-CAR.m * 2.0 * 2.0)
     assert float(at(0.0, 10.0, 1.5).Fxr) == pytest.approx(CAR.m * 1.5)  # keeps a gaining plan without falling behind
     assert at(1.0, 10.0).delta < 0 < at(-1.0, 10.0).delta
     assert abs(at(1.0, 20.0).delta) < abs(at(1.0, 5.0).delta)  # looks further ahead when faster
+    rear = CAR.m * CAR.a / (CAR.a + CAR.b)  # mass on the rear axle: it turns the car with r V and drives with the rest
+    for r in (0.6, -0.6, 0.9):
+        driving, braking = float(at(0.0, 10.0, 50.0, r).Fxr), float(at(0.0, 10.0, -50.0, r).Fxr)
+        assert np.hypot(driving, rear * 10.0 * r) == pytest.approx(rear * 9.81 * CAR.mu) and braking == -driving
+    assert abs(float(at(0.0, 10.0, 50.0, 1.2).Fxr)) < 1e-2 * rear * 9.81  # no grip is left
 
 
 def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():

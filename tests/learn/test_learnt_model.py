@@ -36,7 +36,8 @@ def good():
 def test_a_planted_residual_is_learnt_and_trusted(good):
     assert np.all(np.asarray(good.held_out) < 0.5)
     assert np.all(np.asarray(good.residual.gate) > 0.7)
-    np.testing.assert_allclose(good.residual.gate, 1 - np.square(good.held_out), rtol=1e-9)
+    gained, noise = 1 - np.square(good.held_out), np.exp(2 * np.asarray(good.residual.gp.hyper.log_noise))
+    np.testing.assert_allclose(good.residual.gate, np.minimum(gained / (1 - noise), 1), rtol=1e-9)
     W = 0.7 * np.random.default_rng(1).normal(size=(30, 5))
     error = np.asarray(jax.vmap(good.residual)(jnp.asarray(MEAN + SPREAD * W))) - planted(W)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.5 * SIZE)
@@ -68,3 +69,15 @@ def test_without_a_lap_there_is_no_residual():
     nothing = empty(CONFIG)
     assert not bool(jnp.any(nothing.mask)) and bool(jnp.all(nothing.held_out == 1))
     assert bool(jnp.all(nothing.residual(jnp.asarray(MEAN)) == 0))
+
+
+def test_the_gate_tells_the_quality_of_the_mean_whatever_the_noise_of_the_data():
+    Z, Y, mask = data(noise=0.75, signal=1.0, num=400)
+    found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
+    right = planted((np.asarray(Z) - MEAN) / SPREAD)
+    error = np.asarray(jax.vmap(found.residual.gp.bounded_mean)(Z)) - right
+    quality = 1 - np.mean(error**2, axis=0) / np.mean(right**2, axis=0)  # with all rows: a little above held-out rows'
+    of_noisy_targets = 1 - np.square(found.held_out)
+    gate = np.asarray(found.residual.gate)
+    assert np.all(of_noisy_targets < quality - 0.2)
+    assert np.all(gate > of_noisy_targets + 0.05) and np.all(gate < quality + 0.05)

@@ -30,7 +30,7 @@ def policy(sensed, memory, alive):
     """Pure pursuit within the limits, unless the lane's memory holds a command (finite) to apply instead."""
     command, fixed = memory
     steady = jnp.asarray(SPEED), jnp.asarray(0.0)
-    each = jax.vmap(lambda x: jnp.stack(STEER(PATH, x.x, x.y, x.psi, x.V, x.s, *steady)))
+    each = jax.vmap(lambda x: jnp.stack(STEER(PATH, x.x, x.y, x.psi, x.V, x.r, x.s, *steady)))
     limited = jax.vmap(lambda u, before: within_limits(OCP, u[None], before, share=0.0)[0])
     u = jnp.where(jnp.isfinite(fixed), fixed, limited(each(sensed), command))
     return Control(u[:, 0], u[:, 1]), (u, fixed), alive

@@ -1,0 +1,64 @@
+"""`driftjax paper`: the paper's comparison on both cars, with statistics over plants, beside the paper's numbers."""
+
+import dataclasses
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, peek, progress, typed, within
+from driftjax.core import BadInput, from_dict, num_workers
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from experiments.paper.config import Config
+
+
+@dataclasses.dataclass(frozen=True)
+class Paper:
+    """Every method of the paper side by side on plants held out, with ablations: tables, figures, run folders."""
+
+    options: Annotated[Config, tyro.conf.arg(name="")] = Config()
+    out: Path | None = None
+    """Output folder; runs/paper-HALF-TIME where left out."""
+    resume: Path | None = None
+    """Folder to go on with, from the last finished stage of its last run; no flag beside but --workers."""
+    workers: int | None = None
+    """Processes that drive side by side; one per core where left out, none on a GPU. Results do not depend on it."""
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise BadInput(f"key 'workers' is {self.workers}; give at least 1.")
+
+
+def run(argv: list[str]) -> int:
+    """Drive what is not there yet; tables and figures."""
+    _, others = peek(argv, "resume", "workers")
+    asked = typed(Paper, argv, "driftjax paper")
+    if asked.resume:
+        if others:
+            raise BadInput("--resume goes on with the folder's own options; leave out every flag but --workers.")
+        folder = RunFolder.open(asked.resume)
+        if folder.verb != "paper":
+            raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}`, not of `driftjax paper`.")
+        options = from_dict(Config, folder.config, str(folder.path / "config.yaml"))
+    else:
+        options = asked.options
+        out = asked.out or default_out("paper", "quick" if options.quick else options.half)
+        folder = RunFolder.create(out, to_dict(options), "paper")
+    again = f"driftjax paper --resume {shlex.quote(str(folder.path))}"
+    return within(folder, lambda: work(options, folder, asked.workers), again)
+
+
+def work(options: Config, folder: RunFolder, workers: int | None) -> int:
+    """The comparison into `folder`, and its tables on the terminal."""
+    from experiments.paper.run import main
+    from experiments.paper.table import page
+
+    print(f"run folder: {folder.path}", flush=True)
+    with progress() as report:
+        num = num_workers(options.plants) if workers is None else workers
+        results = main(options, folder, report, num if num > 1 else 0)
+    print(page(results), end="")
+    print(f"paper: {folder.path}")
+    return 0

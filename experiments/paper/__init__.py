@@ -1,0 +1,1 @@
+"""The paper's comparison over plants that nothing was tuned on, with ablations, on both cars."""
