@@ -9,6 +9,7 @@ from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, as_float, each
 from driftjax.equilibrium import SlipRadius, continuation
+from driftjax.learn.approach import Approach, planned_approach, seen
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
@@ -36,6 +37,7 @@ class Progress(eqx.Module):
     """All that one stage hands to the next: enough to go on after a kill."""
 
     memory: Memory
+    approach: Approach  # of each lane
     best: Best
     last_error: Array  # of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
@@ -47,19 +49,27 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     """Progress before the first lap."""
     memory = scenario.over_lanes(empty(scenario.config.gp, scenario.lags))
     table = scenario.over_lanes(scenario.table)
+    approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
     far = jnp.full(scenario.num_lanes, jnp.inf)
     no = jnp.asarray(False)
-    return Progress(memory, Best(far, memory.residual, table), far, no, empty_candidates, no)
+    return Progress(memory, approach, Best(far, memory.residual, table), far, no, empty_candidates, no)
 
 
-def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: AnyCar, dt: float, config: GPConfig):
-    """Memories of lanes given as (memory before, lap, its reference, keys)."""
+def learn_lanes(
+    lanes: tuple[Memory, Approach, Trace, ReferenceTable, Array],
+    nominal: AnyCar,
+    dt: float,
+    lead: float,
+    config: GPConfig,
+) -> tuple[Memory, Approach]:
+    """Memories and approaches of lanes given as (both before, lap, its reference, keys)."""
     step, claim = as_float(dt), claims(nominal) if config.orthogonal else None
 
-    def one(memory: Memory, trace: Trace, table: ReferenceTable, key: Array) -> Memory:
+    def one(memory: Memory, approach: Approach, trace: Trace, table: ReferenceTable, key: Array):
         lap = samples(trace, table)
         lags = estimate_lags(nominal, lap, step) if config.lags else memory.residual.lags
-        return learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
+        memory = learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
+        return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, step)
 
     return each(one)(*lanes)
 
@@ -67,17 +77,21 @@ def learn_lanes(lanes: tuple[Memory, Trace, ReferenceTable, Array], nominal: Any
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
     """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
-    lanes = (progress.memory, stage.laps.trace, stage.table, keys)
-    memory = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, scenario.config.mpc.dt, scenario.config.gp)
+    lanes = (progress.memory, progress.approach, stage.laps.trace, stage.table, keys)
+    config = scenario.config
+    memory, approach = scenario.blocks.map(
+        learn_lanes, lanes, scenario.nominal, config.mpc.dt, config.switch.lead, config.gp
+    )
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
         best = keep_where(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error
-    return eqx.tree_at(lambda p: (p.memory, p.best, p.last_error), progress, (memory, best, last))
+    fields = lambda p: (p.memory, p.approach, p.best, p.last_error)
+    return eqx.tree_at(fields, progress, (memory, approach, best, last))
 
 
-def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Planned:
+def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, V_shift: Array) -> Planned:
     """The reference of every lane from its corrected car, with the speed aimed at shifted by `V_shift` (lanes,).
 
     `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
@@ -86,7 +100,7 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Pl
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
         return scenario.blocks.map(
-            entry_lanes, (ocp, V_shift), scenario.table, config.switch.lead, config.mpc.tolerance
+            entry_lanes, (ocp, approach, V_shift), scenario.table, config.switch.lead, config.mpc.tolerance
         )
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
@@ -94,10 +108,12 @@ def plan_reference(scenario: Scenario, residual: Residual, V_shift: Array) -> Pl
     return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, V_shift)
 
 
-def entry_lanes(lanes: tuple[DriftOCP, Array], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
-    """The planned corner of lanes given as (problem, shift of the speed aimed at)."""
+def entry_lanes(
+    lanes: tuple[DriftOCP, Approach, Array], table: ReferenceTable, lead: float, tolerance: float
+) -> Planned:
+    """The planned corner of lanes given as (problem, how the car arrives, shift of the speed aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return each(lambda o, shift: entry_table(o, table, as_float(lead), shift, options))(*lanes)
+    return each(lambda o, start, shift: entry_table(o, table, start, as_float(lead), shift, options))(*lanes)
 
 
 @eqx.filter_jit

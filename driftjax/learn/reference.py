@@ -14,6 +14,7 @@ from jaxtyping import Float
 from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
+from driftjax.learn.approach import Approach
 from driftjax.plan import Plan
 from driftjax.sim import keep_where
 from driftjax.solve import Options
@@ -92,17 +93,17 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
     return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
 
 
-def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Array, options: Options) -> Planned:
+def entry_table(
+    ocp: DriftOCP, table: ReferenceTable, approach: Approach, lead: Array, V_shift: Array, options: Options
+) -> Planned:
     """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
 
-    Starts `lead` metres before the drift section on the plan in `table` and follows path and sideslip of the plan;
+    Starts `lead` metres before the drift section as in `approach` and follows path and sideslip of the plan in `table`;
     speed, yaw rate and inputs come out consistent with the model. `V_shift` [m/s] is added to the speed aimed at.
     Where the solve fails it is led from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the
     horizon keep the plan, and so does everything where that fails too.
     """
     s0 = table.drift_start - lead
-    x, u = table.state(s0)
-    x0, previous = jnp.stack([x.V, x.beta, x.r, jnp.zeros_like(s0), -x.beta]), jnp.stack([u.delta, u.Fxr])
     s = table.schedule(s0, ocp.horizon, ocp.dt)
     plan = table.reference(s)
     target = Reference(plan.V + V_shift, plan.beta, plan.r, plan.e, plan.theta, plan.kappa)
@@ -114,7 +115,7 @@ def entry_table(ocp: DriftOCP, table: ReferenceTable, lead: Array, V_shift: Arra
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
         allowed = Options(options.tolerance, options.barrier, steps)
-        found = solve_mpc(part, x0, previous, previous, target, X_guess, U_guess, allowed)
+        found = solve_mpc(part, approach.x, approach.command, approach.reached, target, X_guess, U_guess, allowed)
         whole = jnp.maximum(found.plan.kkt, found.plan.violation)
         error = jnp.where(share < 1, jnp.inf, whole)  # a part of the model is a guess, never an answer
         new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.data.variables import FEATURES, INPUTS, OUTPUTS, dataset
+from driftjax.learn.approach import planned_approach
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.explore import POINTS, Candidates, candidates, choose
 from driftjax.learn.loop import Progress, plan_reference, remember, start
@@ -93,13 +94,14 @@ def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]
 
 def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
     """The reference as the nominal car can drive it; the planner's may have more grip."""
-    return plan_reference(scenario, untaught, jnp.zeros(scenario.num_lanes))
+    approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
+    return plan_reference(scenario, untaught, approach, jnp.zeros(scenario.num_lanes))
 
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
     """One GP lap: reference and MPC from what was learnt, then learn from it."""
     known, residual = _layers(scenario, progress.memory.residual)
-    planned = plan_reference(scenario, known, jnp.zeros(scenario.num_lanes))
+    planned = plan_reference(scenario, known, progress.approach, jnp.zeros(scenario.num_lanes))
     stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
     progress = remember(scenario, progress, stage, residual, number)
@@ -130,7 +132,7 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     if not bool(jnp.any(left)):
         return None
     known, residual = _layers(scenario, residual)
-    planned = plan_reference(scenario, known, jnp.where(left, V_ep - V_b, 0.0))
+    planned = plan_reference(scenario, known, progress.approach, jnp.where(left, V_ep - V_b, 0.0))
     # a lane that has driven all its sets repeats its best
     table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
