@@ -16,7 +16,7 @@ from experiments.paper.config import Config
 from experiments.paper.extrapolation import extrapolated
 from experiments.paper.figures import write_figures
 from experiments.paper.laps import per_plant
-from experiments.paper.statistics import METHODS, gain, summary, targets
+from experiments.paper.statistics import GAINS, METHODS, gain, summary, targets
 from experiments.paper.table import page
 
 SECTION = (10.0, 20.0)
@@ -116,7 +116,7 @@ def ends(nominal: float, gpr: float, explored: float, spread: float, num: int = 
 def test_a_gain_is_shown_by_its_size_and_its_interval(value, ci95, met):
     told = {"value": value, "ci95": ci95}
     rows = ends(0.5, 0.3, 0.2, 0.01)
-    gains = dict.fromkeys(("gpr", "exploration", "exploration_velocity"), told)
+    gains = {name: told for name in GAINS}
     found = {row["name"]: row for row in targets("sedan", gains, {"paper": rows})}
     assert found["gpr"]["met"] is met and found["gpr"]["aim"] == 52.8
     assert found["best_error"]["of"] == ("paper", "explore-best") and found["best_error"]["met"]
@@ -134,8 +134,7 @@ def test_gains_are_paired_over_plants():
 def results() -> dict:
     rows = ends(0.5, 0.12, 0.11, 0.02)
     one = gain(rows, "nominal", "gpr-best", "lateral_error")
-    names = ("gpr", "exploration", "exploration_velocity", "all")
-    gains = {who: dict.fromkeys(names, one) for who in ("paper", "path")}
+    gains = {who: {name: one for name in GAINS} for who in ("paper", "path")}
     methods = {who: {name: summary(stage) for name, stage in rows.items()} for who in ("paper", "path")}
     beyond = {who: {"gpr-best": 0.25} for who in ("paper", "path")}
     small = {"words": "an ablation", "methods": methods, "gains": gains}
