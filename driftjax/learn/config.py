@@ -60,8 +60,8 @@ class ExploreConfig:
     """Number of nested bounds on gamma, so of candidate speeds."""
     laps: int | None = None
     """Laps of exploration; as many as there are candidates where left out."""
-    gamma_share: float = 0.04
-    """Widest bound on gamma, as a share of the planned cornering speed [-]."""
+    gamma_share: float = 0.08
+    """Most that the widest bound on gamma may be, as a share of the planned cornering speed [-]."""
     speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
     """Candidates: from the V-sets; drawn at random or evenly spaced within the widest bound; or the planned speed
     again and again. The last three are there to compare with."""

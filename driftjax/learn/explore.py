@@ -9,20 +9,21 @@ from driftjax.core import RESULTS, Control, State, each, features
 from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
 from driftjax.learn.config import ExploreConfig
+from driftjax.learn.reference import AIM_POINTS
 from driftjax.learn.scenario import Scenario
 from driftjax.sim import Trace
 from driftjax.vehicle import AnyCar, Residual
-
-POINTS = 40  # of a speed curve over the drift section
 
 
 class Candidates(eqx.Module):
     """Speeds to explore, per lane (leading axis), and which have been driven."""
 
-    s: Array  # (lanes, POINTS) arc length of the curves [m]
-    origin: Array  # (lanes, POINTS) planned speed, from which they start [m/s]
-    target: Array  # (lanes, POINTS) r_b e, where they tend to [m/s]
-    V: Array  # (lanes, K, POINTS) generated curves [m/s]
+    s: Array  # (lanes, AIM_POINTS) arc length of the curves [m]
+    origin: Array  # (lanes, AIM_POINTS) planned speed, from which they start [m/s]
+    target: Array  # (lanes, AIM_POINTS) r_b e, where they tend to [m/s]
+    e: Array  # (lanes, AIM_POINTS) measured lateral error that leads them [m]
+    widest: Array  # (lanes,) bound on gamma of the last one, either way [m/s]
+    V: Array  # (lanes, K, AIM_POINTS) generated curves [m/s]
     V_ep: Array  # (lanes, K) their means [m/s]
     visited: Array  # (lanes, K) driven, or not to be driven: a duplicate, or no equilibrium
 
@@ -56,18 +57,32 @@ def drifts(scenario: Scenario) -> Drifts:
 def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidates:
     """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`."""
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
-    s = jnp.linspace(table.drift_start, table.drift_end, POINTS)
+    s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
     origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
-    widest = config.gamma_share * V_b * jnp.arange(1, config.num_sets + 1) / config.num_sets
-    bounds = jnp.stack([-widest, widest], axis=1)
+    shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
-    shaped = scenario.blocks.map(speed_lanes, (trace,), s, origin, r_b, bounds, weights, jnp.asarray(V_b))
+    shaped = scenario.blocks.map(
+        speed_lanes, (trace,), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+    )
     if config.speeds != "sets":
-        V_ep = V_b + widest[-1] * _offsets(config, scenario.keys)
+        V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
         level = jnp.broadcast_to(V_ep[..., None], shaped.V.shape)
-        shaped = eqx.tree_at(lambda c: (c.V, c.V_ep, c.visited), shaped, (level, V_ep, jnp.zeros(V_ep.shape, bool)))
+        all_open, unled = jnp.zeros(V_ep.shape, bool), jnp.zeros_like(shaped.e)
+        shaped = eqx.tree_at(lambda c: (c.e, c.V, c.V_ep, c.visited), shaped, (unled, level, V_ep, all_open))
     _, exists = _states(scenario, shaped.V_ep, residual)
     return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
+
+
+def offset(found: Candidates, chosen: Array) -> Array:
+    """(lanes, AIM_POINTS) [m]: offset to aim at beside the path with candidate `chosen` (lanes,).
+
+    gamma = r_b e is the speed that takes the error e out of a steady turn; a candidate whose bounds allow a share of it
+    aims at as large a share of -e.
+    """
+    each_lane = jnp.arange(len(chosen))
+    gamma = found.V[each_lane, chosen] - found.origin
+    share = jnp.where(found.target != 0, gamma / jnp.where(found.target != 0, found.target, 1.0), 0.0)
+    return -jnp.clip(share, 0.0, 1.0) * found.e
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:
@@ -80,17 +95,30 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
 
 
 def speed_lanes(
-    lanes: tuple[Trace], s: Array, origin: Array, r_b: Array, bounds: Array, weights: tuple[Array, Array], V_b: Array
+    lanes: tuple[Trace],
+    s: Array,
+    origin: Array,
+    r_b: Array,
+    shares: Array,
+    most: Array,
+    weights: tuple[Array, Array],
+    V_b: Array,
 ) -> Candidates:
-    """Candidates of lanes given as (lap,), whether or not a drift exists at their speeds."""
+    """Candidates of lanes given as (lap,), whether or not a drift exists at their speeds.
+
+    Their bounds are `shares` of what the lane's own error calls for, but of no more than `most` [m/s]: bounds beyond it
+    would all give the same curve.
+    """
 
     def one(trace: Trace) -> Candidates:
         at = jnp.where(trace.alive, trace.s, jnp.inf)
         order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
         e = jnp.interp(s, at[order], trace.sensed.e[order])
+        widest = jnp.minimum(most, jnp.max(jnp.abs(r_b * e)))
+        bounds = widest * jnp.stack([-shares, shares], axis=1)
         sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
                       V_max=3 * V_b)  # fmt: skip
-        return Candidates(s, origin, r_b * e, sets.V, sets.V_ep, ~sets.distinct)
+        return Candidates(s, origin, r_b * e, e, widest, sets.V, sets.V_ep, ~sets.distinct)
 
     return each(one)(*lanes)
 

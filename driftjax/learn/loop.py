@@ -13,7 +13,7 @@ from driftjax.learn.approach import Approach, planned_approach, seen
 from driftjax.learn.config import GPConfig
 from driftjax.learn.explore import Candidates
 from driftjax.learn.model import Memory, empty, learn
-from driftjax.learn.reference import Planned, entry_table, step_table
+from driftjax.learn.reference import Aim, Planned, entry_table, no_aim, step_table
 from driftjax.learn.residual import claims, estimate_lags, rows, samples
 from driftjax.learn.scenario import Scenario, entry_problems
 from driftjax.learn.stage import Stage
@@ -91,29 +91,28 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     return eqx.tree_at(fields, progress, (memory, approach, best, last))
 
 
-def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, V_shift: Array) -> Planned:
-    """The reference of every lane from its corrected car, with the speed aimed at shifted by `V_shift` (lanes,).
+def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, aim: Aim | None = None) -> Planned:
+    """The reference of every lane from its corrected car, with what exploration aims at (leading axis of lanes).
 
     `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """
     config = scenario.config
+    aim = scenario.over_lanes(no_aim(scenario.table)) if aim is None else aim
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
         return scenario.blocks.map(
-            entry_lanes, (ocp, approach, V_shift), scenario.table, config.switch.lead, config.mpc.tolerance
+            entry_lanes, (ocp, approach, aim), scenario.table, config.switch.lead, config.mpc.tolerance
         )
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
     guess = (scenario.x_eq, scenario.u_eq)
-    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, V_shift)
+    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, aim.V)
 
 
-def entry_lanes(
-    lanes: tuple[DriftOCP, Approach, Array], table: ReferenceTable, lead: float, tolerance: float
-) -> Planned:
-    """The planned corner of lanes given as (problem, how the car arrives, shift of the speed aimed at)."""
+def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
+    """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return each(lambda o, start, shift: entry_table(o, table, start, as_float(lead), shift, options))(*lanes)
+    return each(lambda o, start, aim: entry_table(o, table, start, as_float(lead), aim, options))(*lanes)
 
 
 @eqx.filter_jit

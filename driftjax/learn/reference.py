@@ -20,6 +20,7 @@ from driftjax.sim import keep_where
 from driftjax.solve import Options
 
 POINTS = 400  # rows of a reference table
+AIM_POINTS = 40  # of a curve over the drift section
 ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
 ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # of what was learnt: all at once; where that fails, little by little
 CORE = 0.5  # share of the drift section, about its middle, that stands for the steady part of the corner
@@ -60,6 +61,20 @@ def corner(table: ReferenceTable, drift_beta: float) -> Corner:
     return Corner(V_b, V_b * kappa, 1 / kappa, -math.copysign(drift_beta, kappa))
 
 
+class Aim(eqx.Module):
+    """What exploration asks of a reference beside the plan."""
+
+    V: Array  # added to the speed aimed at [m/s]
+    s: Float[Array, " K"]  # arc lengths from the first to the last of the drift section [m]
+    e: Float[Array, " K"]  # offset from the path to aim at there [m]
+
+
+def no_aim(table: ReferenceTable) -> Aim:
+    """The plan's own speed and path."""
+    s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
+    return Aim(jnp.zeros(()), s, jnp.zeros(AIM_POINTS))
+
+
 class Planned(eqx.Module):
     """A reference from a corrected car and how well it was found; where it was not, `table` is what stands in."""
 
@@ -94,19 +109,20 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
 
 
 def entry_table(
-    ocp: DriftOCP, table: ReferenceTable, approach: Approach, lead: Array, V_shift: Array, options: Options
+    ocp: DriftOCP, table: ReferenceTable, approach: Approach, lead: Array, aim: Aim, options: Options
 ) -> Planned:
     """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
 
     Starts `lead` metres before the drift section as in `approach` and follows path and sideslip of the plan in `table`;
-    speed, yaw rate and inputs come out consistent with the model. `V_shift` [m/s] is added to the speed aimed at.
+    speed, yaw rate and inputs come out consistent with the model. `aim` is added to the speed and path aimed at.
     Where the solve fails it is led from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the
     horizon keep the plan, and so does everything where that fails too.
     """
     s0 = table.drift_start - lead
     s = table.schedule(s0, ocp.horizon, ocp.dt)
     plan = table.reference(s)
-    target = Reference(plan.V + V_shift, plan.beta, plan.r, plan.e, plan.theta, plan.kappa)
+    e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
+    target = Reference(plan.V + aim.V, plan.beta, plan.r, e, plan.theta, plan.kappa)
     X, U = plan.states(), table.inputs(s[:-1])
 
     def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:

@@ -10,10 +10,10 @@ import numpy as np
 from driftjax.data.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.learn.approach import planned_approach
 from driftjax.learn.config import LearnConfig
-from driftjax.learn.explore import POINTS, Candidates, candidates, choose
+from driftjax.learn.explore import Candidates, candidates, choose, offset
 from driftjax.learn.loop import Progress, plan_reference, remember, start
 from driftjax.learn.model import empty
-from driftjax.learn.reference import Planned
+from driftjax.learn.reference import AIM_POINTS, Aim, Planned
 from driftjax.learn.scenario import Scenario, drivers
 from driftjax.learn.stage import CODES, Stage, run_stage, stage_values
 from driftjax.sim import keep_where
@@ -37,9 +37,9 @@ def stage_names(config: LearnConfig) -> list[str]:
 def first_progress(scenario: Scenario) -> Progress:
     """What the first stage starts from."""
     lanes, K = scenario.num_lanes, scenario.config.explore.num_sets
-    curve = jnp.zeros((lanes, POINTS))
-    sets = jnp.zeros((lanes, K, POINTS))
-    none = Candidates(curve, curve, curve, sets, sets[..., 0], jnp.ones((lanes, K), bool))
+    curve = jnp.zeros((lanes, AIM_POINTS))
+    sets = jnp.zeros((lanes, K, AIM_POINTS))
+    none = Candidates(curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((lanes, K), bool))
     return start(scenario, none)
 
 
@@ -95,13 +95,13 @@ def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]
 def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
     """The reference as the nominal car can drive it; the planner's may have more grip."""
     approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
-    return plan_reference(scenario, untaught, approach, jnp.zeros(scenario.num_lanes))
+    return plan_reference(scenario, untaught, approach)
 
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
     """One GP lap: reference and MPC from what was learnt, then learn from it."""
     known, residual = _layers(scenario, progress.memory.residual)
-    planned = plan_reference(scenario, known, progress.approach, jnp.zeros(scenario.num_lanes))
+    planned = plan_reference(scenario, known, progress.approach)
     stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
     progress = remember(scenario, progress, stage, residual, number)
@@ -132,7 +132,8 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     if not bool(jnp.any(left)):
         return None
     known, residual = _layers(scenario, residual)
-    planned = plan_reference(scenario, known, progress.approach, jnp.where(left, V_ep - V_b, 0.0))
+    aim = Aim(jnp.where(left, V_ep - V_b, 0.0), found.s, jnp.where(left[:, None], offset(found, chosen), 0.0))
+    planned = plan_reference(scenario, known, progress.approach, aim)
     # a lane that has driven all its sets repeats its best
     table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
@@ -158,9 +159,9 @@ def _data(
         values |= {"feature": np.array(FEATURES, object), "output": np.array(OUTPUTS, object)}
         values["input"] = np.array(INPUTS, object)
     if found is not None:
-        share = scenario.config.explore.gamma_share * scenario.corner.V_b
+        widest = found.widest[:, None]
         values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}
-        values |= {"vset_lower": found.origin - share, "vset_upper": found.origin + share}
+        values |= {"vset_lower": found.origin - widest, "vset_upper": found.origin + widest}
     if kind != "mpc":  # these drivers do not depend on the controller: one block of lanes says it all
         num = scenario.num_lanes // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}
