@@ -73,16 +73,17 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidat
     return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
 
 
-def offset(found: Candidates, chosen: Array) -> Array:
+def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
     """(lanes, AIM_POINTS) [m]: offset to aim at beside the path with candidate `chosen` (lanes,).
 
-    gamma = r_b e is the speed that takes the error e out of a steady turn; a candidate whose bounds allow a share of it
-    aims at as large a share of -e.
+    The k-th of K aims at k/K of what takes the measured error e away, up to the error that the widest gamma allowed
+    could take out of a steady turn by gamma = r_b e. Its speed curve alone does not: where the planned speed is curved
+    as in a corner that is braked into, the price on its smoothness outweighs r_b e.
     """
-    each_lane = jnp.arange(len(chosen))
-    gamma = found.V[each_lane, chosen] - found.origin
-    share = jnp.where(found.target != 0, gamma / jnp.where(found.target != 0, found.target, 1.0), 0.0)
-    return -jnp.clip(share, 0.0, 1.0) * found.e
+    config, corner = scenario.config.explore, scenario.corner
+    most = config.gamma_share * corner.V_b / abs(corner.r_b)
+    share = (chosen + 1) / config.num_sets
+    return -share[:, None] * jnp.clip(found.e, -most, most)
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:

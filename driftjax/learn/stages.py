@@ -132,7 +132,7 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     if not bool(jnp.any(left)):
         return None
     known, residual = _layers(scenario, residual)
-    aim = Aim(jnp.where(left, V_ep - V_b, 0.0), found.s, jnp.where(left[:, None], offset(found, chosen), 0.0))
+    aim = Aim(jnp.where(left, V_ep - V_b, 0.0), found.s, jnp.where(left[:, None], offset(scenario, found, chosen), 0.0))
     planned = plan_reference(scenario, known, progress.approach, aim)
     # a lane that has driven all its sets repeats its best
     table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))

@@ -24,9 +24,11 @@ def lap(noise: float = 0.0, num: int = 40, seed: int = 0, until: int = 40) -> Tr
     s, zero = jnp.asarray(10 * t + 0.25 * t**2), jnp.zeros(num)
     sensed = Sensed(noisy["V"], noisy["beta"], noisy["r"], zero, zero, zero, s, noisy["e"], noisy["theta"])
     command = Control(jnp.full(num, 0.1), jnp.full(num, 3000.0))
-    driven = Trace(jnp.asarray(np.arange(num) < until), sensed, *[zero] * 10, command, None)
-    assert driven.Fxr is zero and driven.command is command
-    return driven
+    alive = jnp.asarray(np.arange(num) < until)
+    return Trace(
+        alive=alive, sensed=sensed, V=zero, beta=zero, r=zero, x=zero, y=zero, psi=zero, s=zero, e=zero, delta=zero,
+        Fxr=zero, command=command, decision=None,
+    )  # fmt: skip
 
 
 def at(s0: float) -> float:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Blocks
+from driftjax.core import Blocks, workers
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import load_learn_config
@@ -15,6 +15,7 @@ from driftjax.learn.model import empty
 from driftjax.learn.run import run
 from driftjax.learn.scenario import build, drivers
 from driftjax.learn.stage import run_stage
+from driftjax.learn.stages import drive_nominal
 
 SEDAN = load_learn_config("sedan")
 CONFIG = dataclasses.replace(
@@ -47,6 +48,15 @@ def test_what_was_learnt_is_in_the_laps(finished):
     solved = lap["solved"].values[lap["alive"].values & lap["drifting"].values]
     assert np.mean(solved) > 0.9
     assert np.isfinite([results["summary"]["path"][name] for name in ("nominal", "gpr")]).all()
+
+
+def test_the_papers_cost_drives_the_corner_sideways(finished):
+    """It does so only where every solve starts from the reference: else the front saturates and the speed falls."""
+    config = dataclasses.replace(CONFIG, controllers=("paper",))
+    with workers(2) as blocks:
+        stage, planned = drive_nominal(build(config, blocks), 0)
+    assert bool(jnp.all(planned.found)) and bool(jnp.all(stage.figures.completed))
+    assert float(jnp.min(stage.figures.drift_share)) >= 0.5
 
 
 @pytest.mark.slow

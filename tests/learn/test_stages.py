@@ -3,19 +3,17 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Blocks, Control
+from driftjax.core import Blocks
 from driftjax.learn.config import ExploreConfig, load_learn_config
-from driftjax.learn.explore import candidates, offset, speed_lanes
+from driftjax.learn.explore import candidates, offset
 from driftjax.learn.model import empty
 from driftjax.learn.scenario import build, drivers
 from driftjax.learn.stage import run_stage
-from driftjax.learn.stages import _layers, stage_names
-from driftjax.sim import Sensed, Trace
+from driftjax.learn.stages import _layers, first_progress, stage_names
 from driftjax.vehicle import Residual
 
 SEDAN = load_learn_config("sedan")
@@ -61,23 +59,17 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario):
     again = candidates(exploring(scenario, speeds="random"), trace, residual)
     assert np.all(at["random"] == np.asarray(again.V_ep))
     for speeds in ("random", "uniform", "planned"):
-        assert not np.any(offset(found[speeds], jnp.asarray([0, 2])))  # nothing leads them off the path
+        assert not np.any(offset(scenario, found[speeds], jnp.asarray([0, 2])))  # nothing leads them off the path
 
 
-def test_a_wider_bound_aims_at_more_of_the_error_and_never_beyond_it():
-    s, e = jnp.linspace(0, 10, 40), 0.3 * jnp.sin(jnp.linspace(0, 3, 40))
-    r_b, origin, shares = jnp.full(40, 0.8), jnp.full(40, 9.0), jnp.asarray([1 / 3, 2 / 3, 1.0])
-    zero = jnp.zeros(40)
-    sensed = Sensed(zero, zero, zero, zero, zero, zero, s, e, zero)
-    trace = Trace(jnp.ones(40, bool), sensed, *[zero] * 6, s, *[zero] * 3, Control(zero, zero), None)
-    one = jax.tree.map(lambda a: a[None], trace)
-    weights = (jnp.asarray(1e-6), jnp.asarray(5.0))
-    found = speed_lanes((one,), s, origin, r_b, shares, jnp.asarray(10.0), weights, jnp.asarray(9.0))
-    assert float(found.widest[0]) == pytest.approx(0.8 * float(jnp.max(e)))
-    aimed = [np.asarray(offset(found, jnp.asarray([k])))[0] for k in range(3)]
-    np.testing.assert_allclose(aimed[2], -e, atol=2e-3)
-    for k, share in ((0, 1 / 3), (1, 2 / 3)):
-        np.testing.assert_allclose(aimed[k], -np.minimum(e, share * jnp.max(e)), atol=2e-3)
+def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
+    e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # lane 1 was lost there
+    found = eqx.tree_at(lambda c: c.e, first_progress(scenario).found, e)
+    aimed = [np.asarray(offset(scenario, found, jnp.asarray([k, k]))) for k in range(3)]
+    for k in range(3):
+        np.testing.assert_allclose(aimed[k][0], -(k + 1) / 3 * e[0], rtol=1e-12)
+    most = SHORT.explore.gamma_share * scenario.corner.V_b / abs(scenario.corner.r_b)
+    assert aimed[2][1, 7] == pytest.approx(-most)
 
 
 def test_what_was_learnt_reaches_the_layers_asked_for(scenario):
