@@ -91,13 +91,13 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     return eqx.tree_at(fields, progress, (memory, approach, best, last))
 
 
-def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, aim: Aim | None = None) -> Planned:
-    """The reference of every lane from its corrected car, with what exploration aims at (leading axis of lanes).
+def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, asked: Aim | None = None) -> Planned:
+    """The reference of every lane from its corrected car, with what exploration asked for (leading axis of lanes).
 
     `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """
     config = scenario.config
-    aim = scenario.over_lanes(no_aim(scenario.table)) if aim is None else aim
+    aim: Aim = scenario.over_lanes(no_aim(scenario.table)) if asked is None else asked
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
         return scenario.blocks.map(
