@@ -6,7 +6,7 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import typed
-from driftjax.core import BadInput
+from driftjax.core import BadInput, from_dict
 from driftjax.data import RunFolder
 from driftjax.report import table, write_diagnosis, write_plan_figures, write_report
 
@@ -28,10 +28,23 @@ def run(argv: list[str]) -> int:
     if folder.verb == "diagnose":
         print(f"report: {write_diagnosis(folder)}")
         return 0
+    if folder.verb == "paper":
+        return _paper(folder)
     if folder.verb != "learn":
         raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}` has no report; run that verb again.")
     page = write_report(folder)
     if folder.has("results.json"):
         print(table(folder.read_json("results")))
     print(f"report: {page}")
+    return 0
+
+
+def _paper(folder: RunFolder) -> int:
+    """Tables and figures of a comparison; those of its runs are rebuilt each from its own folder."""
+    from experiments.paper.config import Config
+    from experiments.paper.run import rebuild
+    from experiments.paper.table import page
+
+    found = rebuild(from_dict(Config, folder.config, str(folder.path / "config.yaml")), folder)
+    print(page(found), end="")
     return 0

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import from_dict
+from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import LearnConfig
@@ -21,17 +21,26 @@ Report = Callable[[str, int, int], None]
 
 def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
     """Results of the comparison; each run has a folder of its own and goes on where it stopped."""
-    cfg = cfg.reduced() if cfg.quick else cfg
-    todo = arms(cfg)
+    todo, found = arms(cfg.reduced() if cfg.quick else cfg), {}
     for number, arm in enumerate(todo):
         say = lambda stage, done, of, arm=arm, number=number: report(f"{arm.folder}: {stage}", number, len(todo))
         drive(arm, folder.path, say, num_workers)
-        write(folder, results(cfg, todo[: number + 1], folder.path))  # what is measured is kept whatever comes next
-    report("figures", len(todo), len(todo))
-    found = results(cfg, todo, folder.path)
-    for arm in todo:
         if arm.name == MAIN:
             write_report(run_of(arm, folder.path))
+        found = rebuild(cfg, folder)  # what is measured is told whatever comes next
+    report("done", len(todo), len(todo))
+    return found
+
+
+def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
+    """Results, tables and figures from the runs that are finished."""
+    cfg = cfg.reduced() if cfg.quick else cfg
+    done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
+    if not done or done[0].name != MAIN:
+        raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
+    found = results(cfg, done, folder.path)
+    folder.write_json("results", found)
+    (folder.path / "results.md").write_text(page(found), encoding="utf-8")
     write_figures(found, folder.path / "figures")
     return found
 
@@ -60,15 +69,9 @@ def results(cfg: Config, done: list[Arm], out: Path) -> dict[str, Any]:
         run = run_of(arm, out)
         if arm.name == MAIN:
             cars[arm.car] = {"settings": fingerprint(arm), **compared(run, arm.car), "ablations": {}}
-        else:
+        elif arm.car in cars:
             cars[arm.car]["ablations"][arm.name] = {"words": ABLATIONS[arm.name][0], **ablation(run)}
-    numbers = list(range(cfg.first_plant, cfg.first_plant + done[0].learn.plants))
+    numbers = [*range(cfg.first_plant, cfg.first_plant + done[0].learn.plants)]
     split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": cfg.noise_seeds,
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
     return {"options": to_dict(cfg), "split": split, "cars": cars}
-
-
-def write(folder: RunFolder, found: dict[str, Any]) -> None:
-    """results.json and results.md so far."""
-    folder.write_json("results", found)
-    (folder.path / "results.md").write_text(page(found), encoding="utf-8")

@@ -180,6 +180,9 @@ def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
     assert "not of `driftjax paper`" in capsys.readouterr().err
     assert main(["paper", "--resume", str(tmp_path / "learn"), "--plants", "3"]) == 2
     assert "leave out every flag" in capsys.readouterr().err
+    RunFolder.create(tmp_path / "paper", to_dict(Config()), "paper")
+    assert main(["report", str(tmp_path / "paper")]) == 2
+    assert "its main comparison is not finished" in capsys.readouterr().err
     assert main(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
     assert "'plants' is 0" in capsys.readouterr().err and not (tmp_path / "new").exists()
     with pytest.raises(BadInput, match="noise_seeds"):
@@ -201,4 +204,6 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     (out / "sedan/main/results.json").unlink()
     assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
     assert json.loads((out / "results.json").read_text()) == whole
+    (out / "results.md").unlink()
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == page(whole)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
