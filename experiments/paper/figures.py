@@ -4,11 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, new_figure, save
+from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, NOMINAL, new_figure, save
 from experiments.paper.statistics import METHODS, TARGETS
 
-COLOURS = {"paper": GPR, "path": EXPLORED}
+COLOURS = {"paper": GPR, "path": EXPLORED, "alone": NOMINAL}
+ALONE = ("pursuit", "lqr")  # drivers that know of no controller
 SHIFT = {"paper": -0.16, "path": 0.16}
 
 
@@ -25,7 +27,8 @@ def _draw(car: str, found: dict[str, Any], folder: Path) -> Path:
     if found["ablations"]:
         _ablations(axes[0, 1], found["ablations"], "gpr-best", "GPR, best setting again")
         _ablations(axes[1, 1], found["ablations"], "explore-best", "explored, best setting again")
-    figure.suptitle(f"{car}: means, 95 % intervals over plants")
+    figure.suptitle(f"{car}: means and 95 % intervals over plants")
+    figure.legend(loc="outside lower center", ncols=3)
     return save(figure, folder, f"statistics_{car}")
 
 
@@ -49,17 +52,26 @@ def _named(axis: Axes, words: list[str]) -> None:
     axis.grid(False, axis="y")
 
 
+def _log(axis: Axes) -> None:
+    """Errors of controllers differ by factors; ticks at 1, 2 and 5 keep their labels apart."""
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_xlabel("mean lateral error [m]")
+
+
 def _methods(axis: Axes, methods: dict[str, Any]) -> None:
     names = [name for name in METHODS if any(name in stages for stages in methods.values())]
     for who, stages in methods.items():
         for y, name in enumerate(names):
-            if name in stages:
+            if name in stages and (name not in ALONE or who == "paper"):
                 label = CONTROLLERS[who] if name == "nominal" else None
-                _point(axis, y + SHIFT[who], stages[name]["lateral_error"], who, label)
-    _named(axis, [METHODS[name] for name in names])
-    axis.set_xscale("log")
-    axis.set_xlabel("mean lateral error against the planned path [m]; a tick per plant")
-    axis.legend(loc="upper right")
+                cell = stages[name]["lateral_error"]
+                _point(axis, y, cell, "alone") if name in ALONE else _point(axis, y + SHIFT[who], cell, who, label)
+    _named(axis, [METHODS[name].replace(", ", ",\n") for name in names])
+    _log(axis)
+    axis.set_title("ticks: plants")
 
 
 def _gains(axis: Axes, found: dict[str, Any], aims: dict[str, float]) -> None:
@@ -76,7 +88,6 @@ def _gains(axis: Axes, found: dict[str, Any], aims: dict[str, float]) -> None:
     _named(axis, list(words.values()))
     axis.axvline(0, color="black", lw=0.8)
     axis.set_xlabel("reduction [%]")
-    axis.legend(loc="lower left")
 
 
 def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> None:
@@ -85,6 +96,5 @@ def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> N
             if end in stages:
                 _point(axis, y + SHIFT[who], stages[end]["lateral_error"], who)
     _named(axis, [one["words"] for one in ablations.values()])
-    axis.set_xscale("log")
-    axis.set_xlabel("mean lateral error [m]")
+    _log(axis)
     axis.set_title(title)
