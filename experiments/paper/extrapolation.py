@@ -3,7 +3,8 @@
 import numpy as np
 
 from driftjax.data import RunFolder
-from driftjax.gp.model import FADE_LENGTH, FADE_RATE
+from driftjax.gp.model import FADE_LENGTH, faded
+from experiments.paper.laps import driven
 
 FADED = 0.5  # from which the mean counts as asked for far from data
 STAGES = ("single-layer", "gpr-1", "gpr-best", "explore-best")
@@ -18,8 +19,7 @@ def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) 
         data, found = run.read_stage(name), []
         for lane in np.flatnonzero(data["controller"].values == controller):
             lap = data.isel(lane=int(lane))
-            s = lap["s"].values
-            inside = lap["alive"].values & lap["drifting"].values & (s >= section[0]) & (s <= section[1])
+            inside = driven(lap, section)
             z = np.stack([lap[key].values[inside] for key in ("V", "beta", "r", "delta", "Fxr")], axis=1)
             found.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))
         every = np.concatenate(found) if found else np.zeros(0)
@@ -33,4 +33,4 @@ def _faded(z: np.ndarray, Z: np.ndarray) -> np.ndarray:
         return np.ones(len(z), bool)
     offset = (z[:, None] - Z[None]) / (FADE_LENGTH * np.std(Z, axis=0))
     near = np.sum(np.exp(-0.5 * np.sum(offset**2, axis=-1)), axis=1)
-    return -np.expm1(-FADE_RATE * near) < FADED
+    return np.asarray(faded(near)) < FADED

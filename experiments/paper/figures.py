@@ -7,10 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, NOMINAL, new_figure, save
-from experiments.paper.statistics import METHODS, TARGETS
+from experiments.paper.statistics import ALONE, METHODS, TARGETS
 
 COLOURS = {"paper": GPR, "path": EXPLORED, "alone": NOMINAL}
-ALONE = ("pursuit", "lqr")  # drivers that know of no controller
 SHIFT = {"paper": -0.16, "path": 0.16}
 
 

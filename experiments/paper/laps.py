@@ -6,23 +6,10 @@ import xarray as xr
 from driftjax.data import RunFolder
 
 ENTRY = 1 / 3  # of the drift section: what is lost before there was made while entering
-FIGURES = {
-    "lateral_error": "mean lateral error [m]",
-    "lateral_error_max": "largest lateral error [m]",
-    "velocity_rmse": "speed RMSE [m/s]",
-    "beta_rmse": "sideslip RMSE [rad]",
-    "r_rmse": "yaw rate RMSE [rad/s]",
-    "lap_time": "lap time [s]",
-    "completed": "laps completed",
-    "drifted": "laps completed, sideways over half of the section",
-    "entry": "lateral error in the first third [m]",
-    "reference": "lateral error that the reference asks for [m]",
-    "tracking": "lateral error against the reference [m]",
-}
 
 
 def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Every figure of one controller's laps in a stage: means over noise seeds, one per plant.
+    """Every figure of one controller's laps in a stage (SI): means over noise seeds, one per plant.
 
     RMSE and the parts of the lateral error are over what was driven of the section by the drift controller; lap times
     are those of completed laps, NaN of plants without one.
@@ -33,7 +20,13 @@ def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -
     of = {
         plant: [row for row, name in zip(rows, plants, strict=True) if name == plant] for plant in dict.fromkeys(plants)
     }
-    return {name: np.array([_mean([row[name] for row in found]) for found in of.values()]) for name in FIGURES}
+    return {name: np.array([_mean([row[name] for row in found]) for found in of.values()]) for name in rows[0]}
+
+
+def driven(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
+    """Which steps of one lap the drift controller drove in the section."""
+    s = lap["s"].values
+    return lap["alive"].values & lap["drifting"].values & (s >= section[0]) & (s <= section[1])
 
 
 def _mean(values: list[float]) -> float:
@@ -44,7 +37,7 @@ def _mean(values: list[float]) -> float:
 
 def _lap(lap: xr.Dataset, section: tuple[float, float]) -> dict[str, float]:
     at = {name: lap[name].values for name in ("s", "e", "beta", "beta_ref", "r", "r_ref", "e_ref")}
-    inside = lap["alive"].values & lap["drifting"].values & (at["s"] >= section[0]) & (at["s"] <= section[1])
+    inside = driven(lap, section)
     start = inside & (at["s"] <= section[0] + ENTRY * (section[1] - section[0]))
     rms = lambda a, b: _over(inside, (at[a] - at[b]) ** 2) ** 0.5
     completed = bool(lap["completed"].values)

@@ -21,14 +21,17 @@ Report = Callable[[str, int, int], None]
 
 def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
     """Results of the comparison; each run has a folder of its own and goes on where it stopped."""
-    todo, found = arms(cfg.reduced() if cfg.quick else cfg), {}
+    cfg = cfg.reduced() if cfg.quick else cfg
+    todo, done, found = arms(cfg), [], {}
     for number, arm in enumerate(todo):
         say = lambda stage, done, of, arm=arm, number=number: report(f"{arm.folder}: {stage}", number, len(todo))
         drive(arm, folder.path, say, num_workers)
         if arm.name == MAIN:
             write_report(run_of(arm, folder.path))
-        found = rebuild(cfg, folder)  # what is measured is told whatever comes next
+        done.append((arm, shown(arm, folder.path)))
+        found = write(cfg, done, folder)  # what is measured is told whatever comes next
     report("done", len(todo), len(todo))
+    write_figures(found, folder.path / "figures")
     return found
 
 
@@ -38,9 +41,7 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
     if not done or done[0].name != MAIN:
         raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
-    found = results(cfg, done, folder.path)
-    folder.write_json("results", found)
-    (folder.path / "results.md").write_text(page(found), encoding="utf-8")
+    found = write(cfg, [(arm, shown(arm, folder.path)) for arm in done], folder)
     write_figures(found, folder.path / "figures")
     return found
 
@@ -62,16 +63,26 @@ def run_of(arm: Arm, out: Path) -> RunFolder:
     return RunFolder.open(out / arm.folder)
 
 
-def results(cfg: Config, done: list[Arm], out: Path) -> dict[str, Any]:
-    """results.json of the runs that are `done`."""
+def shown(arm: Arm, out: Path) -> dict[str, Any]:
+    """What one finished run shows."""
+    run = run_of(arm, out)
+    if arm.name == MAIN:
+        return {"settings": fingerprint(arm), **compared(run, arm.car)}
+    return {"words": ABLATIONS[arm.name][0], **ablation(run)}
+
+
+def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
+    """results.json and results.md of the runs that are `done`, with what each shows; the former is returned."""
     cars: dict[str, Any] = {}
-    for arm in done:
-        run = run_of(arm, out)
+    for arm, one in done:
         if arm.name == MAIN:
-            cars[arm.car] = {"settings": fingerprint(arm), **compared(run, arm.car), "ablations": {}}
+            cars[arm.car] = one | {"ablations": {}}
         elif arm.car in cars:
-            cars[arm.car]["ablations"][arm.name] = {"words": ABLATIONS[arm.name][0], **ablation(run)}
-    numbers = [*range(cfg.first_plant, cfg.first_plant + done[0].learn.plants)]
+            cars[arm.car]["ablations"][arm.name] = one
+    numbers = [*range(cfg.first_plant, cfg.first_plant + done[0][0].learn.plants)]
     split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": cfg.noise_seeds,
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
-    return {"options": to_dict(cfg), "split": split, "cars": cars}
+    found = {"options": to_dict(cfg), "split": split, "cars": cars}
+    folder.write_json("results", found)
+    (folder.path / "results.md").write_text(page(found), encoding="utf-8")
+    return found

@@ -6,6 +6,7 @@ import numpy as np
 
 from driftjax.data import RunFolder
 from driftjax.learn.metrics import interval, reduction
+from driftjax.learn.results import PAPER
 from experiments.paper.extrapolation import extrapolated
 from experiments.paper.laps import per_plant, section_of
 
@@ -17,6 +18,7 @@ METHODS = {
     "gpr-best": "GPR in reference and MPC, best setting again",
     "explore-best": "explored, best setting again",
 }
+ALONE = ("pursuit", "lqr")  # drivers of their own, whatever the controller
 CONTROLLERS = ("paper", "path")
 GAINS = {  # name: (before, after, figure)
     "gpr": ("nominal", "gpr-best", "lateral_error"),
@@ -24,9 +26,9 @@ GAINS = {  # name: (before, after, figure)
     "exploration_velocity": ("gpr-best", "explore-best", "velocity_rmse"),
     "all": ("nominal", "explore-best", "lateral_error"),
 }
-TARGETS = {  # of the paper's controller; Wu et al. 2025 report these reductions [%]
-    "sedan": {"gpr": 52.8, "exploration": 27.1, "exploration_velocity": 10.6},
-    "rc": {"gpr": 36.7, "exploration": 29.0, "exploration_velocity": 7.2},
+TARGETS: dict[str, dict[str, float]] = {  # of the paper's controller [%]
+    car: dict(zip(("gpr", "exploration", "exploration_velocity"), published, strict=True))
+    for car, published in PAPER.items()
 }
 BEST_ERROR = {"sedan": 0.25, "rc": 0.06}  # that the best method is to reach [m]
 DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of the section
@@ -36,10 +38,9 @@ LAPS = ("gpr-1", "gpr-2", "gpr-3", "explore-1", "explore-2", "explore-3")
 def compared(run: RunFolder, car: str) -> dict[str, Any]:
     """Methods, gains, laps of learning and the targets of one car."""
     section, done = section_of(run), run.finished()
-    drivers = {"pursuit": "pursuit", "lqr": "lqr"}
     stages = {name: run.read_stage(name) for name in (*METHODS, *LAPS) if name in done}
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {
-        who: {name: per_plant(data, drivers.get(name, who), section) for name, data in stages.items()}
+        who: {name: per_plant(data, name if name in ALONE else who, section) for name, data in stages.items()}
         for who in CONTROLLERS
     }
     gains = {who: {name: gain(found[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}

@@ -3,7 +3,7 @@
 from typing import Any
 
 from driftjax.report.table import CONTROLLERS, interval
-from experiments.paper.statistics import METHODS
+from experiments.paper.statistics import ALONE, METHODS
 
 HEAD = {
     "lateral_error": ("lateral error [m]", ".3f"),
@@ -15,12 +15,11 @@ HEAD = {
     "completed": ("completed", ".2f"),
     "drifted": ("and sideways", ".2f"),
 }
-PARTS = {"entry": "entry", "reference": "reference", "tracking": "tracking"}
+PARTS = ("entry", "reference", "tracking")
 GAINS = {
     "gpr": "lateral error, GPR against nominal [%]",
     "exploration": "lateral error, explored against GPR [%]",
     "exploration_velocity": "speed RMSE, explored against GPR [%]",
-    "all": "lateral error, explored against nominal [%]",
     "best_error": "lateral error of the best method [m]",
     "best_drifted": "its laps completed, sideways over half of the section",
 }
@@ -63,12 +62,12 @@ def _targets(targets: list[dict[str, Any]]) -> list[str]:
 def _methods(methods: dict[str, Any]) -> list[str]:
     rows = [
         (
-            words if name in ("pursuit", "lqr") else f"{words}, {CONTROLLERS[who]}",
+            words if name in ALONE else f"{words}, {CONTROLLERS[who]}",
             *(interval(stages[name][figure], form) for figure, (_, form) in HEAD.items()),
         )
         for who, stages in methods.items()
         for name, words in METHODS.items()
-        if name in stages and (who == "paper" or name not in ("pursuit", "lqr"))
+        if name in stages and (who == "paper" or name not in ALONE)
     ]
     return _rows(("method", *(words for words, _ in HEAD.values())), rows)
 
