@@ -71,9 +71,9 @@ class Reference(eqx.Module):
     theta: Float[Array, " N+1"]  # heading of the car less that of the path [rad]
     kappa: Float[Array, " N+1"]  # curvature of the path where the car is expected [1/m]
 
-    def states(self) -> Float[Array, "N+1 5"]:
-        """(V, beta, r, e, theta), the states that it asks for."""
-        return jnp.stack([self.V, self.beta, self.r, self.e, self.theta], axis=1)
+    def states(self) -> Float[Array, "... 5"]:
+        """(V, beta, r, e, theta), the states that it asks for; also of a single stage."""
+        return jnp.stack([self.V, self.beta, self.r, self.e, self.theta], axis=-1)
 
 
 class DriftOCP(AbstractOCP):
@@ -159,7 +159,7 @@ class DriftOCP(AbstractOCP):
         return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
 
     def _tracking(self, x: Array, p: Reference) -> Array:
-        error = x[:5] * self.x_scale[:5] - jnp.stack([p.V, p.beta, p.r, p.e, p.theta])
+        error = x[:5] * self.x_scale[:5] - p.states()
         return jnp.sum(self.Q * error**2)
 
     def cost(self, x: Array, u: Array, p: Reference) -> Array:

@@ -115,11 +115,8 @@ def lay_out(
 
     `lap` is the length of the track [m].
     """
-    plants = (
-        []
-        if on
-        else load_plants(config.plant) or sample_plants(config.car, config.plants, config.seed, config.first_plant)
-    )
+    drawn = (config.car, config.plants, config.seed, config.first_plant)
+    plants = [] if on else load_plants(config.plant) or sample_plants(*drawn)
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
         (Lane(name, controller, seed), index)
