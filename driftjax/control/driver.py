@@ -19,9 +19,8 @@ from driftjax.sim import Sensed, keep_where
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
-# First barrier parameter when the drift controller takes over, and later on. Objectives far from the reference are of
-# order 1e4: a smaller first barrier lets the iterates run into their bounds and jam there.
-COLD_BARRIER, WARM_BARRIER = 30.0, 0.3
+# First barrier parameter of every solve, which starts from the reference and not from the last answer.
+BARRIER = 3.0
 ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
 
@@ -122,13 +121,12 @@ class Driver(eqx.Module):
         s = self.table.schedule(sensed.s, self.horizon, self.ocp.dt)
         reference, U = self.table.reference(s), self.table.inputs(s[:-1])
         X = reference.states().at[0].set(x)
-        barrier = jnp.where(memory.drifting, WARM_BARRIER, COLD_BARRIER)
-        options = Options(self.options.tolerance, barrier, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
+        options = Options(self.options.tolerance, BARRIER, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
         return Posed(x, memory.command, memory.reached, reference, X, U, options)
 
     def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:
         """Command of the drift MPC; where the solve fails, that of the last good plan, one step later."""
-        solved = acceptable(found, posed.options, ACCEPTABLE)
+        solved = acceptable(found, posed.options)
         good = jnp.where(memory.drifting, memory.good, posed.U)  # before the first solve: the reference's
         good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
@@ -154,7 +152,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
     def drift():
         if drivers.kind == "mpc":
             posed = each(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
-            found = answers(drivers.ocp, posed, engaged, ACCEPTABLE)
+            found = answers(drivers.ocp, posed, engaged)
             return each(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
         u = each(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))

@@ -14,6 +14,7 @@ from driftjax.solve import LanePlans, Options, solve_lanes
 from driftjax.vehicle import SingleTrack
 
 FEW_LANES = 16  # below so many the batched solver gains nothing
+ATTEMPTS = (1.0, 10.0)  # times the first barrier: what jams at its limits with a small one is often solved with a large
 
 
 class Posed(NamedTuple):
@@ -38,27 +39,41 @@ class Answer(NamedTuple):
     num_steps: Array
 
 
-def acceptable(answer: Answer, options: Options, times: float) -> Array:
-    """Whether an answer, or each of a batch, is within so many tolerances of optimal; False on NaN."""
-    return jnp.maximum(answer.kkt, answer.violation) <= times * options.tolerance
+def acceptable(answer: Answer, options: Options) -> Array:
+    """Whether an answer, or each of a batch, is as near to optimal as `options` accept; False on NaN."""
+    return jnp.maximum(answer.kkt, answer.violation) <= options.implicit * options.tolerance
 
 
 def safeguarded(ocp: DriftOCP, posed: Posed) -> Answer:
-    """One problem by `solve_mpc`."""
-    found = solve_mpc(ocp, *posed)
-    return Answer(found.X, found.U, found.plan.kkt, found.plan.violation, found.plan.num_steps)
+    """One problem by `solve_mpc`; where the answer is not acceptable, once more, first further from the limits."""
+
+    def attempt(last: Answer, far: Array) -> tuple[Answer, None]:
+        done, given = acceptable(last, posed.options), posed.options
+
+        def again() -> Answer:  # a batch comes here with lanes that are done, which must not iterate
+            steps = jnp.where(done, 0, given.max_steps)
+            options = Options(given.tolerance, far * given.barrier, steps, given.implicit)
+            found = solve_mpc(ocp, *posed._replace(options=options))
+            num_steps = last.num_steps + found.plan.num_steps
+            return Answer(found.X, found.U, found.plan.kkt, found.plan.violation, num_steps)
+
+        return jax.lax.cond(done, lambda: last, again), None
+
+    none = jnp.full_like(posed.options.tolerance, jnp.inf)
+    first = Answer(posed.X, posed.U, none, none, jnp.zeros_like(posed.options.max_steps))
+    return jax.lax.scan(attempt, first, jnp.asarray(ATTEMPTS))[0]
 
 
-def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"], times: float) -> Answer:
+def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"]) -> Answer:
     """All lanes (leading axis): many of a single track at once, few or other cars by the safeguarded solver alone.
 
-    Of many, those that the batched solver does not bring within `times` tolerances go through the safeguarded one, one
-    after the other. Lanes not `needed` cost nothing and come back unsolved.
+    Of many, those whose answer by the batched solver is not acceptable go through the safeguarded one, one after the
+    other. Lanes not `needed` cost nothing and come back unsolved.
     """
     if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
         return each(safeguarded)(ocp, posed)
     found = _batched(ocp, posed, needed)
-    left = needed & ~acceptable(found, posed.options, times)
+    left = needed & ~acceptable(found, posed.options)
 
     def again(lane: tuple[DriftOCP, Posed, Answer, Array]) -> Answer:
         ocp, posed, found, left = lane

@@ -136,6 +136,6 @@ def answer(out: str) -> None:
     options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
     posed = Posed(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
-    together = eqx.filter_jit(answers)(ocp, posed, jnp.arange(num) > 0, 1.0)
+    together = eqx.filter_jit(answers)(ocp, posed, jnp.arange(num) > 0)
     alone = eqx.filter_jit(eqx.filter_vmap(safeguarded))(ocp, posed)
     np.savez(out, **together._asdict(), **{f"{name}_alone": value for name, value in alone._asdict().items()})
