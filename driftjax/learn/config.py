@@ -25,7 +25,7 @@ class GPConfig:
     """Starts of that maximisation."""
     max_iterations: int = 25
     """Iterations of each."""
-    shortest: float = 2.0
+    shortest: float = 1.0
     """Shortest length scale, in standard deviations of an input: what varies faster over a lap is taken for noise."""
     kernel: Literal["se", "matern52"] = "se"
     """Kernel: squared exponential or Matern-5/2, one length scale per input."""
@@ -58,8 +58,8 @@ class ExploreConfig:
     """lambda: 1 seeks variance only, 0 nearness only."""
     num_sets: int = 3
     """Number of nested bounds on gamma, so of candidate speeds."""
-    laps: int | None = None
-    """Laps of exploration; as many as there are candidates where left out."""
+    laps: int = 6
+    """Most laps of exploration, fewer where no lane has a candidate left; a lane without one repeats its best."""
     gamma_share: float = 0.08
     """Most that the widest bound on gamma may be, as a share of the planned cornering speed [-]."""
     speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
@@ -71,13 +71,13 @@ class ExploreConfig:
         require(min(self.P) >= 0, f"key 'P' is {self.P}; no weight may be negative.")
         require(0 <= self.lam <= 1, f"key 'lam' is {self.lam}; lambda lies in 0..1.")
         require(self.num_sets >= 0, f"key 'num_sets' is {self.num_sets}; give 0 for no exploration, or more.")
-        require(self.laps is None or self.laps >= 1, f"key 'laps' is {self.laps}; give at least 1, or leave it out.")
+        require(self.laps >= 1, f"key 'laps' is {self.laps}; give at least 1, or no sets for no exploration.")
         require(0 < self.gamma_share < 0.5, f"key 'gamma_share' is {self.gamma_share}; give a share below 0.5.")
 
     @property
     def num_laps(self) -> int:
-        """Laps of exploration: no candidate is driven twice."""
-        return self.num_sets if self.laps is None else min(self.laps, self.num_sets)
+        """Most laps of exploration; none without sets."""
+        return self.laps if self.num_sets else 0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from driftjax.explore import select, v_sets
 from driftjax.learn.config import ExploreConfig
 from driftjax.learn.reference import AIM_POINTS
 from driftjax.learn.scenario import Scenario
-from driftjax.sim import Trace
+from driftjax.sim import Trace, keep_where
 from driftjax.vehicle import AnyCar, Residual
 
 
@@ -22,6 +22,7 @@ class Candidates(eqx.Module):
     origin: Array  # (lanes, AIM_POINTS) planned speed, from which they start [m/s]
     target: Array  # (lanes, AIM_POINTS) r_b e, where they tend to [m/s]
     e: Array  # (lanes, AIM_POINTS) measured lateral error that leads them [m]
+    aimed: Array  # (lanes, AIM_POINTS) offset from the path that the lap with this error aimed at [m]
     widest: Array  # (lanes,) bound on gamma of the last one, either way [m/s]
     V: Array  # (lanes, K, AIM_POINTS) generated curves [m/s]
     V_ep: Array  # (lanes, K) their means [m/s]
@@ -54,15 +55,16 @@ def drifts(scenario: Scenario) -> Drifts:
     return Drifts(scenario.nominal, beta, scenario.x_eq, scenario.u_eq, branch)
 
 
-def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidates:
-    """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`."""
+def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
+    """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`, which `aimed`
+    (lanes, AIM_POINTS) beside the path."""
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
     origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
     shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
     shaped = scenario.blocks.map(
-        speed_lanes, (trace,), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+        speed_lanes, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
     )
     if config.speeds != "sets":
         V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
@@ -76,14 +78,28 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual) -> Candidat
 def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
     """(lanes, AIM_POINTS) [m]: offset to aim at beside the path with candidate `chosen` (lanes,).
 
-    The k-th of K aims at k/K of what takes the measured error e away, up to the error that the widest gamma allowed
-    could take out of a steady turn by gamma = r_b e. Its speed curve alone does not: where the planned speed is curved
-    as in a corner that is braked into, the price on its smoothness outweighs r_b e.
+    The k-th of K aims k/K of the measured error e further to the other side than the lap that made it, up to the error
+    that the widest gamma allowed could take out of a steady turn by gamma = r_b e. Its speed curve alone does not:
+    where the planned speed is curved as in a corner that is braked into, the price on its smoothness outweighs r_b e.
     """
     config, corner = scenario.config.explore, scenario.corner
     most = config.gamma_share * corner.V_b / abs(corner.r_b)
     share = (chosen + 1) / config.num_sets
-    return -share[:, None] * jnp.clip(found.e, -most, most)
+    return found.aimed - share[:, None] * jnp.clip(found.e, -most, most)
+
+
+def remaining(
+    scenario: Scenario, found: Candidates, chosen: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
+) -> Candidates:
+    """Candidates after the laps in `trace`, which drove those `chosen` (lanes,) and `aimed` beside the path.
+
+    A lane that was `better` than ever gets new sets about this lap, the others keep those that are left.
+    """
+    visited = found.visited | jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool)
+    left = eqx.tree_at(lambda c: c.visited, found, visited)
+    if scenario.config.explore.speeds != "sets":
+        return left
+    return keep_where(better, candidates(scenario, trace, residual, aimed), left)
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:
@@ -96,7 +112,7 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
 
 
 def speed_lanes(
-    lanes: tuple[Trace],
+    lanes: tuple[Trace, Array],
     s: Array,
     origin: Array,
     r_b: Array,
@@ -105,13 +121,13 @@ def speed_lanes(
     weights: tuple[Array, Array],
     V_b: Array,
 ) -> Candidates:
-    """Candidates of lanes given as (lap,), whether or not a drift exists at their speeds.
+    """Candidates of lanes given as (lap, what it aimed at), whether or not a drift exists at their speeds.
 
     Their bounds are `shares` of what the lane's own error calls for, but of no more than `most` [m/s]: bounds beyond it
     would all give the same curve.
     """
 
-    def one(trace: Trace) -> Candidates:
+    def one(trace: Trace, aimed: Array) -> Candidates:
         at = jnp.where(trace.alive, trace.s, jnp.inf)
         order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
         e = jnp.interp(s, at[order], trace.sensed.e[order])
@@ -119,7 +135,7 @@ def speed_lanes(
         bounds = widest * jnp.stack([-shares, shares], axis=1)
         sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
                       V_max=3 * V_b)  # fmt: skip
-        return Candidates(s, origin, r_b * e, e, widest, sets.V, sets.V_ep, ~sets.distinct)
+        return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
 
     return each(one)(*lanes)
 

@@ -66,7 +66,7 @@ def learn_lanes(
     step, claim = as_float(dt), claims(nominal) if config.orthogonal else None
 
     def one(memory: Memory, approach: Approach, trace: Trace, table: ReferenceTable, key: Array):
-        lap = samples(trace, table)
+        lap = samples(trace)
         lags = estimate_lags(nominal, lap, step) if config.lags else memory.residual.lags
         memory = learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
         return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, step)

@@ -13,7 +13,6 @@ from driftjax.vehicle import Residual, no_residual
 
 Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
 
-LEAST_SHARE = 0.2  # of the targets, below which what is no noise cannot be told from none
 BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
 
 
@@ -24,7 +23,6 @@ class Memory(eqx.Module):
     Y: Array  # (M, 3)
     mask: Array  # (M,)
     residual: Residual
-    held_out: Array  # (3,) error on held-out rows over that of no model, 1 without data
 
 
 def empty(config: GPConfig, lags: Array | None = None) -> Memory:
@@ -32,7 +30,7 @@ def empty(config: GPConfig, lags: Array | None = None) -> Memory:
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
     residual = no_residual(gp, lags, config.bounded)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), residual, jnp.ones(3))
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), residual)
 
 
 def learn(
@@ -47,9 +45,9 @@ def learn(
 ) -> Memory:
     """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
 
-    The gate of an output is the share that the GP takes of what it could take from rows it was not conditioned on:
-    of their squared targets less the noise. An output that does not gain there is switched off. What known causes
-    could say by `claim` the GP leaves to them.
+    The gate of an output is the factor within 0..1 on the mean that leaves least of rows which the GP was not
+    conditioned on (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, a mean that
+    says too much or the wrong thing does. What known causes could say by `claim` the GP leaves to them.
     """
     Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
     mask = jnp.concatenate([memory.mask, mask])
@@ -58,22 +56,16 @@ def learn(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest, basis=None if claim is None else claim(kept[0]), key=key,
     )  # fmt: skip
-    held_out = held_out_error(found.gp, Z, Y, mask, config, claim)
-    gate = jnp.clip((1 - held_out**2) / jnp.maximum(1 - noise_share(found.gp), LEAST_SHARE), 0.0, 1.0)
+    gate = trust(found.gp, Z, Y, mask, config, claim)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, memory.residual.lags)
     residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
-    return Memory(*kept, residual, held_out)
+    return Memory(*kept, residual)
 
 
-def noise_share(gp: GP) -> Array:
-    """(D,): variance of the noise over the mean square of the targets, both of the GP's own data."""
-    return jnp.exp(2 * gp.hyper.log_noise)  # targets are scaled to a mean square of one
-
-
-def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, claim: Claim | None = None) -> Array:
-    """(3,): root mean square error on every second block of rows of a GP conditioned on the other blocks, over the
-    root mean square of the targets; of these only what known causes leave, whose share the other blocks say."""
+def trust(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, claim: Claim | None = None) -> Array:
+    """(3,) in 0..1: least-squares factor on the mean at every second block of rows of a GP conditioned on the other
+    blocks; of the targets there only what known causes leave, whose share the other blocks say."""
     fold = (jnp.arange(len(mask)) // BLOCK) % 2 == 0
     train = select_dictionary(Z, Y, mask & fold, config.size, kernel=config.kernel)
     if claim is None:
@@ -85,6 +77,6 @@ def held_out_error(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, cl
         scale = scales(inputs, unclaimed(targets, basis, kept), kept)
         half = condition(*train, gp.hyper, *scale, config.kernel, basis)
     test = (mask & ~fold)[:, None]
-    error = jnp.where(test, jax.vmap(half.bounded_mean)(Z) - Y, 0.0)
-    total = jnp.sum(jnp.where(test, Y, 0.0) ** 2, axis=0)
-    return jnp.sqrt(jnp.sum(error**2, axis=0) / jnp.where(total > 0, total, jnp.inf))
+    mean, left = (jnp.where(test, values, 0.0) for values in (jax.vmap(half.bounded_mean)(Z), Y))
+    power = jnp.sum(mean**2, axis=0)
+    return jnp.clip(jnp.sum(mean * left, axis=0) / jnp.where(power > 0, power, jnp.inf), 0.0, 1.0)

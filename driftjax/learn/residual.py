@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.sim import Trace
 from driftjax.vehicle import AnyCar, SingleTrack
@@ -62,11 +61,11 @@ class Samples(NamedTuple):
     mask: Bool[Array, " T-1"]
 
 
-def samples(trace: Trace, table: ReferenceTable) -> Samples:
+def samples(trace: Trace) -> Samples:
     """Pairs of measured states from one lap (time on the leading axis).
 
-    A pair counts where the drift controller drove in the drift section of `table` and all samples behind its
-    smoothing belong to the lap.
+    A pair counts where the drift controller drove, on the way into the corner too, where else the model would be asked
+    for what it has no data of, and where all samples behind its smoothing belong to the lap.
     """
     x = State(smooth(trace.sensed.V), smooth(trace.sensed.beta), smooth(trace.sensed.r))
     before, after = jax.tree.map(lambda a: a[:-1], x), jax.tree.map(lambda a: a[1:], x)
@@ -75,9 +74,8 @@ def samples(trace: Trace, table: ReferenceTable) -> Samples:
     outside = jnp.zeros(half, bool)
     alive = jnp.concatenate([outside, trace.alive, outside])
     whole = alive[: trace.alive.shape[0]] & alive[2 * half :]
-    inside = (trace.sensed.s >= table.drift_start) & (trace.sensed.s <= table.drift_end)
     finite = jnp.all(jnp.isfinite(jnp.stack([*before, *after])), axis=0)
-    mask = inside[:-1] & whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & finite
+    mask = whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & finite
     return Samples(before, after, jax.tree.map(lambda a: a[:-1], trace.command), mask)
 
 

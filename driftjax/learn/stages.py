@@ -3,14 +3,13 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from driftjax.data.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.learn.approach import planned_approach
 from driftjax.learn.config import LearnConfig
-from driftjax.learn.explore import Candidates, candidates, choose, offset
+from driftjax.learn.explore import Candidates, candidates, choose, offset, remaining
 from driftjax.learn.loop import Progress, plan_reference, remember, start
 from driftjax.learn.model import empty
 from driftjax.learn.reference import AIM_POINTS, Aim, Planned
@@ -39,7 +38,7 @@ def first_progress(scenario: Scenario) -> Progress:
     lanes, K = scenario.num_lanes, scenario.config.explore.num_sets
     curve = jnp.zeros((lanes, AIM_POINTS))
     sets = jnp.zeros((lanes, K, AIM_POINTS))
-    none = Candidates(curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((lanes, K), bool))
+    none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((lanes, K), bool))
     return start(scenario, none)
 
 
@@ -119,7 +118,7 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if not scenario.config.explore.num_sets:
         return progress, _data(scenario, stage, "mpc", best.residual)
     if name == "gpr-best":
-        found = candidates(scenario, stage.laps.trace, progress.memory.residual)
+        found = candidates(scenario, stage.laps.trace, progress.memory.residual, jnp.zeros_like(progress.found.aimed))
         progress = eqx.tree_at(lambda p: p.found, progress, found)
     return progress, _data(scenario, stage, "mpc", best.residual, progress.found)
 
@@ -127,19 +126,20 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
 def _explore(scenario: Scenario, progress: Progress, number: int):
     """One lap of Algorithm 1: choose, plan, drive, learn; None where every lane has driven all its sets."""
     found, residual = progress.found, progress.memory.residual
-    V_b = jnp.asarray(scenario.corner.V_b)
     chosen, V_ep, left = choose(scenario, found, residual)
     if not bool(jnp.any(left)):
         return None
     known, residual = _layers(scenario, residual)
-    aim = Aim(jnp.where(left, V_ep - V_b, 0.0), found.s, jnp.where(left[:, None], offset(scenario, found, chosen), 0.0))
-    planned = plan_reference(scenario, known, progress.approach, aim)
+    aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
+    planned = plan_reference(scenario, known, progress.approach, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
     # a lane that has driven all its sets repeats its best
     table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
+    before = progress.best.error
     progress = remember(scenario, progress, stage, used, number)
-    visited = found.visited | (jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool) & left[:, None])
-    progress = eqx.tree_at(lambda p: (p.found.visited, p.explored), progress, (visited, jnp.asarray(True)))
+    better = progress.best.error < before
+    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, progress.memory.residual)
+    progress = eqx.tree_at(lambda p: (p.found, p.explored), progress, (rest, jnp.asarray(True)))
     return progress, _data(scenario, stage, "mpc", used, found, planned)
 
 

@@ -1,14 +1,11 @@
 """Residual rates out of a driven lap: a planted one comes back, and only drifted rows count."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from driftjax.control.driver import Decision
-from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, rk4_step
 from driftjax.learn.residual import estimate_lags, reached, residual_rate, rows, samples, smooth
 from driftjax.sim import Sensed, Trace
@@ -33,11 +30,6 @@ def driven(x0: State = X0, command: Control | None = None, lags=(0.0, 0.0)) -> t
         return rk4_step(lambda w: model(w, u), x, DT), x
 
     return jax.jit(lambda: jax.lax.scan(move, x0, acting)[1])(), u
-
-
-SECTION = ReferenceTable(
-    0.0, 20.0, *([jnp.zeros(3)] * 9), drift_start=5.0, drift_end=24.0
-)  # one metre of arc length a sample
 
 
 def lap(x: State, u: Control, alive, drifting) -> Trace:
@@ -79,9 +71,7 @@ def test_rows_hold_the_planted_rate_where_the_car_drifted_and_zeros_elsewhere():
     x, u = driven()
     alive = np.arange(T) < 22
     drifting = (np.arange(T) >= 8) & (np.arange(T) != 15)
-    Z, Y, mask = (
-        np.asarray(a) for a in rows(NOMINAL, samples(lap(x, u, alive, drifting), SECTION), jnp.asarray(DT), NONE)
-    )
+    Z, Y, mask = (np.asarray(a) for a in rows(NOMINAL, samples(lap(x, u, alive, drifting)), jnp.asarray(DT), NONE))
     assert Z.shape == (T - 1, 5) and Y.shape == (T - 1, 3)
     k = np.arange(T - 1)
     # both ends of a row need two living neighbours either side
@@ -94,19 +84,19 @@ def test_rows_hold_the_planted_rate_where_the_car_drifted_and_zeros_elsewhere():
     np.testing.assert_allclose(Z[mask][:, 0], np.asarray(x.V)[:-1][mask], atol=1e-3)
 
 
-def test_rows_outside_the_drift_section_or_too_near_the_start_are_no_data():
+def test_rows_too_near_the_start_or_the_end_are_no_data():
     x, u = driven()
     everywhere = np.ones(T, bool)
     k = np.arange(T - 1)
-    _, _, mask = rows(NOMINAL, samples(lap(x, u, everywhere, everywhere), SECTION), jnp.asarray(DT), NONE)
-    np.testing.assert_array_equal(mask, (k >= 5) & (k <= 24))
+    _, _, mask = rows(NOMINAL, samples(lap(x, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
+    np.testing.assert_array_equal(mask, (k >= 2) & (k <= T - 4))
 
 
 def test_a_sample_that_is_not_a_number_is_no_data():
     x, u = driven()
     broken = x._replace(r=x.r.at[20].set(jnp.nan))
     everywhere = np.ones(T, bool)
-    Z, Y, mask = rows(NOMINAL, samples(lap(broken, u, everywhere, everywhere), SECTION), jnp.asarray(DT), NONE)
+    Z, Y, mask = rows(NOMINAL, samples(lap(broken, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
     assert bool(jnp.all(jnp.isfinite(Z))) and bool(jnp.all(jnp.isfinite(Y)))
     assert not bool(mask[20]) and bool(mask[10])
 
@@ -133,6 +123,5 @@ def test_hidden_lags_are_found(lags):
     x, _ = driven(State(*(jnp.asarray(v) for v in (18.0, 0.0, 0.0))), command, lags)
     noisy = State(*(a + s * rng.normal(size=num) for a, s in zip(x, (0.02, 0.002, 0.002), strict=True)))
     everywhere = np.ones(num, bool)
-    wide = dataclasses.replace(SECTION, drift_start=0.0, drift_end=float(num))
-    found = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere), wide), jnp.asarray(DT))
+    found = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere)), jnp.asarray(DT))
     np.testing.assert_allclose(found, lags, atol=0.026)  # one step of the grid
