@@ -12,9 +12,12 @@ from experiments.paper.config import Car, Config
 
 MAIN = "main"
 QUICK_PLANTS = 4
-FEW = {"num_sets": 6, "laps": 3}  # with as many laps as speed sets Algorithm 1 only chooses their order
+GPR_BEST = "gpr-best"  # the last stage before exploration
+EXTENDED = "extended"
+MANY = {"num_sets": 6}  # as many candidates as laps: these do not make new ones
 ABLATIONS: dict[str, tuple[str, dict]] = {
     "as_it_is": ("as in the main comparison", {}),
+    EXTENDED: ("the nominal car extended by `diagnose`", {}),
     "gp_reference": ("GP in the reference only", {"layers": "reference"}),
     "gp_mpc": ("GP in the MPC only", {"layers": "mpc"}),
     "step": ("the paper's step to the equilibrium as reference", {"reference": "step"}),
@@ -22,12 +25,15 @@ ABLATIONS: dict[str, tuple[str, dict]] = {
     "unbounded": ("the GP's bare mean, however far from data", {"gp": {"bounded": False}}),
     "points_50": ("dictionary of 50 points", {"gp": {"size": 50, "num_fit": 50}}),
     "points_400": ("dictionary of 400 points", {"gp": {"size": 400}}),
-    "random": ("explored at random speeds", {"explore": {"speeds": "random"}}),
-    "uniform": ("explored at evenly spaced speeds", {"explore": {"speeds": "uniform"}}),
-    "planned": ("as many laps at the planned speed", {"explore": {"speeds": "planned"}}),
-    "variance": ("three of six speed sets, lambda 1: variance only", {"explore": FEW | {"lam": 1.0}}),
-    "nearness": ("three of six speed sets, lambda 0: nearness only", {"explore": FEW | {"lam": 0.0}}),
-    "equal_P": ("three of six speed sets, P of ones", {"explore": FEW | {"P": (1.0, 1.0, 1.0)}}),
+    "variance": ("lambda 1: variance only", {"explore": {"lam": 1.0}}),
+    "nearness": ("lambda 0: nearness only", {"explore": {"lam": 0.0}}),
+    "equal_P": ("P of ones", {"explore": {"P": (1.0, 1.0, 1.0)}}),
+    "random": ("explored at random speeds", {"explore": MANY | {"speeds": "random"}}),
+    "uniform": ("explored at evenly spaced speeds", {"explore": MANY | {"speeds": "uniform"}}),
+    "planned": ("as many laps at the planned speed", {"explore": MANY | {"speeds": "planned"}}),
+}  # fmt: skip
+SHARED = {  # ablation: another one with the same laps up to exploration
+    "variance": "as_it_is", "nearness": "as_it_is", "equal_P": "as_it_is", "uniform": "random", "planned": "random",
 }  # fmt: skip
 
 
@@ -44,6 +50,11 @@ class Arm:
     def folder(self) -> str:
         """Where it lies below the comparison's."""
         return f"{self.car}/{self.name}"
+
+    @property
+    def like(self) -> str | None:
+        """Folder of the run with the same laps up to exploration, if there is one."""
+        return f"{self.car}/{SHARED[self.name]}" if self.name in SHARED else None
 
 
 def arms(cfg: Config) -> list[Arm]:

@@ -1,21 +1,27 @@
 """Drive every run of the comparison that is not there yet, and put together what they show."""
 
+import dataclasses
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import BadInput, from_dict
+from driftjax.core import BadInput, from_dict, workers
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
+from driftjax.data.files import read_json
 from driftjax.learn.config import LearnConfig
 from driftjax.learn.run import run as learn
 from driftjax.report import write_report
-from experiments.paper.arms import ABLATIONS, MAIN, Arm, arms, fingerprint
+from driftjax.vehicle import load_vehicle
+from experiments.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, fingerprint
 from experiments.paper.config import Config
+from experiments.paper.extended import CAR, JSON, extend
 from experiments.paper.figures import write_figures
 from experiments.paper.statistics import ablation, compared
 from experiments.paper.table import page
 
+DIAGNOSIS = "diagnosis"  # folder below that of the car
 Report = Callable[[str, int, int], None]
 
 
@@ -49,13 +55,32 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
 def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
     """The laps of one run, or what is left of them."""
     path = out / arm.folder
-    if (path / "config.yaml").exists():
-        run = RunFolder.open(path)
-        learn_config = from_dict(LearnConfig, run.config, str(path / "config.yaml"))
-    else:
-        run, learn_config = RunFolder.create(path, to_dict(arm.learn)), arm.learn
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else begin(arm, out, num_workers)
     if not run.has("results.json"):
-        learn(learn_config, run, report, num_workers)
+        learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
+
+
+def begin(arm: Arm, out: Path, num_workers: int) -> RunFolder:
+    """A new run folder, with the laps that another run has driven already."""
+    config = arm.learn
+    if arm.name == EXTENDED:
+        config = dataclasses.replace(config, vehicle=extended(arm, out, num_workers))
+    run = RunFolder.create(out / arm.folder, to_dict(config))
+    if arm.like:
+        other = RunFolder.open(out / arm.like)
+        for name in takewhile(lambda name: name != GPR_BEST, other.finished()):
+            run.write_stage(name, other.read_stage(name), other.read_state(name))
+    return run
+
+
+def extended(arm: Arm, out: Path, num_workers: int) -> Path:
+    """YAML of the car extended by a diagnosis, which is made where it is not there yet."""
+    folder = out / arm.car / DIAGNOSIS
+    if not (folder / CAR).exists():
+        nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
+        with workers(min(num_workers, 1)) as blocks:
+            extend(arm.car, nominal, folder, blocks)
+    return (folder / CAR).resolve()
 
 
 def run_of(arm: Arm, out: Path) -> RunFolder:
@@ -68,7 +93,11 @@ def shown(arm: Arm, out: Path) -> dict[str, Any]:
     run = run_of(arm, out)
     if arm.name == MAIN:
         return {"settings": fingerprint(arm), **compared(run, arm.car)}
-    return {"words": ABLATIONS[arm.name][0], **ablation(run)}
+    found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
+    if arm.name == EXTENDED:
+        diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
+        found["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
+    return found
 
 
 def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:

@@ -32,13 +32,11 @@ TARGETS: dict[str, dict[str, float]] = {  # of the paper's controller [%]
 }
 BEST_ERROR = {"sedan": 0.25, "rc": 0.06}  # that the best method is to reach [m]
 DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of the section
-LAPS = ("gpr-1", "gpr-2", "gpr-3", "explore-1", "explore-2", "explore-3")
 
 
 def compared(run: RunFolder, car: str) -> dict[str, Any]:
     """Methods, gains, laps of learning and the targets of one car."""
-    section, done = section_of(run), run.finished()
-    stages = {name: run.read_stage(name) for name in (*METHODS, *LAPS) if name in done}
+    section, stages = section_of(run), {name: run.read_stage(name) for name in run.finished()}
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {
         who: {name: per_plant(data, name if name in ALONE else who, section) for name, data in stages.items()}
         for who in CONTROLLERS

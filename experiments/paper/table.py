@@ -76,8 +76,8 @@ def _parts(found: dict[str, Any]) -> list[str]:
     """Where the lateral error comes from, and how often the GP is asked far from its data."""
     rows = []
     for who, stages in found["methods"].items():
-        for name in ("nominal", "single-layer", "gpr-1", "gpr-2", "gpr-3", "gpr-best", "explore-best"):
-            if name in stages:
+        for name in stages:
+            if name not in ALONE:
                 far = found["extrapolation"][who].get(name)
                 parts = (interval(stages[name][part], ".3f") for part in PARTS)
                 error = interval(stages[name]["lateral_error"], ".3f")
@@ -99,4 +99,10 @@ def _ablations(ablations: dict[str, Any]) -> list[str]:
             rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
     head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
             "completed: GPR, explored")  # fmt: skip
-    return _rows(head, rows)
+    told = [
+        f"{found['words'][0].upper()}{found['words'][1:]}, from 60 s of the car that the plants are drawn around: "
+        f"{found['diagnosis']['verdict']}. {found['diagnosis']['sentence']}"
+        for found in ablations.values()
+        if "diagnosis" in found
+    ]
+    return _rows(head, rows) + [line for words in told for line in (words, "")]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from driftjax.cli import main
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
-from experiments.paper.arms import ABLATIONS, MAIN, arms, fingerprint
+from driftjax.learn.config import ExploreConfig
+from experiments.paper.arms import ABLATIONS, EXTENDED, MAIN, SHARED, arms, fingerprint
 from experiments.paper.config import Config
 from experiments.paper.extrapolation import extrapolated
 from experiments.paper.figures import write_figures
 from experiments.paper.laps import per_plant
+from experiments.paper.run import begin
 from experiments.paper.statistics import GAINS, METHODS, gain, summary, targets
 from experiments.paper.table import page
 
@@ -66,12 +69,46 @@ def test_an_ablation_differs_in_what_it_says_only():
         {above + k: v for k, v in d.items() if not isinstance(v, dict)}
         | {key: v for k, d in d.items() if isinstance(d, dict) for key, v in flat(d, f"{above}{k}.").items()}
     )
-    for arm in found[1:]:
+    for arm in (arm for arm in found[1:] if arm.name != EXTENDED):  # whose car is made when it is driven
         new, old = flat(to_dict(arm.learn)), flat(base)
         change = flat(ABLATIONS[arm.name][1])
         apart = {key for key in new if new[key] != old[key]}
         assert apart and apart <= set(change)
         assert len({fingerprint(arm), fingerprint(found[0])}) == 2
+
+
+def test_runs_that_share_laps_differ_in_exploration_only():
+    found = {arm.name: arm for arm in arms(Config(cars=("rc",)))}
+    for name, other in SHARED.items():
+        without = [dataclasses.replace(found[one].learn, explore=ExploreConfig()) for one in (name, other)]
+        assert without[0] == without[1] and found[name].like == f"rc/{other}"
+        assert found[name].learn.explore.num_sets == found[other].learn.explore.num_sets  # of one shape
+
+
+def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
+    arm = next(arm for arm in arms(Config(cars=("rc",))) if arm.name == "variance")
+    other = RunFolder.create(tmp_path / "rc/as_it_is", {})
+    for name in ("nominal", "gpr-1", "gpr-best", "explore-1"):
+        other.write_stage(name, laps([[0.2]], [[True]]), name.encode())
+    run = begin(arm, tmp_path, 0)
+    assert run.finished() == ["nominal", "gpr-1"] and run.read_state("gpr-1") == b"gpr-1"
+    assert run.read_stage("gpr-1").identical(other.read_stage("gpr-1")) and run.config == to_dict(arm.learn)
+
+
+def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkeypatch):
+    made = []
+
+    def extend(car, vehicle, folder, blocks):
+        made.append((car, vehicle.name, vehicle.combined_slip))
+        folder.mkdir(parents=True)
+        (folder / "extended.yaml").write_text("")
+
+    monkeypatch.setattr("experiments.paper.run.extend", extend)
+    arm, plain = (next(a for a in arms(Config(cars=("rc",))) if a.name == name) for name in (EXTENDED, "as_it_is"))
+    run = begin(arm, tmp_path, 0)
+    shutil.rmtree(run.path)
+    assert begin(arm, tmp_path, 0).config == run.config and made == [("rc", "rc", 1.0)]
+    assert run.config == to_dict(plain.learn) | {"vehicle": str(tmp_path / "rc/diagnosis/extended.yaml")}
 
 
 def test_quick_is_small_and_asks_for_the_main_comparison_only():
@@ -138,6 +175,7 @@ def results() -> dict:
     methods = {who: {name: summary(stage) for name, stage in rows.items()} for who in ("paper", "path")}
     beyond = {who: {"gpr-best": 0.25} for who in ("paper", "path")}
     small = {"words": "an ablation", "methods": methods, "gains": gains}
+    small |= {"diagnosis": {"verdict": "NAMED", "sentence": "The car lacks drag."}}
     car = {"settings": "ab" * 32, "methods": methods, "gains": gains, "extrapolation": beyond}
     car |= {"ablations": {"one": small}, "targets": targets("rc", gains["paper"], {"paper": rows})}
     split = {"seed": 6, "half": "held_out", "plants": list(range(16, 32)), "noise_seeds": 2}
@@ -153,6 +191,7 @@ def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
     assert len(tables) == 4
     assert all(len({line.count("|") for line in lines}) == 1 for lines in tables)
     assert all(name in words for name in (METHODS["gpr-best"], "an ablation", "0.25"))
+    assert "An ablation, from 60 s of the car that the plants are drawn around: NAMED. The car lacks drag." in words
 
 
 def test_every_car_has_its_figure(tmp_path):
