@@ -19,6 +19,7 @@ from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose
 from driftjax.diagnose.told import extended, to_json
 from driftjax.sim.record import FILTER, Manoeuvre
 from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant
+from driftjax.vehicle.effect import EFFECTS
 
 SECONDS, RATE, SETTLE = 10.0, 100.0, 1.0  # of a run, samples per second, driven before the first of them [s]
 STEP = 5e-4  # of the plant [s]
@@ -31,7 +32,8 @@ def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: Blocks) -> No
     folder.mkdir(parents=True, exist_ok=True)
     write_log(folder / "log.csv", runs)
     log = Log(runs, "", (folder / "log.csv",), ())
-    found = diagnose(vehicle, log, DiagnoseConfig(gp=False), blocks=blocks)
+    sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
+    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), blocks=blocks)
     assert isinstance(found, Diagnosis), "sixty seconds are enough to judge"
     write_json(folder / JSON, to_json(found, log))
     text = yaml.safe_dump(extended(found), sort_keys=False)
