@@ -12,7 +12,7 @@ from driftjax.cli.simulate import read_truth
 from driftjax.core import BadInput, num_workers, read_yaml, workers
 from driftjax.learn.config import LearnConfig, load_learn_config
 from driftjax.learn.metrics import difference
-from driftjax.learn.scenario import build
+from driftjax.learn.scenario import build, route_of
 from driftjax.learn.stage import Stage
 from driftjax.learn.stages import drive_nominal
 from driftjax.report import CLOSED_LOOP
@@ -71,7 +71,7 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
     with workers(num_workers(SEEDS)) as blocks:
         for name, vehicle in models.items():
             try:
-                scenario = build(course.config, blocks, vehicle, (course.name, course.plant))
+                scenario = build(course.config, blocks, route_of(course.config, vehicle), (course.name, course.plant))
             except BadInput as error:  # of the corner on this car: the diagnosis stands without it
                 told[name] = {"not_driven": str(error)}
                 continue

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import tyro
 
@@ -37,13 +37,6 @@ def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) ->
         return tyro.cli(cls, args=argv, prog=prog, default=default)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
-
-
-def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """`base` with the values of `over` put in, key by key in nested mappings."""
-    both = {key: merged(base[key], value) for key, value in over.items()
-            if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
-    return base | over | both
 
 
 def measured_log(

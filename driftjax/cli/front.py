@@ -24,6 +24,7 @@ VERBS = (
     "plan",
     "equilibria",
     "tune",
+    "sweep",
     "paper",
     "bench",
     "runs",
@@ -41,6 +42,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
   plan           minimum-time plan of a car on a track: plan.nc, plan.csv, figures
   equilibria     map of a car's steady states: grip and drift branches
   tune           weights and switching lead of the drift MPC by gradients through laps, against random search
+  sweep CONFIG   many trials of a verb over its options, on this machine or a cluster; only what is missing runs
   paper          every method of the paper side by side on plants held out, with ablations, on both cars
   bench          how fast each part is, as a ratio against a peer measured beside it: table, JSON, figures
   runs           list the run folders below runs/

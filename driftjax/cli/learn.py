@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, merged, peek, progress, tell, typed, within
-from driftjax.core import BadInput, from_dict, num_workers, read_yaml
+from driftjax.cli.console import default_out, peek, progress, tell, typed, within
+from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import LearnConfig, load_learn_config

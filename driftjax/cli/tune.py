@@ -6,9 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, merged, peek, progress, typed, within
+from driftjax.cli.console import default_out, peek, progress, typed, within
 from driftjax.cli.learn import check
-from driftjax.core import BadInput, from_dict, num_workers, read_yaml
+from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
 from driftjax.learn.config import load_learn_config

@@ -3,11 +3,15 @@
 from driftjax.core.atomic import write_atomically as write_atomically
 from driftjax.core.blocks import Blocks as Blocks
 from driftjax.core.blocks import Rehearsal as Rehearsal
+from driftjax.core.blocks import num_cores as num_cores
 from driftjax.core.blocks import num_workers as num_workers
 from driftjax.core.blocks import threads as threads
 from driftjax.core.blocks import workers as workers
 from driftjax.core.config import find_config as find_config
+from driftjax.core.config import flat as flat
 from driftjax.core.config import from_dict as from_dict
+from driftjax.core.config import merged as merged
+from driftjax.core.config import put as put
 from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
 from driftjax.core.each import each as each

@@ -126,10 +126,14 @@ def _prepare(function: Callable[..., PyTree], *args: Any) -> PyTree:
     return jax.tree.map(_plain, prepare(function, *args))
 
 
+def num_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def num_workers(lanes: int) -> int:
     """Worker processes that pay for `lanes` lanes: none on a GPU or a single core."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    useful = min(cores, lanes)
+    useful = min(num_cores(), lanes)
     return useful if jax.default_backend() == "cpu" and useful > 1 else 0
 
 
@@ -139,13 +143,19 @@ def workers(num: int) -> Iterator[Blocks]:
     if num == 0:
         yield Blocks(1 if jax.default_backend() == "cpu" else None)
         return
-    settings = {name: jax.config.values[name] for name in SETTINGS}
+    with process_pool(num) as pool:
+        yield Blocks(1, pool)
+
+
+@contextmanager
+def process_pool(num: int) -> Iterator[ProcessPoolExecutor]:
+    """`num` processes with this one's settings, which end with the context however it is left."""
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(num, multiprocessing.get_context("spawn"), _begin, (settings,))
+    pool = ProcessPoolExecutor(num, multiprocessing.get_context("spawn"), _begin, (settings(),))
     for _ in range(num):
         pool.submit(os.getpid)  # the pool starts its processes on demand: let them load now
     try:
-        yield Blocks(1, pool)
+        yield pool
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:
@@ -163,11 +173,21 @@ def threads(lanes: int, num: int) -> Blocks:
     return Blocks(None) if alone else Blocks(-(-lanes // num), ThreadPoolExecutor(num))
 
 
-def _begin(settings: dict[str, Any]) -> None:
+def settings() -> dict[str, Any]:
+    """What a worker must have as this process has it."""
+    return {name: jax.config.values[name] for name in SETTINGS}
+
+
+def set_up(known: dict[str, Any]) -> None:
+    """Another process's `settings` in this one."""
+    for name, value in known.items():
+        jax.config.update(name, value)
+
+
+def _begin(known: dict[str, Any]) -> None:
     """First thing in a worker: the parent's settings; Ctrl-C is the parent's to handle; end when it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name, value in settings.items():
-        jax.config.update(name, value)
+    set_up(known)
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

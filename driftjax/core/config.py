@@ -92,6 +92,10 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return value
     if origin is tuple:
         return _convert_tuple(args, value, where)
+    if origin is dict:
+        if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+            raise BadInput(f"{where} is {value!r}; it needs keys of its own, which are words.")
+        return value if args[1] is Any else {key: _convert(args[1], item, where) for key, item in value.items()}
     if dataclasses.is_dataclass(hint):
         if not isinstance(value, dict):
             raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
@@ -126,6 +130,44 @@ def to_dict(config: Any) -> dict[str, Any]:
         return str(value) if isinstance(value, Path) else value
 
     return plain(dataclasses.asdict(config))
+
+
+def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `over` put in, key by key in nested mappings."""
+    both = {key: merged(base[key], value) for key, value in over.items()
+            if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
+    return base | over | both
+
+
+def flat(config: dict[str, Any]) -> dict[str, Any]:
+    """The plain mapping `config` with one key per value: `gp.size` for nested keys, `path.Q.0` for entries of lists."""
+
+    def pairs(name: str, value: Any) -> list[tuple[str, Any]]:
+        if not isinstance(value, dict | list) or not value:
+            return [(name, value)]
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return [pair for key, item in items for pair in pairs(f"{name}.{key}", item)]
+
+    return dict(pair for key, value in config.items() for pair in pairs(str(key), value))
+
+
+def put(config: dict[str, Any], name: str, value: Any) -> None:
+    """Set, in place, the value or branch that `flat` calls `name`; raises `BadInput` where there is none."""
+    branch: Any = config
+    *way, last = name.split(".")
+    for part in way:
+        branch = branch[_key(branch, part, name)]
+    branch[_key(branch, last, name)] = value
+
+
+def _key(branch: Any, part: str, name: str) -> Any:
+    """The key or index of `branch` that is written `part`, on the way to option `name`."""
+    inside = branch if isinstance(branch, dict) else range(len(branch)) if isinstance(branch, list) else ()
+    keys = {str(key): key for key in inside}
+    if part not in keys:
+        known = f"; there are {', '.join(keys)}" if keys else ""
+        raise BadInput(f"there is no option '{name}': '{part}' is unknown{known}.")
+    return keys[part]
 
 
 def require(condition: bool, sentence: str) -> None:

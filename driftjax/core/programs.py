@@ -71,7 +71,7 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
 def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
     """The program, from the folder if it is there."""
     shapes, (module, name) = [str(jax.typeof(a)) for a in arrays], (plain.function.__module__, plain.name)
-    text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, around, _sources()))
+    text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, around, fingerprint()))
     # a value that prints as an address is another in each process; a GPU needs calls that cannot be kept
     folder = None if " at 0x" in text or jax.default_backend() != "cpu" else _folder()
     if folder is None:
@@ -141,8 +141,8 @@ def _kept(path: Path, plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
 
 
 @functools.cache
-def _sources() -> bytes:
-    """Fingerprint of this package and of the libraries that trace and lower it."""
+def fingerprint() -> bytes:
+    """Of this package and of the libraries that trace and lower it: what a program, and a result, depends on."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())

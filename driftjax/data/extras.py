@@ -10,20 +10,14 @@ from typing import Any
 from driftjax.core import BadInput
 
 
-def import_extra(path: Path, kind: str, extra: str, module: str) -> Any:
-    """The module that reads `path`, of this kind; raises `BadInput` that names the extra where it is not installed."""
+def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
+    """The module that `path`, of this kind, needs; raises `BadInput` that names the extra where it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError:
         raise BadInput(
-            f"{path}: {kind} needs the extra '{extra}'; install it with pip install 'driftjax[{extra}]', or use CSV."
+            f"{path}: {kind} needs the extra '{extra}'; install it with pip install 'driftjax[{extra}]'."
         ) from None
-
-
-def import_pyarrow(path: Path) -> Any:
-    """pyarrow with its Parquet module."""
-    import_extra(path, "Parquet", "parquet", "pyarrow.parquet")
-    return import_extra(path, "Parquet", "parquet", "pyarrow")
 
 
 @contextmanager

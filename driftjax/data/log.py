@@ -13,7 +13,6 @@ import numpy as np
 from driftjax.core import BadInput, write_atomically
 from driftjax.data.checks import check_rates
 from driftjax.data.columns import CHANNELS, EXTRA, RUN, ColumnMap
-from driftjax.data.extras import import_pyarrow
 from driftjax.data.prepare import Part, parts
 from driftjax.data.raw import raw_runs
 from driftjax.data.recording import read_recording, recording_kind
@@ -182,6 +181,7 @@ def _write_csv(temporary: Path, path: Path, columns: dict[str, np.ndarray], runs
 
 
 def _write_parquet(temporary: Path, path: Path, columns: dict[str, np.ndarray], runs: list[str]) -> None:
-    pyarrow = import_pyarrow(path)
+    import pyarrow.parquet
+
     table = {name: pyarrow.array(y, from_pandas=True) for name, y in columns.items()}  # NaN becomes null
     pyarrow.parquet.write_table(pyarrow.table(table | {RUN: runs}), temporary)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.data.extras import import_pyarrow
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})  # cells that hold no value, in lower case
 DELIMITERS = (",", ";", "\t")
@@ -138,7 +137,7 @@ def _delimiter(text: str, skip: Callable[[int], bool]) -> str:
 
 
 def _parquet(path: Path, content: bytes) -> Table:
-    pyarrow = import_pyarrow(path)
+    import pyarrow.parquet
 
     def column(values: Any) -> Sequence[str] | np.ndarray:
         kinds = (pyarrow.types.is_floating, pyarrow.types.is_integer, pyarrow.types.is_boolean)

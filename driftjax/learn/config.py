@@ -111,7 +111,7 @@ class LearnConfig:
     layers: Literal["both", "reference", "mpc"] = "both"
     """Where what was learnt is used: in the reference and in the MPC, or in one of them only."""
     gpr_laps: int = 3
-    """Most GP laps; fewer where the error has converged."""
+    """Most GP laps; fewer where the error has converged. 0: nominal laps only, neither GP laps nor exploration."""
     converged: float = 0.05
     """Relative change of the mean lateral error below which GP laps have converged."""
     compare: bool = True
@@ -145,7 +145,7 @@ class LearnConfig:
         require(self.noise_seeds >= 1, f"key 'noise_seeds' is {self.noise_seeds}; give at least 1.")
         require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
         require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")
-        require(self.gpr_laps >= 1, f"key 'gpr_laps' is {self.gpr_laps}; give at least 1.")
+        require(self.gpr_laps >= 0, f"key 'gpr_laps' is {self.gpr_laps}; give 0 or more.")
         require(self.converged >= 0, f"key 'converged' is {self.converged}; it must not be negative.")
         require(self.entry_error > 0, f"key 'entry_error' is {self.entry_error}; it must be positive.")
         require(0 < self.drift_beta < 1.2, f"key 'drift_beta' is {self.drift_beta}; give radians between 0 and 1.2.")
@@ -155,3 +155,11 @@ def load_learn_config(name: str | Path) -> LearnConfig:
     """Read a learn YAML: a path, or the name of a shipped one (`sedan`, `rc`)."""
     path = find_config("learn", name)
     return from_dict(LearnConfig, read_yaml(path), str(path))
+
+
+def files_of(config: LearnConfig) -> dict[str, Path]:
+    """The files that its options name, and the distribution of the car's plants unless plants are given."""
+    named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
+    found = {kind: find_config(kind, name) for kind, name in named.items()}
+    given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {"plant": f"{config.car}_distribution"}
+    return found | {key: find_config("plant", name) for key, name in given.items()}

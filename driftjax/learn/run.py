@@ -1,10 +1,11 @@
 """`driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 import equinox as eqx
+import xarray as xr
 
 from driftjax.core import BadInput, workers
 from driftjax.data.folder import RunFolder
@@ -33,19 +34,26 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
         progress, done = _resume(scenario, folder)
         report("compile", 0, len(names) + 1)
         rehearse(scenario, [name for name in names if name not in done])
-        for index, name in enumerate(names):
-            report(name, index + 1, len(names) + 1)
-            if name in done:
-                continue
-            driven = drive_stage(scenario, progress, name, index)
-            if driven is not None:
-                progress, data = driven
-                folder.write_stage(name, data, _dump(progress))
+        tell = lambda name: report(name, names.index(name) + 1, len(names) + 1)
+        for name, data, after in drive_stages(scenario, progress, done, tell):
+            folder.write_stage(name, data, _dump(after))
     found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
     folder.write_json("results", found)
     folder.collect()
     report("done", len(names) + 1, len(names) + 1)
     return found
+
+
+def drive_stages(
+    scenario: Scenario, progress: Progress, done: Collection[str] = (), tell: Callable[[str], object] = str
+) -> Iterator[tuple[str, xr.Dataset, Progress]]:
+    """Name, laps and progress of every stage that is not `done`, as it ends; `tell` hears of each before it begins."""
+    for index, name in enumerate(stage_names(scenario.config)):
+        tell(name)
+        driven = None if name in done else drive_stage(scenario, progress, name, index)
+        if driven is not None:
+            progress, data = driven
+            yield name, data, progress
 
 
 def _dump(progress: Progress) -> bytes:

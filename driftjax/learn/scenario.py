@@ -1,6 +1,7 @@
 """What an experiment drives: plants, path, sensors, seeds and controllers as one batch of lanes."""
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -79,13 +80,23 @@ def repeated(tree, num: int):
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
 
 
-def build(
-    config: LearnConfig, blocks: Blocks, vehicle: VehicleConfig | None = None, on: tuple[str, AnyPlant] | None = None
-) -> Scenario:
-    """Read the files that `config` names, plan the lap, lay out the lanes; raises `BadInput` for what does not fit.
+class Route(NamedTuple):
+    """What is known of car and track before anything is driven."""
 
-    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse; so does a plant that
-    all lanes are `on`, told with its name.
+    vehicle: VehicleConfig
+    nominal: AnyCar  # with the effects that were named
+    track: Track
+    plan: Plan
+    table: ReferenceTable  # the plan as reference
+    corner: Corner
+    steady: Equilibrium  # nominal drift equilibrium of the corner
+    branch: Branch  # its kind
+
+
+def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route:
+    """Read the car and track that `config` names and plan the lap; raises `BadInput` for what does not fit.
+
+    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
     """
     vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
@@ -99,7 +110,17 @@ def build(
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
-    steady, branch = held(nominal, where, config)
+    return Route(vehicle, nominal, track, lap, table, where, *held(nominal, where, config))
+
+
+def build(
+    config: LearnConfig, blocks: Blocks, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
+) -> Scenario:
+    """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
+
+    All lanes are `on` the plant that is given, told with its name.
+    """
+    vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
     lanes, plants, keys = lay_out(config, on, float(track.length))
     return Scenario(
         config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,

@@ -28,6 +28,8 @@ def stage_names(config: LearnConfig) -> list[str]:
     names = ["pursuit", "lqr"] if config.compare else []
     names += ["paper"] if config.compare and "paper" not in config.controllers else []
     names += ["nominal"] + (["single-layer"] if config.compare else [])
+    if not config.gpr_laps:
+        return names
     names += [f"gpr-{k}" for k in range(1, config.gpr_laps + 1)] + ["gpr-best"]
     explore = [f"explore-{k}" for k in range(1, config.explore.num_laps + 1)]
     return names + explore + (["explore-best"] if explore else [])

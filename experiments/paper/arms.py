@@ -5,9 +5,9 @@ import hashlib
 import json
 from dataclasses import dataclass
 
-from driftjax.core import find_config, read_yaml
+from driftjax.core import read_yaml
 from driftjax.core.config import to_dict
-from driftjax.learn.config import LearnConfig, load_learn_config
+from driftjax.learn.config import LearnConfig, files_of, load_learn_config
 from experiments.paper.config import Car, Config
 
 MAIN = "main"
@@ -84,8 +84,6 @@ def changed(base: LearnConfig, change: dict) -> LearnConfig:
 def fingerprint(arm: Arm) -> str:
     """SHA-256 of the settings that a run drives with: its options, and what is in the files that they name."""
     learn = arm.learn
-    named = {"vehicle": learn.vehicle, "track": learn.track, "plan": learn.plan, "sensors": learn.sensors,
-             "plant": f"{learn.car}_distribution"}  # fmt: skip
-    held = {kind: read_yaml(find_config(kind, name)) for kind, name in named.items()}
+    held = {kind: read_yaml(path) for kind, path in files_of(learn).items()}
     options = {key: value for key, value in to_dict(learn).items() if key not in ("plants", "first_plant", "seed")}
     return hashlib.sha256(json.dumps([options, held], sort_keys=True, default=str).encode()).hexdigest()

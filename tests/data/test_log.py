@@ -3,7 +3,6 @@
 import hashlib
 import math
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -277,17 +276,7 @@ def test_rates_that_differ_are_told_with_both_runs(tmp_path):
     assert len(read_log(close).runs) == 2
 
 
-def test_parquet_without_its_library_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(BadInput, match=r"log\.parquet: .*driftjax\[parquet\]"):
-        write_log(tmp_path / "log.parquet", [run_of("a")])
-    (tmp_path / "log.parquet").write_bytes(b"PAR1")
-    with pytest.raises(BadInput, match=r"log\.parquet: .*driftjax\[parquet\]"):
-        read_log([tmp_path / "log.parquet"])
-
-
 def test_parquet_that_is_broken_or_holds_text(tmp_path):
-    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "log.parquet"
     path.write_bytes(b"PAR1 and no more")
     with pytest.raises(BadInput, match=r"log\.parquet: is no readable Parquet"):

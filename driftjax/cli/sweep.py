@@ -1,0 +1,78 @@
+"""`driftjax sweep`: many trials of a verb over its options, or those of them that are missing."""
+
+import dataclasses
+import shlex
+from collections import Counter
+from pathlib import Path
+
+import tyro
+
+from driftjax.cli.console import default_out, progress, typed, within
+from driftjax.cli.swept import WORKS
+from driftjax.core import BadInput, num_cores, require
+from driftjax.core.config import to_dict
+from driftjax.data import RunFolder
+from driftjax.sweep import Laid, Store, SweepConfig, check, executor, load_sweep, sweep
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """Try many values of a verb's options, each trial once; what a folder holds already is not run again."""
+
+    config: tyro.conf.Positional[Path]
+    """YAML: `fields` with their values, `verb`, `base`, `design`, `num`, `objective` ..."""
+    out: Path | None = None
+    """Folder of the sweep, a new one or one to go on with; runs/sweep-NAME-TIME where left out."""
+    workers: int | None = None
+    """Processes that run trials side by side; one per core where left out. Results do not depend on it."""
+    ray: str | None = None
+    """Address of a Ray cluster to run on instead: `auto`, HOST:PORT, or `local` for one on this machine."""
+
+    def __post_init__(self) -> None:
+        require(self.workers is None or self.workers >= 1, f"key 'workers' is {self.workers}; give at least 1.")
+
+
+def run(argv: list[str]) -> int:
+    """Run what is missing; tables and figures of all."""
+    asked = typed(Sweep, argv, "driftjax sweep")
+    config = load_sweep(asked.config)
+    work = WORKS[config.verb]
+    try:
+        check(config, work)
+    except BadInput as error:
+        raise BadInput(f"{asked.config}: {error}") from None
+    out = asked.out or default_out("sweep", asked.config.stem)
+    store = Store(out, config, work)
+    folder = opened(out, config)
+    again = f"driftjax sweep {shlex.quote(str(asked.config))} --out {shlex.quote(str(out))}"
+    num = num_cores() if asked.workers is None else asked.workers
+    with store.locked():
+        return within(folder, lambda: all_of(config, store, num if num > 1 else 0, asked.ray), again)
+
+
+def opened(out: Path, config: SweepConfig) -> RunFolder:
+    """The folder, a new one or that of an earlier sweep over the same verb and fields."""
+    plain = to_dict(config)
+    if not (out / "config.yaml").exists():
+        return RunFolder.create(out, plain, "sweep")
+    folder = RunFolder.open(out)
+    if folder.verb != "sweep":
+        raise BadInput(f"{out}: a run of `driftjax {folder.verb}`, not of `driftjax sweep`; give another --out.")
+    same = all(folder.config.get(key) == plain[key] for key in ("verb", "base", "fields"))
+    if not same:
+        raise BadInput(f"{out}: holds a sweep over other fields or options; give another --out.")
+    return folder
+
+
+def all_of(config: SweepConfig, store: Store, workers: int, ray: str | None) -> int:
+    """Run what is missing and tell what came out; 1 where no trial of all came to its end."""
+    print(f"sweep folder: {store.path}", flush=True)
+    known, damaged = store.known()
+    for path in damaged:
+        print(f"note: {path}: could not be read and was set aside; its trials run again.", flush=True)
+    source = Laid(config, store.work, known)
+    with executor(workers, ray) as executed, progress() as report:
+        counts: Counter[str] = sweep(config, store.work, store, source, executed, report)
+    print(f"{source.kept} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")
+    print(f"sweep: {store.path}")
+    return 0

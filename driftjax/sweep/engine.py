@@ -1,0 +1,109 @@
+"""A sweep from its design to its store: chunks of trials on executors, every outcome kept as it comes."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from pathlib import Path
+
+from driftjax.core import Blocks
+from driftjax.sweep.config import SweepConfig
+from driftjax.sweep.executors import Executor
+from driftjax.sweep.source import Source
+from driftjax.sweep.store import Store
+from driftjax.sweep.trial import Outcome, Trial, Work, drive
+
+CHUNK_SECONDS, LARGEST = 10.0, 256  # a chunk is what is lost when a worker dies, and one file of the store
+KILLS = 2  # workers that a trial may take with it where it runs alone
+
+Report = Callable[[str, int, int], None]
+
+
+def sweep(config: SweepConfig, work: Work, store: Store, source: Source, executor: Executor, report: Report) -> Counter:
+    """Run what the store does not hold yet, and return how many trials ended how, of those run now."""
+    state = _Run(config, work, store, source, executor, report)
+    state.all()
+    return state.counts
+
+
+class _Run:
+    def __init__(
+        self, config: SweepConfig, work: Work, store: Store, source: Source, executor: Executor, report: Report
+    ):
+        self.config, self.work, self.store = config, work, store
+        self.source, self.executor, self.report = source, executor, report
+        self.counts: Counter[str] = Counter()
+        self._running: dict[Future, list[Trial]] = {}
+        self._suspects: list[Trial] = []  # that ran when a worker died: one of them may be to blame
+        self._kills: Counter[str] = Counter()
+        self._begun, self._each = time.monotonic(), CHUNK_SECONDS
+
+    def all(self) -> None:
+        trials = self.source.trials()
+        self._tell()
+        while True:
+            try:
+                self._fill(trials)
+                if not self._running:
+                    return
+                for future in wait(self._running, return_when=FIRST_COMPLETED).done:
+                    self._arrived(future.result())
+                    del self._running[future]
+            except BrokenProcessPool:
+                self._broken()
+            self._tell()
+
+    def _fill(self, trials: Iterator[Trial]) -> None:
+        """Keep the executor busy; while some are suspected of killing workers, with one of them alone."""
+        while len(self._running) < (1 if self._suspects else self.executor.slots):
+            chunk = [self._suspects[-1]] if self._suspects else list(islice(trials, self._size()))
+            if not chunk:
+                return
+            args = (self.work, chunk, self.store.path, self.config, self.source.watches)
+            self._running[self.executor.submit(run_chunk, *args)] = chunk
+
+    def _size(self) -> int:
+        """Trials in a chunk: as many as take `CHUNK_SECONDS`; one each where the next depend on results."""
+        return 1 if self.source.adaptive else max(1, min(LARGEST, int(CHUNK_SECONDS / self._each)))
+
+    def _arrived(self, outcomes: list[Outcome]) -> None:
+        self.store.add(outcomes)
+        for outcome in outcomes:
+            self.source.tell(outcome)
+            self.counts[outcome.status] += 1
+            self._suspects = [trial for trial in self._suspects if trial.id != outcome.trial.id]
+        self._each = max(1e-3, sum(outcome.seconds for outcome in outcomes) / len(outcomes))
+
+    def _broken(self) -> None:
+        """A worker died and took the pool with it: one of the trials that ran may be to blame."""
+        chunks = list(self._running.values())
+        self._running.clear()
+        self.executor.restart()
+        if not self._suspects:
+            self._suspects = [trial for chunk in chunks for trial in chunk]
+            return
+        [[alone]] = chunks
+        self._kills[alone.id] += 1
+        if self._kills[alone.id] == KILLS:
+            words = f"its worker process was killed {KILLS} times; it may want more memory than there is"
+            self._arrived([Outcome(alone, "failed", words, 0.0, [])])
+
+    def _tell(self) -> None:
+        total, kept = self.source.total, self.source.kept + self.counts.total()
+        spent, words = time.monotonic() - self._begun, f"{self.counts['failed']} failed"
+        if done := self.counts.total():
+            left = (total - kept) * spent / done
+            words += f", {3600 * done / spent:.0f} trials/h, {left / 60:.1f} min left"
+        self.report(words, kept, total)
+
+
+def run_chunk(
+    work: Work, trials: list[Trial], folder: Path, config: SweepConfig, watches: Callable | None
+) -> list[Outcome]:
+    """Outcomes of the trials, one after the other, in the process that is asked."""
+    return [
+        drive(work, trial, Blocks(1), folder / "work", config, watches(trial, config) if watches else None)
+        for trial in trials
+    ]

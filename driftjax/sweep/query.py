@@ -1,0 +1,118 @@
+"""Everything that was run, as one table `laps` in DuckDB: run folders and sweeps alike."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from driftjax.core import BadInput, flat
+from driftjax.data import RunFolder, list_runs
+from driftjax.data.lap_rows import LAP_COLUMNS, lap_rows
+from driftjax.sweep.store import PARTS
+
+SHOWN = ("folder", "trial", "car", "stage", "controller", "plant", "noise_seed", "completed", "lateral_error",
+         "velocity_rmse", "lap_time")  # fmt: skip
+
+
+def laps(root: Path) -> duckdb.DuckDBPyConnection:
+    """A database whose view `laps` has one row per lap below `root`: figures, options by their dotted names, `folder`,
+    `verb`, `trial` of a sweep and all its options as JSON in `config`."""
+    database, parts = duckdb.connect(), []
+    for run in list_runs(root):
+        name = f"part{len(parts)}"
+        files = [str(path) for path in sorted((run.path / PARTS).glob("*.parquet"))]
+        if run.verb == "sweep" and files:
+            given = {"folder": str(run.path), "verb": str(run.config["verb"])} | _car(run.config.get("base", {}))
+            extra = ", ".join(f"{_text(value)} as {key}" for key, value in given.items())
+            held = database.read_parquet(files, union_by_name=True)  # pyright: ignore[reportArgumentType]
+            columns = [column for column in held.columns if column not in given]
+            quoted = ", ".join(f'"{column}"' for column in columns)
+            database.register(name, held.project(f"{quoted}, {extra}").to_arrow_table())
+        elif rows := list(_rows(run)):
+            database.register(name, pa.Table.from_pylist(rows))
+        else:
+            continue
+        parts.append(f"select * from {name}")
+    if not parts:
+        raise BadInput(f"{root}: holds no finished run; give the folder where they are with --root.")
+    database.execute("create view laps as " + " union all by name ".join(parts))
+    return database
+
+
+def _car(options: dict[str, Any]) -> dict[str, str]:
+    return {"car": str(options["car"])} if "car" in options else {}
+
+
+def _text(value: str) -> str:
+    return "'" + value.replace("'", "''") + "'"
+
+
+def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
+    """Laps of a run of `learn`, with its options."""
+    if run.verb != "learn" or not run.has("laps.nc"):
+        return
+    options = {key: value for key, value in flat(run.config).items() if isinstance(value, bool | int | float | str)}
+    known = {"folder": str(run.path), "verb": run.verb, "config": json.dumps(run.config, sort_keys=True)}
+    data = run.read_dataset("laps.nc")
+    for i, stage in enumerate(data["stage"].values):
+        of_stage = data.isel(stage=i)
+        for row in lap_rows(str(stage), of_stage):
+            if row["plant"]:  # a stage with fewer lanes than others is padded
+                yield options | known | row
+
+
+def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple], int]:
+    """Names of columns, rows of the laps for which the SQL `condition` holds, best first, and how many there are."""
+    database = laps(root)
+    try:
+        found = database.sql(f"select * from laps where {condition}")
+        known = found.columns
+        columns = [name for name in SHOWN if name in known]
+        columns += [name for name in known if name not in columns and (f'"{name}"' in condition or _named(name, condition))]
+        quoted = ", ".join(f'"{name}"' for name in columns)
+        order = ' order by "lateral_error" nulls last' if "lateral_error" in known else ""
+        num = found.aggregate("count(*)").fetchall()[0][0]
+        rows = found.project(quoted).query("found", f"select * from found{order} limit {limit}").fetchall()
+    except duckdb.Error as error:
+        names = ", ".join(column for column in LAP_COLUMNS)
+        words = " ".join(str(error).split())[:200]
+        raise BadInput(f"--where: {words}; columns are car, {names} and options such as \"gp.size\".") from None
+    return columns, rows, num
+
+
+def _named(name: str, condition: str) -> bool:
+    return name in condition.replace("(", " ").replace(")", " ").replace("=", " ").replace("<", " ").split()
+
+
+def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options by dotted names, and mean figures per stage and controller, of a run folder or of a trial of a sweep."""
+    if (Path(name) / "config.yaml").is_file():
+        run = RunFolder.open(name)
+        return flat(run.config), _means(list(_rows(run)))
+    database = laps(root)
+    found = database.execute("select * from laps where trial is not null and starts_with(trial, ?)", [name])
+    columns = [column[0] for column in found.description or ()]
+    rows = [dict(zip(columns, row, strict=True)) for row in found.fetchall()]
+    trials = {row["trial"] for row in rows}
+    if len(trials) != 1:
+        many = f"{len(trials)} trials begin so" if trials else "is neither a run folder nor a trial"
+        raise BadInput(f"{name}: {many}; give a folder, or a trial's id as `driftjax runs --where` shows it.")
+    return flat(json.loads(rows[0]["config"])), _means(rows)
+
+
+def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Mean of each figure over the laps of a stage and controller that have it."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        for figure in (name for name, kind in LAP_COLUMNS.items() if kind in (float, bool)):
+            if row.get(figure) is not None:
+                found.setdefault(f"{row['stage']}, {row['controller']}: {figure}", []).append(float(row[figure]))
+    return {name: sum(values) / len(values) for name, values in found.items()}
+
+
+def differences(a: dict[str, Any], b: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """(name, value in `a`, value in `b`) wherever they differ; None where one has none."""
+    return [(name, a.get(name), b.get(name)) for name in {**a, **b} if a.get(name) != b.get(name)]

@@ -1,0 +1,103 @@
+"""Where outcomes are kept: a folder of Parquet files, each whole or absent, every trial in exactly one of them."""
+
+import fcntl
+import json
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from driftjax.core import BadInput, write_atomically
+from driftjax.sweep.config import Field, Range, SweepConfig
+from driftjax.sweep.trial import Outcome, Work
+
+PARTS, DAMAGED, ERRORS, LOCK = "trials", "damaged", "errors", "lock"
+TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+FIRST = {"trial": str, "number": int, "status": str, "seconds": float, "error": str, "config": str}
+
+
+class Store:
+    """The outcomes of one sweep on disk; one process at a time writes them."""
+
+    def __init__(self, path: Path, config: SweepConfig, work: Work):
+        self.path, self.work = path, work
+        fields = {name: _type(values) for name, values in config.varied.items()}
+        if both := sorted(set(fields) & (set(FIRST) | set(work.columns))):
+            raise BadInput(f"key 'fields.{both[0]}': results have a column of this name; vary another field.")
+        kinds = FIRST | fields | work.columns
+        self.schema = pa.schema([pa.field(name, TYPES[kind]) for name, kind in kinds.items()])
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """The folder to oneself; raises `BadInput` where another sweep writes to it. A killed one leaves no lock."""
+        try:
+            handle = (self.path / LOCK).open("a")
+        except OSError as error:
+            raise BadInput(f"{self.path}: cannot be written ({error.strerror}); give another --out.") from None
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise BadInput(
+                    f"{self.path}: another sweep is writing here; wait for it, or give another --out."
+                ) from None
+            yield
+
+    def parts(self) -> list[Path]:
+        """The Parquet files."""
+        return sorted((self.path / PARTS).glob("*.parquet"))
+
+    def known(self) -> tuple[set[str], list[Path]]:
+        """Ids of the trials that are kept, and files that were set aside because they cannot be read."""
+        ids: set[str] = set()
+        damaged = []
+        for path in self.parts():
+            try:
+                found = pq.read_table(path, columns=["trial"]).column("trial").to_pylist()
+            except (pa.ArrowException, OSError):
+                aside = self.path / DAMAGED / path.name
+                aside.parent.mkdir(exist_ok=True)
+                os.replace(path, aside)
+                damaged.append(aside)
+                continue
+            ids |= set(found)
+        return ids, damaged
+
+    def add(self, outcomes: list[Outcome]) -> Path:
+        """One more file, with these outcomes; a trial without rows has one in which only itself is told."""
+        rows = [row for outcome in outcomes for row in _rows(outcome)]
+        columns = {name: [row.get(name) for row in rows] for name in self.schema.names}
+        table = pa.table(columns, schema=self.schema)
+        folder = self.path / PARTS
+        folder.mkdir(exist_ok=True)
+        for outcome in outcomes:
+            if outcome.error:
+                (self.path / ERRORS).mkdir(exist_ok=True)
+                text = outcome.error
+                write_atomically(
+                    self.path / ERRORS / f"{outcome.trial.id}.txt", lambda p, text=text: p.write_text(text)
+                )
+        path = folder / f"{outcomes[0].trial.number:08d}-{uuid.uuid4().hex[:8]}.parquet"
+        write_atomically(path, lambda p: pq.write_table(table, p, compression="zstd"))
+        return path
+
+
+def _type(values: Field) -> type:
+    """Of a field's column."""
+    if isinstance(values, Range):
+        return int if values.integer else float
+    kinds = {type(value) for value in values.values if value is not None}
+    return kinds.pop() if len(kinds) == 1 else str
+
+
+def _rows(outcome: Outcome) -> list[dict]:
+    trial = outcome.trial
+    first = {
+        "trial": trial.id, "number": trial.number, "status": outcome.status, "seconds": outcome.seconds,
+        "error": outcome.sentence, "config": json.dumps(trial.config, sort_keys=True),
+    }  # fmt: skip
+    return [first | trial.point | row for row in outcome.rows or [{}]]

@@ -1,0 +1,98 @@
+"""One trial of a sweep: what it is known by, how it is run, and what comes of it."""
+
+import hashlib
+import json
+import math
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from driftjax.core import Blocks, put
+from driftjax.core.programs import fingerprint
+from driftjax.sweep.config import SweepConfig, Value
+from driftjax.sweep.design import Point
+
+Row = dict[str, Value]
+Watch = Callable[[int, float], bool]  # of a step and the mean objective up to it: whether to give the trial up
+
+
+@dataclass(frozen=True)
+class Work:
+    """How a sweep runs a verb; the functions are a module's own, so that workers find them."""
+
+    complete: Callable[[dict[str, Any]], dict[str, Any]]
+    """All options from those that differ, checked; raises `BadInput`."""
+    files: Callable[[dict[str, Any]], list[Path]]
+    """Files that it reads, whose contents are part of what a trial is."""
+    rows: Callable[[dict[str, Any], Blocks, Path], Iterator[list[Row]]]
+    """Rows of every step as it ends, with a folder that the trial may use."""
+    columns: dict[str, type]
+    """Of its rows."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One combination, with all options of the verb."""
+
+    id: str  # of options, contents of files, and code
+    number: int  # in the design
+    point: Point
+    config: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial."""
+
+    trial: Trial
+    status: Literal["done", "failed", "pruned"]
+    error: str  # traceback of one that failed
+    seconds: float
+    rows: list[Row]
+
+    @property
+    def sentence(self) -> str:
+        """The last line of the error."""
+        return " ".join((self.error.strip().splitlines() or [""])[-1].split())[:300]
+
+
+def trial_of(work: Work, config: SweepConfig, number: int, point: Point) -> Trial:
+    """The trial of this combination; raises `BadInput` where the verb cannot take it."""
+    whole = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
+    for name, value in point.items():
+        put(whole, name, value)
+    whole = work.complete(whole)
+    return Trial(_id(work, config.verb, whole), number, point, whole)
+
+
+def _id(work: Work, verb: str, config: dict[str, Any]) -> str:
+    digest = hashlib.sha256(fingerprint())
+    digest.update(json.dumps([verb, config], sort_keys=True).encode())
+    for path in work.files(config):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+def drive(work: Work, trial: Trial, blocks: Blocks, folder: Path, config: SweepConfig, watch: Watch | None) -> Outcome:
+    """Run the trial. What goes wrong in it is part of its outcome and ends no other."""
+    begun, rows = time.monotonic(), []
+    try:
+        for step, more in enumerate(work.rows(trial.config, blocks, folder / trial.id)):
+            rows += more
+            if watch is not None and watch(step, objective(rows, config.objective, config.stage)):
+                return Outcome(trial, "pruned", "", time.monotonic() - begun, rows)
+    except Exception:
+        return Outcome(trial, "failed", traceback.format_exc(), time.monotonic() - begun, rows)
+    return Outcome(trial, "done", "", time.monotonic() - begun, rows)
+
+
+def objective(rows: list[Row], figure: str, stage: str = "") -> float:
+    """Mean of a figure over a trial's rows of one stage, its last where none is named; NaN where there is none."""
+    stages = [row.get("stage") for row in rows]
+    wanted = stage or (stages[-1] if stages else "")
+    values = [row.get(figure) for row, name in zip(rows, stages, strict=True) if name == wanted or name is None]
+    numbers = [float(value) for value in values if isinstance(value, bool | int | float)]
+    return math.fsum(numbers) / len(numbers) if numbers and len(numbers) == len(values) else math.nan
