@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pyarrow as pa
 
 from driftjax.core import BadInput, flat
@@ -59,9 +60,9 @@ def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
     data = run.read_dataset("laps.nc")
     for i, stage in enumerate(data["stage"].values):
         of_stage = data.isel(stage=i)
-        for row in lap_rows(str(stage), of_stage):
-            if row["plant"]:  # a stage with fewer lanes than others is padded
-                yield options | known | row
+        driven = np.flatnonzero(of_stage["plant"].values != "")  # a stage with fewer lanes than others is padded
+        for row in lap_rows(str(stage), of_stage.isel(lane=driven)):
+            yield options | known | row
 
 
 def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple], int]:
