@@ -8,6 +8,7 @@ from driftjax.cli.console import typed
 from driftjax.core import require
 from driftjax.data import list_runs
 from driftjax.report import run_line
+from driftjax.report.table import aligned, cell
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,29 +37,21 @@ def run(argv: list[str]) -> int:
         from driftjax.sweep.query import where
 
         columns, rows, num = where(asked.root, asked.where, asked.limit)
-        print(aligned([tuple(columns), *rows]))
+        _show([tuple(columns), *rows])
         print(f"{num} laps" + (f", the first {asked.limit} shown" if num > asked.limit else ""))
         return 0
     if asked.compare is not None:
         from driftjax.sweep.query import differences, one
 
         (options_a, figures_a), (options_b, figures_b) = (one(asked.root, name) for name in asked.compare)
-        print(aligned([("option", *asked.compare), *differences(options_a, options_b)]))
+        _show([("option", *asked.compare), *differences(options_a, options_b)])
         print()
-        print(aligned([("mean", *asked.compare), *differences(figures_a, figures_b)]))
+        _show([("mean", *asked.compare), *differences(figures_a, figures_b)])
         return 0
     lines = [run_line(folder) for folder in list_runs(asked.root)]
     print("\n".join(lines) or f"no runs below {asked.root}")
     return 0
 
 
-def aligned(rows: list[tuple[Any, ...]]) -> str:
-    """A table of text, its first row the head."""
-    cells = [[_cell(value) for value in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-                     for row in cells)  # fmt: skip
-
-
-def _cell(value: Any) -> str:
-    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+def _show(rows: list[tuple[Any, ...]]) -> None:
+    print("\n".join(aligned([tuple(map(cell, row)) for row in rows])))

@@ -12,7 +12,11 @@ from driftjax.cli.swept import WORKS
 from driftjax.core import BadInput, num_cores, require
 from driftjax.core.config import to_dict
 from driftjax.data import RunFolder
+from driftjax.report.table import aligned
 from driftjax.sweep import Laid, Store, SweepConfig, check, executor, load_sweep, sweep
+from driftjax.sweep.chosen import Chosen
+from driftjax.sweep.figures import write_figures
+from driftjax.sweep.look import see, sensitivity, to_json, words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +51,7 @@ def run(argv: list[str]) -> int:
     again = f"driftjax sweep {shlex.quote(str(asked.config))} --out {shlex.quote(str(out))}"
     num = num_cores() if asked.workers is None else asked.workers
     with store.locked():
-        return within(folder, lambda: all_of(config, store, num if num > 1 else 0, asked.ray), again)
+        return within(folder, lambda: all_of(config, store, folder, num if num > 1 else 0, asked.ray), again)
 
 
 def opened(out: Path, config: SweepConfig) -> RunFolder:
@@ -64,15 +68,31 @@ def opened(out: Path, config: SweepConfig) -> RunFolder:
     return folder
 
 
-def all_of(config: SweepConfig, store: Store, workers: int, ray: str | None) -> int:
-    """Run what is missing and tell what came out; 1 where no trial of all came to its end."""
+def all_of(config: SweepConfig, store: Store, folder: RunFolder, workers: int, ray: str | None) -> int:
+    """Run what is missing and tell what came out; 1 where no trial has come to its end."""
     print(f"sweep folder: {store.path}", flush=True)
     known, damaged = store.known()
     for path in damaged:
         print(f"note: {path}: could not be read and was set aside; its trials run again.", flush=True)
-    source = Laid(config, store.work, known)
+    source = Chosen(config, store.work, store) if config.design == "optuna" else Laid(config, store.work, known)
     with executor(workers, ray) as executed, progress() as report:
         counts: Counter[str] = sweep(config, store.work, store, source, executed, report)
     print(f"{source.kept} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")
-    print(f"sweep: {store.path}")
-    return 0
+    return tell(folder, store, config)
+
+
+def tell(folder: RunFolder, store: Store, config: SweepConfig) -> int:
+    """results.json, figures, and the best trials on the terminal."""
+    seen = see(store, config)
+    shares = sensitivity(seen)
+    folder.write_json("results", found := to_json(seen, shares))
+    write_figures(seen, shares, folder.path / "figures")
+    print("\n".join(aligned(words(found))) if found["best"] else "no trial has a result in every row looked at")
+    if shares:
+        head = ("", f"share of the variance of {config.objective}", "95 % interval")
+        rows = sorted(shares.items(), key=lambda item: -item[1][0])
+        print(
+            "\n".join(["", *aligned([head, *((name, f"{v:.2f}", f"[{l:.2f}, {h:.2f}]") for name, (v, l, h) in rows)])])
+        )
+    print(f"sweep: {folder.path}")
+    return 0 if seen.status.get("done") else 1

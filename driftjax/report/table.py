@@ -20,6 +20,11 @@ def number(value: float | None, form: str = ".2f") -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
+def cell(value: Any) -> str:
+    """A value of any kind as text."""
+    return number(value, ".4g") if value is None or isinstance(value, float) else str(value)
+
+
 def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
     """Mean (or value) with its 95 % interval."""
     cell = cell or {}

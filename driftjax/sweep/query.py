@@ -72,7 +72,7 @@ def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple
         found = database.sql(f"select * from laps where {condition}")
         known = found.columns
         columns = [name for name in SHOWN if name in known]
-        columns += [name for name in known if name not in columns and (f'"{name}"' in condition or _named(name, condition))]
+        columns += [name for name in known if name not in SHOWN and f'"{name}"' in condition]
         quoted = ", ".join(f'"{name}"' for name in columns)
         order = ' order by "lateral_error" nulls last' if "lateral_error" in known else ""
         num = found.aggregate("count(*)").fetchall()[0][0]
@@ -80,12 +80,8 @@ def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple
     except duckdb.Error as error:
         names = ", ".join(column for column in LAP_COLUMNS)
         words = " ".join(str(error).split())[:200]
-        raise BadInput(f"--where: {words}; columns are car, {names} and options such as \"gp.size\".") from None
+        raise BadInput(f'--where: {words}; columns are car, {names} and options such as "gp.size".') from None
     return columns, rows, num
-
-
-def _named(name: str, condition: str) -> bool:
-    return name in condition.replace("(", " ").replace(")", " ").replace("=", " ").replace("<", " ").split()
 
 
 def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -110,7 +106,7 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
     for row in rows:
         for figure in (name for name, kind in LAP_COLUMNS.items() if kind in (float, bool)):
             if row.get(figure) is not None:
-                found.setdefault(f"{row['stage']}, {row['controller']}: {figure}", []).append(float(row[figure]))
+                found.setdefault(f"{', '.join(filter(None, (row.get('stage'), row.get('controller'))))}: {figure}", []).append(float(row[figure]))
     return {name: sum(values) / len(values) for name, values in found.items()}
 
 

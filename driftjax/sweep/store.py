@@ -17,7 +17,7 @@ from driftjax.sweep.trial import Outcome, Work
 
 PARTS, DAMAGED, ERRORS, LOCK = "trials", "damaged", "errors", "lock"
 TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
-FIRST = {"trial": str, "number": int, "status": str, "seconds": float, "error": str, "config": str}
+FIRST = {"trial": str, "number": int, "status": str, "seconds": float, "error": str, "config": str, "step": int}
 
 
 class Store:

@@ -81,7 +81,7 @@ def drive(work: Work, trial: Trial, blocks: Blocks, folder: Path, config: SweepC
     begun, rows = time.monotonic(), []
     try:
         for step, more in enumerate(work.rows(trial.config, blocks, folder / trial.id)):
-            rows += more
+            rows += [row | {"step": step} for row in more]
             if watch is not None and watch(step, objective(rows, config.objective, config.stage)):
                 return Outcome(trial, "pruned", "", time.monotonic() - begun, rows)
     except Exception:
