@@ -15,6 +15,7 @@ from driftjax.data import RunFolder
 from driftjax.report.table import aligned
 from driftjax.sweep import Laid, Store, SweepConfig, check, executor, load_sweep, sweep
 from driftjax.sweep.chosen import Chosen
+from driftjax.sweep.engine import devices
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.look import see, sensitivity, to_json, words
 
@@ -49,7 +50,8 @@ def run(argv: list[str]) -> int:
     store = Store(out, config, work)
     folder = opened(out, config)
     again = f"driftjax sweep {shlex.quote(str(asked.config))} --out {shlex.quote(str(out))}"
-    num = num_cores() if asked.workers is None else asked.workers
+    batch = devices() is not None  # several devices, or a GPU: this process fills them
+    num = asked.workers or (1 if batch else num_cores())
     with store.locked():
         return within(folder, lambda: all_of(config, store, folder, num if num > 1 else 0, asked.ray), again)
 
@@ -75,7 +77,7 @@ def all_of(config: SweepConfig, store: Store, folder: RunFolder, workers: int, r
     for path in damaged:
         print(f"note: {path}: could not be read and was set aside; its trials run again.", flush=True)
     source = Chosen(config, store.work, store) if config.design == "optuna" else Laid(config, store.work, known)
-    with executor(workers, ray) as executed, progress() as report:
+    with executor(workers, ray, devices() is not None) as executed, progress() as report:
         counts: Counter[str] = sweep(config, store.work, store, source, executed, report)
     print(f"{source.kept} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")
     return tell(folder, store, config)

@@ -34,7 +34,7 @@ class FitResult(eqx.Module):
     result: RESULTS  # (D,)
 
 
-def _vector(values: tuple[float, float, float], nf: int) -> Array:
+def _vector(values: tuple[float | Array, float, float], nf: int) -> Array:
     length, amplitude, noise = values
     return jnp.log(jnp.array([length] * nf + [amplitude, noise], jnp.result_type(float)))
 
@@ -99,7 +99,7 @@ def fit(
     max_iterations: int = 30,
     num_fit: int = 150,
     kernel: str = "se",
-    shortest: float = LOWER[0],
+    shortest: float | Array = LOWER[0],
     previous: GP | None = None,
     basis: Array | None = None,
     key: Array,

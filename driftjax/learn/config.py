@@ -1,6 +1,6 @@
 """What a person may choose about `driftjax learn`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -42,6 +42,11 @@ class GPConfig:
         require(self.shortest > 0, f"key 'shortest' is {self.shortest}; it must be positive.")
         require(self.restarts >= 1, f"key 'restarts' is {self.restarts}; give at least 1.")
         require(self.max_iterations >= 1, f"key 'max_iterations' is {self.max_iterations}; give at least 1.")
+
+    @property
+    def program(self) -> "GPConfig":
+        """What of this a compiled program depends on: numbers stand at their defaults."""
+        return replace(self, shortest=GPConfig.shortest)
 
 
 @dataclass(frozen=True)

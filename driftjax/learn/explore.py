@@ -154,14 +154,17 @@ def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, A
 def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
     z, _ = _states(scenario, found.V_ep, residual)
-    return scenario.blocks.map(choice_lanes, (found.V_ep, found.visited, z, residual), scenario.config.explore)
+    options = scenario.config.explore
+    lanes = (found.V_ep, found.visited, z, residual)
+    return scenario.blocks.map(choice_lanes, lanes, jnp.asarray(options.P), jnp.asarray(options.lam))
 
 
-def choice_lanes(lanes: tuple[Array, Array, Array, Residual], options: ExploreConfig) -> tuple[Array, Array, Array]:
-    """Choices of lanes given as (candidate speeds, which were visited, drift states, residual)."""
+def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """Choices by Algorithm 1 with these weights, of lanes given as (speeds, which were visited, drift states,
+    residual)."""
 
     def one(V_ep: Array, visited: Array, z: Array, d: Residual):
-        choice = select(z[:-1], visited, z[-1], d.gp, jnp.asarray(options.P), options.lam)
+        choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
     return each(one)(*lanes)

@@ -58,18 +58,19 @@ def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
 def learn_lanes(
     lanes: tuple[Memory, Approach, Trace, ReferenceTable, Array],
     nominal: AnyCar,
-    dt: float,
-    lead: float,
+    dt: Array,
+    lead: Array,
+    shortest: Array,
     config: GPConfig,
 ) -> tuple[Memory, Approach]:
     """Memories and approaches of lanes given as (both before, lap, its reference, keys)."""
-    step, claim = as_float(dt), claims(nominal) if config.orthogonal else None
+    claim = claims(nominal) if config.orthogonal else None
 
     def one(memory: Memory, approach: Approach, trace: Trace, table: ReferenceTable, key: Array):
         lap = samples(trace)
-        lags = estimate_lags(nominal, lap, step) if config.lags else memory.residual.lags
-        memory = learn(memory, *rows(nominal, lap, step, lags), lags, config, key, claim)
-        return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, step)
+        lags = estimate_lags(nominal, lap, dt) if config.lags else memory.residual.lags
+        memory = learn(memory, *rows(nominal, lap, dt, lags), lags, config, key, claim, shortest)
+        return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, dt)
 
     return each(one)(*lanes)
 
@@ -79,9 +80,8 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
     lanes = (progress.memory, progress.approach, stage.laps.trace, stage.table, keys)
     config = scenario.config
-    memory, approach = scenario.blocks.map(
-        learn_lanes, lanes, scenario.nominal, config.mpc.dt, config.switch.lead, config.gp
-    )
+    numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
+    memory, approach = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, *numbers, config.gp.program)
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
@@ -101,7 +101,11 @@ def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, a
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
         return scenario.blocks.map(
-            entry_lanes, (ocp, approach, aim), scenario.table, config.switch.lead, config.mpc.tolerance
+            entry_lanes,
+            (ocp, approach, aim),
+            scenario.table,
+            as_float(config.switch.lead),
+            as_float(config.mpc.tolerance),
         )
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
@@ -109,10 +113,10 @@ def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, a
     return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, aim.V)
 
 
-def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: float, tolerance: float) -> Planned:
+def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: Array, tolerance: Array) -> Planned:
     """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return each(lambda o, start, aim: entry_table(o, table, start, as_float(lead), aim, options))(*lanes)
+    return each(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*lanes)
 
 
 @eqx.filter_jit

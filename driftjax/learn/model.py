@@ -42,19 +42,22 @@ def learn(
     config: GPConfig,
     key: Array,
     claim: Claim | None = None,
+    shortest: Array | None = None,
 ) -> Memory:
     """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
 
     The gate of an output is the factor within 0..1 on the mean that leaves least of rows which the GP was not
     conditioned on (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, a mean that
     says too much or the wrong thing does. What known causes could say by `claim` the GP leaves to them.
+    `shortest` goes before that of `config`: a number that need not be known to compile.
     """
     Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
     mask = jnp.concatenate([memory.mask, mask])
     kept = select_dictionary(Z, Y, mask, config.size, kernel=config.kernel)
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
-        kernel=config.kernel, shortest=config.shortest, basis=None if claim is None else claim(kept[0]), key=key,
+        kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
+        basis=None if claim is None else claim(kept[0]), key=key,
     )  # fmt: skip
     gate = trust(found.gp, Z, Y, mask, config, claim)
     enough = jnp.sum(kept[2]) >= 20

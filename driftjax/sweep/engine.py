@@ -5,10 +5,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
+import jax
+
 from driftjax.core import Blocks
+from driftjax.core.joined import Joined
+from driftjax.core.sharded import Sharded
 from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.executors import Executor
 from driftjax.sweep.source import Source
@@ -16,6 +21,7 @@ from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Work, drive
 
 CHUNK_SECONDS, LARGEST = 10.0, 256  # a chunk is what is lost when a worker dies, and one file of the store
+BATCH, AT_ONCE = 256, 4  # trials in one batch on devices; trials chosen at once where they follow results
 KILLS = 2  # workers that a trial may take with it where it runs alone
 
 Report = Callable[[str, int, int], None]
@@ -65,8 +71,9 @@ class _Run:
             self._running[self.executor.submit(run_chunk, *args)] = chunk
 
     def _size(self) -> int:
-        """Trials in a chunk: as many as take `CHUNK_SECONDS`; one each where the next depend on results."""
-        return 1 if self.source.adaptive else max(1, min(LARGEST, int(CHUNK_SECONDS / self._each)))
+        """Trials in a chunk: as many as take `CHUNK_SECONDS`, or a batch; few where the next depend on results."""
+        most = BATCH if self.executor.wide else max(1, min(LARGEST, int(CHUNK_SECONDS / self._each)))
+        return min(most, AT_ONCE) if self.source.adaptive else most
 
     def _arrived(self, outcomes: list[Outcome]) -> None:
         self.store.add(outcomes)
@@ -102,8 +109,18 @@ class _Run:
 def run_chunk(
     work: Work, trials: list[Trial], folder: Path, config: SweepConfig, watches: Callable | None
 ) -> list[Outcome]:
-    """Outcomes of the trials, one after the other, in the process that is asked."""
-    return [
-        drive(work, trial, Blocks(1), folder / "work", config, watches(trial, config) if watches else None)
-        for trial in trials
-    ]
+    """Outcomes of the trials in the process that is asked: one after the other, or as one batch on its `devices`."""
+
+    def task(trial: Trial) -> Callable[[Blocks], Outcome]:
+        watch = watches(trial, config) if watches else None
+        return lambda blocks: drive(work, trial, blocks, folder / "work", config, watch)
+
+    tasks, batch = [task(trial) for trial in trials], devices()
+    return [one(Blocks(1)) for one in tasks] if batch is None else Joined(batch).run(tasks)
+
+
+@cache
+def devices() -> Sharded | None:
+    """All devices of this process, for a batch of trials; None of a single CPU, which gains nothing from batches."""
+    cpu = jax.default_backend() == "cpu"
+    return None if cpu and len(jax.local_devices()) == 1 else Sharded(1 if cpu else None)

@@ -22,6 +22,11 @@ class Executor(Protocol):
         """Chunks that are worth having under way."""
         ...
 
+    @property
+    def wide(self) -> bool:
+        """Whether it wants trials in batches."""
+        ...
+
     def submit(self, function: Callable, *args: Any) -> Future:
         """`function(*args)` begun."""
         ...
@@ -32,9 +37,12 @@ class Executor(Protocol):
 
 
 class Here:
-    """This process, at once."""
+    """This process, at once; a batch of trials where it is `wide`."""
 
     slots = 1
+
+    def __init__(self, wide: bool):
+        self.wide = wide
 
     def submit(self, function: Callable, *args: Any) -> Future:
         """Done when it returns."""
@@ -48,6 +56,8 @@ class Here:
 
 class Processes:
     """Worker processes beside this one; one chunk waits for each."""
+
+    wide = False
 
     def __init__(self, num: int, stack: ExitStack):
         self.num, self.slots, self._stack = num, 2 * num, stack
@@ -65,6 +75,8 @@ class Processes:
 
 class OnRay:
     """The workers of a Ray cluster, one core each; what a lost worker or node had begun runs again elsewhere."""
+
+    wide = False
 
     def __init__(self, address: str):
         ray = import_extra("--ray", "Ray", "ray", "ray")
@@ -100,12 +112,13 @@ def _in_worker(known: dict[str, Any], function: Callable, args: tuple) -> Any:
 
 
 @contextmanager
-def executor(num: int, ray: str | None) -> Iterator[Executor]:
-    """`num` worker processes, or this one where it is 0; the cluster at the address `ray` where one is given."""
+def executor(num: int, ray: str | None, wide: bool = False) -> Iterator[Executor]:
+    """`num` worker processes, or this one where it is 0, which may take a `wide` batch of trials; the cluster at the
+    address `ray` where one is given."""
     with ExitStack() as stack:
         if ray is not None:
             cluster = OnRay(ray)
             stack.callback(cluster.close)
             yield cluster
         else:
-            yield Processes(num, stack) if num else Here()
+            yield Processes(num, stack) if num else Here(wide)

@@ -75,8 +75,8 @@ def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple
         columns += [name for name in known if name not in SHOWN and f'"{name}"' in condition]
         quoted = ", ".join(f'"{name}"' for name in columns)
         order = ' order by "lateral_error" nulls last' if "lateral_error" in known else ""
-        num = found.aggregate("count(*)").fetchall()[0][0]
-        rows = found.project(quoted).query("found", f"select * from found{order} limit {limit}").fetchall()
+        num = len(found)
+        rows = database.execute(f"select {quoted} from laps where {condition}{order} limit {limit}").fetchall()
     except duckdb.Error as error:
         names = ", ".join(column for column in LAP_COLUMNS)
         words = " ".join(str(error).split())[:200]
@@ -104,9 +104,10 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Mean of each figure over the laps of a stage and controller that have it."""
     found: dict[str, list[float]] = {}
     for row in rows:
+        whose = ", ".join(filter(None, (row.get("stage"), row.get("controller"))))
         for figure in (name for name, kind in LAP_COLUMNS.items() if kind in (float, bool)):
             if row.get(figure) is not None:
-                found.setdefault(f"{', '.join(filter(None, (row.get('stage'), row.get('controller'))))}: {figure}", []).append(float(row[figure]))
+                found.setdefault(f"{whose}: {figure}", []).append(float(row[figure]))
     return {name: sum(values) / len(values) for name, values in found.items()}
 
 

@@ -52,8 +52,6 @@ def assert_same(a: Run, b: Run) -> None:
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_what_is_written_comes_back_to_the_last_digit(tmp_path, suffix):
-    if suffix == ".parquet":
-        pytest.importorskip("pyarrow")
     wfl = np.random.default_rng(1).normal(size=N)
     first, second = run_of("left, slow", psi=np.linspace(0, 50, N)), run_of("2", seed=1, wfl=wfl)
     first.V[7] = np.nan
@@ -277,6 +275,9 @@ def test_rates_that_differ_are_told_with_both_runs(tmp_path):
 
 
 def test_parquet_that_is_broken_or_holds_text(tmp_path):
+    import pyarrow
+    from pyarrow import parquet
+
     path = tmp_path / "log.parquet"
     path.write_bytes(b"PAR1 and no more")
     with pytest.raises(BadInput, match=r"log\.parquet: is no readable Parquet"):

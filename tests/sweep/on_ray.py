@@ -1,4 +1,4 @@
-"""A sweep on a Ray cluster of two nodes on this machine, in a process of its own: python -m tests.sweep.on_ray PATH [kill]"""
+"""A sweep on a Ray cluster of two nodes on this machine: python -m tests.sweep.on_ray PATH [kill]"""
 
 import sys
 import threading

@@ -1,0 +1,132 @@
+"""Lanes over eight forced devices: the bits of one device, nothing passed between devices, cut to the memory."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.core import Blocks
+from driftjax.core.joined import Joined
+from driftjax.core.sharded import Sharded
+
+
+def settled(lanes, rate, label):
+    """How many steps each lane takes to fall below one, and what is left of it."""
+    x, keys = lanes
+
+    def one(x, key):
+        step = lambda state: (state[0] * (1 - rate) + 1e-3 * jax.random.normal(key), state[1] + 1)
+        return jax.lax.while_loop(lambda state: state[0] > 1.0, step, (x, 0))
+
+    left, steps = jax.vmap(one)(x, keys)
+    return {"left": left, "steps": steps, "label": label}
+
+
+def some(num):
+    return jnp.linspace(2.0, 50.0, num), jax.random.split(jax.random.key(0), num)
+
+
+def test_one_device_gives_what_blocks_give():
+    found = Sharded(None).map(settled, some(5), jnp.asarray(0.1), "run")
+    whole = Blocks(None).map(settled, some(5), jnp.asarray(0.1), "run")
+    np.testing.assert_array_equal(found["left"], whole["left"])
+    np.testing.assert_array_equal(found["steps"], whole["steps"])
+    assert found["label"] == "run"
+
+
+CHILD = """
+import json, jax
+jax.config.update("jax_enable_x64", True)
+from driftjax.core import Blocks
+from driftjax.core.sharded import Sharded
+from tests.core.test_sharded import settled, some
+import jax.numpy as jnp
+rate, out = jnp.asarray(0.1), {"devices": len(jax.devices())}
+for size in (None, 1):
+    found = Sharded(size).map(settled, some(19), rate, "run")
+    out[str(size)] = [found["left"].tolist(), found["steps"].tolist()]
+one = Blocks(1).map(settled, some(19), rate, "run")
+out["one"] = [one["left"].tolist(), one["steps"].tolist()]
+out["text"] = Sharded(None).text(settled, some(19), rate, "run")
+print(json.dumps(out))
+"""
+
+
+def test_eight_devices_give_the_same_bits_and_pass_nothing():
+    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8", "JAX_PLATFORMS": "cpu"}
+    env["PYTHONPATH"] = str(Path(__file__).parents[2])
+    done = subprocess.run([sys.executable, "-c", CHILD], env=env, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert found["devices"] == 8
+    assert found["None"] == found["one"] and found["1"] == found["one"]
+    assert "num_partitions=8" in found["text"]
+    for passing in ("all-gather", "all-reduce", "all-to-all", "collective-permute", "reduce-scatter"):
+        assert passing not in found["text"]
+
+
+def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
+    blocks, calls = Sharded(None), []
+    whole = blocks.map(settled, some(8), jnp.asarray(0.1), "run")
+    call = blocks._call
+
+    def short_of_memory(function, num, lanes, shared):
+        calls.append(num)
+        if num > 3:
+            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")
+        return call(function, num, lanes, shared)
+
+    monkeypatch.setattr(blocks, "_call", short_of_memory)
+    found = blocks.map(settled, some(8), jnp.asarray(0.1), "run")
+    np.testing.assert_array_equal(found["left"], whole["left"])
+    assert calls == [8, 4, 2, 2, 2, 2]
+    calls.clear()
+    blocks.map(settled, some(4), jnp.asarray(0.1), "run")
+    assert calls == [2, 2]  # it is remembered
+
+
+def test_tasks_are_joined_in_one_batch_each_with_its_own_numbers():
+    calls = []
+
+    class Counted(Blocks):
+        def map(self, function, lanes, *shared):
+            calls.append(len(lanes[0][0]))
+            return super().map(function, lanes, *shared)
+
+    def task(rate, num, again):
+        def run(blocks):
+            found = blocks.map(settled, some(num), jnp.asarray(rate), "run")
+            return [found] + ([blocks.map(settled, some(num), jnp.asarray(2 * rate), "run")] if again else [])
+
+        return run
+
+    rates = (0.1, 0.2, 0.3)
+    found = Joined(Counted(None)).run([task(rate, n, n > 2) for rate, n in zip(rates, (2, 3, 4), strict=True)])
+    assert calls == [9, 7]
+    for one, rate, n in zip(found, rates, (2, 3, 4), strict=True):
+        alone = Blocks(None).map(settled, some(n), jnp.asarray(rate), "run")
+        np.testing.assert_array_equal(one[0]["steps"], alone["steps"])
+        np.testing.assert_allclose(one[0]["left"], alone["left"], rtol=1e-12)
+        assert one[0]["label"] == "run"
+
+
+def test_an_error_of_a_task_or_of_a_batch_is_raised_and_holds_nobody_up():
+    def fails(blocks):
+        raise ValueError("no such lane")
+
+    def asks(blocks):
+        return blocks.map(settled, some(2), jnp.asarray(0.1), "run")["steps"].shape
+
+    with pytest.raises(ValueError, match="no such lane"):
+        Joined(Blocks(None)).run([asks, fails, asks])
+    with pytest.raises(ZeroDivisionError):
+        Joined(Blocks(None)).run([lambda blocks: blocks.map(divided, some(2)), asks])
+
+
+def divided(lanes):
+    return lanes[0] * (1 / 0)
