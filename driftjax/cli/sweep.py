@@ -1,10 +1,13 @@
 """`driftjax sweep`: many trials of a verb over its options, or those of them that are missing."""
 
 import dataclasses
+import os
 import shlex
+import time
 from collections import Counter
 from pathlib import Path
 
+import jax
 import tyro
 
 from driftjax.cli.console import default_out, progress, typed, within
@@ -19,6 +22,8 @@ from driftjax.sweep.engine import devices
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.look import see, sensitivity, to_json, words
 
+WAIT = 120  # for the folder of another process [s]
+
 
 @dataclasses.dataclass(frozen=True)
 class Sweep:
@@ -32,15 +37,22 @@ class Sweep:
     """Processes that run trials side by side; one per core where left out. Results do not depend on it."""
     ray: str | None = None
     """Address of a Ray cluster to run on instead: `auto`, HOST:PORT, or `local` for one on this machine."""
+    hosts: bool = False
+    """This is one of several processes of a job (Slurm, Open MPI, or JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and
+    JAX_PROCESS_ID): each runs a share of the trials, into one --out that all see."""
 
     def __post_init__(self) -> None:
         require(self.workers is None or self.workers >= 1, f"key 'workers' is {self.workers}; give at least 1.")
+        require(not self.hosts or self.out is not None, "--hosts needs --out, a folder that all of them see.")
+        require(not self.hosts or self.ray is None, "give --hosts or --ray, not both.")
 
 
 def run(argv: list[str]) -> int:
     """Run what is missing; tables and figures of all."""
     asked = typed(Sweep, argv, "driftjax sweep")
+    share = joined_hosts() if asked.hosts else (0, 1)
     config = load_sweep(asked.config)
+    require(share[1] == 1 or config.design != "optuna", "--hosts: use --ray, or workers, for a design by Optuna.")
     work = WORKS[config.verb]
     try:
         check(config, work)
@@ -48,12 +60,33 @@ def run(argv: list[str]) -> int:
         raise BadInput(f"{asked.config}: {error}") from None
     out = asked.out or default_out("sweep", asked.config.stem)
     store = Store(out, config, work)
-    folder = opened(out, config)
+    folder = opened(out, config) if share[0] == 0 else awaited(out)
     again = f"driftjax sweep {shlex.quote(str(asked.config))} --out {shlex.quote(str(out))}"
     batch = devices() is not None  # several devices, or a GPU: this process fills them
     num = asked.workers or (1 if batch else num_cores())
-    with store.locked():
-        return within(folder, lambda: all_of(config, store, folder, num if num > 1 else 0, asked.ray), again)
+    with store.locked(share[0]):
+        return within(folder, lambda: all_of(config, store, folder, share, num if num > 1 else 0, asked.ray), again)
+
+
+def joined_hosts() -> tuple[int, int]:
+    """Which process of how many this is, once all of them are there."""
+    given = {key: os.environ.get(f"JAX_{key.upper()}") for key in ("num_processes", "process_id")}
+    try:  # JAX finds all three by itself under Slurm and Open MPI, and the address in the environment
+        jax.distributed.initialize(**{key: int(value) for key, value in given.items() if value is not None})
+    except (ValueError, RuntimeError) as error:
+        words = " ".join(str(error).split())[:200]
+        raise BadInput(f"--hosts: {words}; start it under Slurm or Open MPI, or set JAX_COORDINATOR_ADDRESS, "
+                       "JAX_NUM_PROCESSES and JAX_PROCESS_ID.") from None  # fmt: skip
+    return jax.process_index(), jax.process_count()
+
+
+def awaited(out: Path) -> RunFolder:
+    """The folder that the first process makes."""
+    for _ in range(WAIT):
+        if (out / "config.yaml").exists():
+            return RunFolder.open(out)
+        time.sleep(1.0)
+    raise BadInput(f"{out}: the first process has not made it within {WAIT} s; give an --out that all of them see.")
 
 
 def opened(out: Path, config: SweepConfig) -> RunFolder:
@@ -70,13 +103,15 @@ def opened(out: Path, config: SweepConfig) -> RunFolder:
     return folder
 
 
-def all_of(config: SweepConfig, store: Store, folder: RunFolder, workers: int, ray: str | None) -> int:
+def all_of(
+    config: SweepConfig, store: Store, folder: RunFolder, share: tuple[int, int], workers: int, ray: str | None
+) -> int:
     """Run what is missing and tell what came out; 1 where no trial has come to its end."""
     print(f"sweep folder: {store.path}", flush=True)
     known, damaged = store.known()
     for path in damaged:
         print(f"note: {path}: could not be read and was set aside; its trials run again.", flush=True)
-    source = Chosen(config, store.work, store) if config.design == "optuna" else Laid(config, store.work, known)
+    source = Chosen(config, store.work, store) if config.design == "optuna" else Laid(config, store.work, known, share)
     with executor(workers, ray, devices() is not None) as executed, progress() as report:
         counts: Counter[str] = sweep(config, store.work, store, source, executed, report)
     print(f"{source.kept} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")

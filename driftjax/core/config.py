@@ -1,6 +1,7 @@
 """Dataclass configs to and from YAML: unknown keys and wrong types are errors that name the key."""
 
 import dataclasses
+import functools
 import types
 import typing
 from pathlib import Path
@@ -59,7 +60,7 @@ def from_dict(cls: type[T], values: dict[str, Any], where: str) -> T:
 
     Lists become tuples, nested mappings nested dataclasses, integers floats where a float is wanted.
     """
-    hints = get_type_hints(cls)
+    hints = _hints(cls)
     if unknown := sorted(str(key) for key in values if key not in hints):
         raise BadInput(f"{where}: unknown key '{unknown[0]}'; known keys are {', '.join(sorted(hints))}.")
     fields = {field.name: field for field in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
@@ -72,6 +73,11 @@ def from_dict(cls: type[T], values: dict[str, Any], where: str) -> T:
         return cls(**built)
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    return get_type_hints(cls)
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:

@@ -20,7 +20,7 @@ from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Work, drive
 
-CHUNK_SECONDS, LARGEST = 10.0, 256  # a chunk is what is lost when a worker dies, and one file of the store
+CHUNK_SECONDS, LARGEST = 3.0, 256  # a chunk is what is lost when a worker dies, and one file of the store
 BATCH, AT_ONCE = 256, 4  # trials in one batch on devices; trials chosen at once where they follow results
 KILLS = 2  # workers that a trial may take with it where it runs alone
 

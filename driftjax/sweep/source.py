@@ -1,5 +1,7 @@
 """Where trials come from: a design laid out before, or one that follows what came out."""
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
@@ -34,18 +36,24 @@ class Source(Protocol):
 
 
 class Laid:
-    """A design laid out before; trials that share a program follow each other."""
+    """A design laid out before; trials that share a program follow each other.
+
+    Of several processes each runs a `share` (which, of how many) and leaves the rest to the others.
+    """
 
     adaptive, watches = False, None
 
-    def __init__(self, config: SweepConfig, work: Work, known: set[str]):
-        self.config, self.work, self.known = config, work, known
+    def __init__(self, config: SweepConfig, work: Work, known: set[str], share: tuple[int, int] = (0, 1)):
+        self.config, self.work, self.known, self.share = config, work, known, share
         self.total, self.kept = num_points(config), 0
 
     def trials(self) -> Iterator[Trial]:
         """Each once, also where two combinations are equal."""
         seen: set[str] = set()
         whole = sorted(enumerate(points(self.config)), key=lambda pair: _program(self.config, pair[1]))
+        mine, of = self.share
+        whole = [pair for pair in whole if _turn(pair[1]) % of == mine]
+        self.total = len(whole)
         for number, point in whole:
             trial = trial_of(self.work, self.config, number, point)
             if trial.id in seen:
@@ -63,6 +71,11 @@ class Laid:
 def _program(config: SweepConfig, point: Point) -> tuple[str, ...]:
     """What tells programs apart: values that are no floating-point numbers."""
     return tuple("" if isinstance(value, float) else repr(value) for value in point.values())
+
+
+def _turn(point: Point) -> int:
+    """A number that says whose turn a combination is; that of an equal one is the same."""
+    return int(hashlib.sha256(json.dumps(point, sort_keys=True).encode()).hexdigest()[:8], 16)
 
 
 def check(config: SweepConfig, work: Work) -> None:

@@ -32,10 +32,11 @@ class Store:
         self.schema = pa.schema([pa.field(name, TYPES[kind]) for name, kind in kinds.items()])
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """The folder to oneself; raises `BadInput` where another sweep writes to it. A killed one leaves no lock."""
+    def locked(self, process: int = 0) -> Iterator[None]:
+        """The folder to oneself, or the share of this `process` of several; raises `BadInput` where another sweep has
+        it. A killed one leaves no lock."""
         try:
-            handle = (self.path / LOCK).open("a")
+            handle = (self.path / f"{LOCK}{process}").open("a")
         except OSError as error:
             raise BadInput(f"{self.path}: cannot be written ({error.strerror}); give another --out.") from None
         with handle:

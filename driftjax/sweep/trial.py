@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from driftjax.core import Blocks, put
+from driftjax.core import BadInput, Blocks, put
 from driftjax.core.programs import fingerprint
 from driftjax.sweep.config import SweepConfig, Value
 from driftjax.sweep.design import Point
@@ -72,7 +72,10 @@ def _id(work: Work, verb: str, config: dict[str, Any]) -> str:
     digest = hashlib.sha256(fingerprint())
     digest.update(json.dumps([verb, config], sort_keys=True).encode())
     for path in work.files(config):
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+        try:
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path.") from None
     return digest.hexdigest()[:16]
 
 

@@ -194,26 +194,42 @@ CHILD = """
 import sys
 from pathlib import Path
 from tests.sweep.test_sweep import config_of, run
-run(Path(sys.argv[1]), config_of(fields={"x": [float(i) for i in range(12)]}, base={"pause": 0.02}), workers=2)
+x = [float(i) for i in range(int(sys.argv[2]))]
+run(Path(sys.argv[1]), config_of(fields={"x": x}, base={"pause": float(sys.argv[3])}), workers=2)
 """
 
 
-def killed_until_done(path, moments, stop=signal.SIGKILL):
-    """Kill the sweep after each of the moments [s], then let it end."""
+def killed_until_done(path, moments, trials, pause):
+    """Kill the sweep and its workers after each of the moments [s], then let it end."""
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-c", CHILD, str(path)]
+    command = [sys.executable, "-c", CHILD, str(path), str(trials), str(pause)]
     for moment in moments:
         process = subprocess.Popen(command, env=env, start_new_session=True)
         try:
             process.wait(moment)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, stop)
+            os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     subprocess.run(command, env=env, check=True)
+    rows = [row for row in table(path) if row["stage"] == "last"]
+    assert [row["x"] for row in rows] == [float(i) for i in range(trials)]
+    assert not (path / "damaged").exists()
 
 
 def test_killed_sweeps_hold_every_trial_once(tmp_path):
-    killed_until_done(tmp_path, (2.5, 4.0))
-    rows = [row for row in table(tmp_path) if row["stage"] == "last"]
-    assert [row["x"] for row in rows] == [float(i) for i in range(12)]
-    assert not (tmp_path / "damaged").exists()
+    killed_until_done(tmp_path, (2.5, 4.0), 12, 0.02)
+
+
+@pytest.mark.slow
+def test_a_hundred_kills_lose_nothing(tmp_path):
+    killed_until_done(tmp_path, np.random.default_rng(0).uniform(0.5, 7.0, 100), 400, 0.2)
+
+
+def test_a_ray_cluster_that_loses_a_node_gives_the_same(tmp_path):
+    pytest.importorskip("ray")
+    run(tmp_path / "here", config_of(base={"pause": 0.1}))
+    command = [sys.executable, "-m", "tests.sweep.on_ray", str(tmp_path / "ray")]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = lambda path: [{k: v for k, v in row.items() if k not in ("trial", "config")} for row in results(path)]
+    assert told(tmp_path / "ray") == told(tmp_path / "here")  # its options name the file by which it is seen to begin

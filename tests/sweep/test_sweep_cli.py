@@ -1,0 +1,81 @@
+"""`driftjax sweep` and `driftjax runs` over real laps; bad sweeps end with one sentence, code 2 and no folder."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from driftjax.cli import main
+
+SMALL = {
+    "base": {"plants": 1, "seed": 3, "compare": False, "gpr_laps": 0},
+    "fields": {"path.Q_path.0": [30.0, 60.0]},
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def written(content) -> str:
+    Path("sweep.yaml").write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+    return "sweep.yaml"
+
+
+def test_laps_are_swept_once_and_found_again(here, capsys):
+    assert main(["sweep", written(SMALL), "--out", "runs/s", "--workers", "1"]) == 0
+    assert "2 ran, 0 of these failed" in capsys.readouterr().out
+    assert main(["sweep", written(SMALL | {"fields": {"path.Q_path.0": [30.0, 60.0]}}), "--out", "runs/s"]) == 0
+    assert "2 trials were kept from before, 0 ran" in capsys.readouterr().out
+    assert main(["runs", "--where", "stage = 'nominal' and completed and \"path.Q_path.0\" > 50"]) == 0
+    out = capsys.readouterr().out
+    assert "1 laps" in out and "sedan" in out
+    assert {path.name for path in Path("runs/s").iterdir()} >= {
+        "config.yaml",
+        "versions.json",
+        "results.json",
+        "trials",
+    }
+    assert Path("runs/s/figures/main_effects.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ("fields: [", "sweep.yaml, line 1: not valid YAML"),
+        ({}, "sweep.yaml: key 'fields' is missing"),
+        (SMALL | {"verb": "drive"}, "sweep.yaml: key 'verb' is 'drive'; choose one of learn, diagnose, paper"),
+        (SMALL | {"fields": {"gp.sizes": [1]}}, "there is no option 'gp.sizes': 'sizes' is unknown"),
+        (SMALL | {"fields": {"gp.size": [50, 2]}}, "key 'size' is 2; give at least 20 points"),
+        (
+            SMALL | {"base": {"car": "bus"}},
+            "bus: no such file; give a path that exists or one of the shipped learn",
+        ),
+        (SMALL | {"fields": {"vehicle": ["sedan", "bus"]}}, "bus: no such file"),
+        (SMALL | {"fields": {"seed": [1]}, "design": "lhs", "num": -1}, "key 'num' is -1"),
+        ({"verb": "diagnose", "fields": {"options.seed": [0]}}, "key 'logs' is missing"),
+        ({"verb": "diagnose", "base": {"logs": ["no.csv"]}, "fields": {"options.seed": [0]}}, "no.csv"),
+        ({"verb": "paper", "fields": {"plants": [0]}}, "key 'plants' is 0"),
+    ],
+)
+def test_bad_sweeps_leave_nothing(here, capsys, content, words):
+    assert main(["sweep", written(content)]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1 and "Traceback" not in error
+    assert [path.name for path in here.iterdir()] == ["sweep.yaml"]
+
+
+def test_another_sweep_in_the_folder_is_refused(here, capsys):
+    assert main(["sweep", written(SMALL), "--out", "runs/s", "--workers", "1"]) == 0
+    assert main(["sweep", written(SMALL | {"fields": {"seed": [1]}}), "--out", "runs/s"]) == 2
+    assert "runs/s: holds a sweep over other fields or options" in capsys.readouterr().err
+    assert main(["runs", "--where", "lateral_error <", "--root", "runs"]) == 2
+    assert "--where: Parser Error" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_told(here, capsys):
+    Path("file").write_text("")
+    assert main(["sweep", written(SMALL), "--out", "file/s"]) == 2
+    assert "file/s: cannot be" in capsys.readouterr().err
