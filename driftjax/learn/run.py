@@ -62,14 +62,15 @@ def _dump(progress: Progress) -> bytes:
     return stream.getvalue()
 
 
+def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
+    """What the stage after `name` starts from."""
+    try:
+        return eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(name)), first_progress(scenario))
+    except (RuntimeError, ValueError, EOFError) as error:
+        words = str(error).splitlines()[0]
+        raise BadInput(f"{folder.path}: the state of stage {name} cannot be read ({words}); start anew.") from None
+
+
 def _resume(scenario: Scenario, folder: RunFolder) -> tuple[Progress, list[str]]:
-    progress, done = first_progress(scenario), folder.finished()
-    if done:
-        try:
-            progress = eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(done[-1])), progress)
-        except (RuntimeError, ValueError, EOFError) as error:
-            words = str(error).splitlines()[0]
-            raise BadInput(
-                f"{folder.path}: the state of stage {done[-1]} cannot be read ({words}); start anew."
-            ) from None
-    return progress, done
+    done = folder.finished()
+    return (read_progress(scenario, folder, done[-1]) if done else first_progress(scenario)), done

@@ -17,6 +17,7 @@ from driftjax.vehicle import load_vehicle
 from experiments.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, fingerprint
 from experiments.paper.config import Config
 from experiments.paper.extended import CAR, JSON, extend
+from experiments.paper.feasible import feasible
 from experiments.paper.figures import write_figures
 from experiments.paper.statistics import ablation, compared
 from experiments.paper.table import page
@@ -92,7 +93,7 @@ def shown(arm: Arm, out: Path) -> dict[str, Any]:
     """What one finished run shows."""
     run = run_of(arm, out)
     if arm.name == MAIN:
-        return {"settings": fingerprint(arm), **compared(run, arm.car)}
+        return {"settings": fingerprint(arm), **compared(run, arm.car), "feasible": feasible(run)}
     found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)

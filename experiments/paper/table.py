@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from driftjax.report.table import CONTROLLERS, interval
+from driftjax.report.table import CONTROLLERS, interval, number
 from experiments.paper.statistics import ALONE, METHODS
 
 HEAD = {
@@ -39,6 +39,7 @@ def page(results: dict[str, Any]) -> str:
     for car, found in results["cars"].items():
         lines += [f"### {car}", "", f"Settings: SHA-256 {found['settings'][:16]}.", ""]
         lines += _targets(found["targets"]) + _methods(found["methods"]) + _parts(found)
+        lines += _feasible(found["feasible"]) if found["feasible"] else []
         lines += _ablations(found["ablations"]) if found["ablations"] else []
     return "\n".join(lines).rstrip() + "\n"
 
@@ -84,6 +85,22 @@ def _parts(found: dict[str, Any]) -> list[str]:
                 rows.append((name, CONTROLLERS[who], error, *parts, "-" if far is None else f"{far:.2f}"))
     head = ("laps", "controller", "lateral error [m]", "in the first third", "of the reference itself",
             "against the reference", "share far from the GP's data")  # fmt: skip
+    return _rows(head, rows)
+
+
+def _feasible(found: dict[str, Any]) -> list[str]:
+    """Whether the plants, as learnt from them, can drive the planned speed and yaw rate."""
+    rows = []
+    for who in (who for who in CONTROLLERS if who in found):
+        mean, low, high = (number(value, ".3f") for value in found[who]["speed"])
+        shares = (f"{found[who][name]:.2f}" for name in ("exists", "steady"))
+        rows.append((CONTROLLERS[who], *shares, f"{mean} ({low} to {high})"))
+    head = (
+        "nominal car with the GP learnt on each plant",
+        f"share with a drift at V_b {found['V_b']:.2f} m/s and r_b {found['r_b']:.2f} rad/s",
+        "share with one at the planned sideslip and radius",
+        "its speed over V_b: mean (least to largest)",
+    )
     return _rows(head, rows)
 
 

@@ -178,6 +178,8 @@ def results() -> dict:
     small |= {"diagnosis": {"verdict": "NAMED", "sentence": "The car lacks drag."}}
     car = {"settings": "ab" * 32, "methods": methods, "gains": gains, "extrapolation": beyond}
     car |= {"ablations": {"one": small}, "targets": targets("rc", gains["paper"], {"paper": rows})}
+    held = {"exists": 0.5, "steady": 1.0, "speed": [0.95, 0.9, 1.01]}
+    car["feasible"] = {"V_b": 3.1, "r_b": 2.7, "paper": held, "path": held}
     split = {"seed": 6, "half": "held_out", "plants": list(range(16, 32)), "noise_seeds": 2}
     return {"split": split, "cars": {"rc": car}}
 
@@ -188,9 +190,9 @@ def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
     assert any("lateral error of the best method" in line for line in missed)
     assert "Plants 16 to 31 (seed 6, half: held out), 2 noise seeds each" in words and "abababab" in words
     tables = [block.splitlines() for block in words.split("\n\n") if block.startswith("|")]
-    assert len(tables) == 4
+    assert len(tables) == 5
     assert all(len({line.count("|") for line in lines}) == 1 for lines in tables)
-    assert all(name in words for name in (METHODS["gpr-best"], "an ablation", "0.25"))
+    assert all(name in words for name in (METHODS["gpr-best"], "an ablation", "0.25", "0.950 (0.900 to 1.010)"))
     assert "An ablation, from 60 s of the car that the plants are drawn around: NAMED. The car lacks drag." in words
 
 
