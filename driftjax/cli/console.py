@@ -7,12 +7,13 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 
 from driftjax.cli.front import Terminated
-from driftjax.core import BadInput
+from driftjax.core import BadInput, write_atomically
+from driftjax.core.config import require_finite
 from driftjax.data import Log, RunFolder, load_columns, read_log
 from driftjax.vehicle import VehicleConfig, load_vehicle, notes
 
@@ -31,10 +32,11 @@ def peek(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]
 
 def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
     """`cls` from flags over `default`; what its checks find is told as bad input."""
+    given: dict[str, Any] = {} if default is None else {"default": default}
     try:
-        if default is None:
-            return tyro.cli(cls, args=argv, prog=prog)
-        return tyro.cli(cls, args=argv, prog=prog, default=default)
+        options = tyro.cli(cls, args=argv, prog=prog, **given)
+        require_finite(options)
+        return options
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
 
@@ -63,15 +65,18 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
     try:
         return work()
     except BadInput:
-        if not folder.finished():
+        if not folder.holds_results():
             folder.discard()
         raise
     except (KeyboardInterrupt, Terminated) as stop:
         raise type(stop)(f"stopped; {kept}") from None
     except Exception as error:
-        (folder.path / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
-        words = " ".join(str(error).split())[:300]
-        print(f"driftjax: failed ({type(error).__name__}: {words}); see error.txt; {kept}", file=sys.stderr)
+        text, words, see = traceback.format_exc(), " ".join(str(error).split())[:300], "see error.txt; "
+        try:
+            write_atomically(folder.path / "error.txt", lambda path: path.write_text(text, encoding="utf-8"))
+        except OSError:  # the disk may be what failed; its words are told anyway
+            see = ""
+        print(f"driftjax: failed ({type(error).__name__}: {words}); {see}{kept}", file=sys.stderr)
         return 1
 
 

@@ -96,6 +96,10 @@ def set_up_jax() -> None:
     # XLA's CPU client with two or more threads can deadlock on LAPACK calls in one program (seen with jaxlib 0.10.2);
     # one thread is as fast for batches of laps. Set NPROC to override.
     os.environ.setdefault("NPROC", "1")
+    # Loops cut into parts for threads round otherwise than whole ones, also on several forced devices.
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_disable_hlo_passes" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_disable_hlo_passes=cpu-parallel-task-assigner".strip()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
     import jax
 

@@ -70,9 +70,10 @@ def run(argv: list[str]) -> int:
 
 def joined_hosts() -> tuple[int, int]:
     """Which process of how many this is, once all of them are there."""
-    given = {key: os.environ.get(f"JAX_{key.upper()}") for key in ("num_processes", "process_id")}
+    given = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
     try:  # JAX finds all three by itself under Slurm and Open MPI, and the address in the environment
-        jax.distributed.initialize(**{key: int(value) for key, value in given.items() if value is not None})
+        num, this = (None if value is None else int(value) for value in given)
+        jax.distributed.initialize(num_processes=num, process_id=this)
     except (ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())[:200]
         raise BadInput(f"--hosts: {words}; start it under Slurm or Open MPI, or set JAX_COORDINATOR_ADDRESS, "

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 import types
 import typing
 from pathlib import Path
@@ -107,6 +108,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
             raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
         return from_dict(typing.cast(type, hint), value, where)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        require(math.isfinite(value), f"{where} is {value}; it needs a finite number.")
         return float(value)
     if hint is Path and isinstance(value, str):
         return Path(value)
@@ -123,6 +125,12 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
     if len(value) != len(args):
         raise BadInput(f"{where} has {len(value)} entries; it needs {len(args)}.")
     return tuple(_convert(arg, item, where) for arg, item in zip(args, value, strict=True))
+
+
+def require_finite(config: Any) -> None:
+    """Raise `BadInput` where an option of a config, or of one within it, is a number that is none."""
+    for name, value in flat(to_dict(config)).items():
+        require(not isinstance(value, float) or math.isfinite(value), f"key '{name}' is {value}; give a finite number.")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

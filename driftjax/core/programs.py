@@ -31,6 +31,7 @@ UNCHECKED = [jax.export.DisabledSafetyCheck.custom_call(f"lapack_{name}_ffi") fo
 
 def call(function: Callable[..., PyTree], *args: Any) -> PyTree:
     """`function(*args)` jitted; `function` must be a module's own, without state. Arrays are traced, the rest static.
+    It runs on the device on which they are.
 
     Without a compilation cache directory, and on a GPU, it is simply traced and compiled.
     """
@@ -57,7 +58,9 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
-    key = (function, structure, traced, tuple(map(jax.typeof, arrays)), tuple(map(repr, static)), around)
+    devices = {device for leaf in arrays if isinstance(leaf, jax.Array) and leaf.committed for device in leaf.devices()}
+    shapes = tuple(map(jax.typeof, arrays))
+    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, frozenset(devices))
     if key not in _programs:
         with _locks_guard:
             lock = _locks.setdefault(key, threading.Lock())

@@ -88,6 +88,10 @@ class RunFolder:
         """Names of the finished stages, in order."""
         return [path.stem[3:] for path in sorted((self.path / "stages").glob("[0-9][0-9]_*.nc"))]
 
+    def holds_results(self) -> bool:
+        """Whether a stage, or a trial of a sweep, has been finished."""
+        return bool(self.finished()) or any((self.path / "trials").glob("*.parquet"))
+
     def _stage(self, name: str) -> Path:
         found = self.finished()
         number = found.index(name) if name in found else len(found)

@@ -1,4 +1,4 @@
-"""Which planned corners a learnt car can hold: those of the nominal car where nothing was learnt, none beyond its grip."""
+"""Which planned corners a learnt car can hold: the nominal car's where nothing was learnt, none beyond its grip."""
 
 import jax.numpy as jnp
 import numpy as np

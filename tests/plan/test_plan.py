@@ -184,7 +184,8 @@ def test_too_few_iterations_are_told():
 
 
 def test_other_numbers_and_the_other_car_need_no_new_compile(monkeypatch):
-    solved("sedan", True), solved("sedan", False)
+    solved("sedan", True)
+    solved("sedan", False)
 
     def traced_again(*_):
         raise AssertionError("the planner was traced again")

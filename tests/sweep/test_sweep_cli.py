@@ -1,5 +1,8 @@
 """`driftjax sweep` and `driftjax runs` over real laps; bad sweeps end with one sentence, code 2 and no folder."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -79,3 +82,32 @@ def test_a_folder_that_cannot_be_written_is_told(here, capsys):
     Path("file").write_text("")
     assert main(["sweep", written(SMALL), "--out", "file/s"]) == 2
     assert "file/s: cannot be" in capsys.readouterr().err
+
+
+FULL = """
+import resource, sys
+import driftjax.cli.sweep
+from driftjax.cli import main
+from tests.sweep.toy import TOY
+driftjax.cli.sweep.WORKS["learn"] = TOY  # what a verb computes does not matter here
+codes = [main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"])]
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))  # no byte more
+codes.append(main(["sweep", "more.yaml", "--out", "s", "--workers", "1"]))
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.getrlimit(resource.RLIMIT_FSIZE)[1],) * 2)
+codes.append(main(["sweep", "more.yaml", "--out", "s", "--workers", "1"]))
+print(codes)
+"""
+
+
+def test_a_disk_without_room_ends_with_a_sentence_and_loses_nothing(here):
+    sweep = {"design": "random", "num": 4, "fields": {"x": {"low": 0.0, "high": 1.0}}}
+    written(sweep)
+    Path("more.yaml").write_text(yaml.safe_dump(sweep | {"num": 6}))
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", FULL], env=env, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[0, 1, 0]", done.stdout + done.stderr
+    [sentence] = done.stderr.splitlines()
+    assert "File too large" in sentence and "what was computed is in s; continue with: driftjax sweep" in sentence
+    assert "4 trials were kept from before, 2 ran" in done.stdout
+    names = {path.name for path in Path("s").rglob("*") if path.is_file() and path.suffix != ".png"}
+    assert not {name for name in names if name.startswith(".") or name == "error.txt"}
