@@ -14,6 +14,7 @@ import pytest
 from driftjax.core import BadInput, from_dict
 from driftjax.sweep import Laid, Store, SweepConfig, check, executor, sweep
 from driftjax.sweep.design import num_points, points
+from driftjax.sweep.engine import CHUNK_SECONDS
 from driftjax.sweep.trial import objective, trial_of
 from tests.sweep.toy import TOY
 
@@ -22,6 +23,10 @@ GRID = {"x": [0.0, 1.0, 2.0, 3.0], "gp.P.0": [1.0, 3.0]}
 
 def config_of(**options):
     return from_dict(SweepConfig, {"fields": GRID} | options, "test")
+
+
+def numbered(trials):
+    return {"x": [float(i) for i in range(trials)]}
 
 
 def run(path, config, workers=0, ray=None):
@@ -193,9 +198,9 @@ def test_the_objective_is_the_mean_over_the_rows_of_a_stage():
 CHILD = """
 import sys
 from pathlib import Path
-from tests.sweep.test_sweep import config_of, run
-x = [float(i) for i in range(int(sys.argv[2]))]
-run(Path(sys.argv[1]), config_of(fields={"x": x}, base={"pause": float(sys.argv[3])}), workers=2)
+from tests.sweep.test_sweep import config_of, numbered, run
+base = {"pause": float(sys.argv[3]), "trace": sys.argv[1] + "/trace"}
+run(Path(sys.argv[1]), config_of(fields=numbered(int(sys.argv[2])), base=base), workers=2)
 """
 
 
@@ -214,6 +219,9 @@ def killed_until_done(path, moments, trials, pause):
     rows = [row for row in table(path) if row["stage"] == "last"]
     assert [row["x"] for row in rows] == [float(i) for i in range(trials)]
     assert not (path / "damaged").exists()
+    begun = (path / "trace").read_text().split()
+    most = 2 * max(1, int(CHUNK_SECONDS / pause))  # what the two workers may have had under way
+    assert len(begun) <= trials + most * len(moments)
 
 
 def test_killed_sweeps_hold_every_trial_once(tmp_path):
@@ -225,11 +233,23 @@ def test_a_hundred_kills_lose_nothing(tmp_path):
     killed_until_done(tmp_path, np.random.default_rng(0).uniform(0.5, 7.0, 100), 400, 0.2)
 
 
-def test_a_ray_cluster_that_loses_a_node_gives_the_same(tmp_path):
+def lost_nodes_change_nothing(path, trials, kills):
+    """A sweep on Ray whose second node is killed again and again gives what it gives here."""
     pytest.importorskip("ray")
-    run(tmp_path / "here", config_of(base={"pause": 0.1}))
-    command = [sys.executable, "-m", "tests.sweep.on_ray", str(tmp_path / "ray")]
+    run(path / "here", config_of(fields=numbered(trials)))
+    command = [sys.executable, "-m", "tests.sweep.on_ray", str(path / "ray"), str(trials), str(kills)]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.returncode == 0 and f"{kills} nodes killed" in done.stdout, done.stdout + done.stderr[-2000:]
     told = lambda path: [{k: v for k, v in row.items() if k not in ("trial", "config")} for row in results(path)]
-    assert told(tmp_path / "ray") == told(tmp_path / "here")  # its options name the file by which it is seen to begin
+    assert told(path / "ray") == told(path / "here")  # its options name the file by which it is seen to begin
+    begun = (path / "ray" / "trace").read_text().split()
+    assert len(begun) <= trials + 60 * kills  # a chunk of at most 30 on each of two cores is begun again
+
+
+def test_a_ray_cluster_that_loses_a_node_gives_the_same(tmp_path):
+    lost_nodes_change_nothing(tmp_path, 12, 1)
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_that_loses_twenty_nodes_gives_the_same(tmp_path):
+    lost_nodes_change_nothing(tmp_path, 1000, 20)
