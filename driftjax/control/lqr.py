@@ -25,6 +25,7 @@ class LQR(eqx.Module):
         return Control(u_eq.delta - correction[0], u_eq.Fxr - correction[1])
 
 
+@eqx.filter_jit  # eager, its loop would be compiled anew, and kept, in every call
 def lqr(
     model: Callable[[State, Control], State],
     x: State,

@@ -12,12 +12,13 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.driver import Driver
+from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
 from driftjax.learn.metrics import LapFigures
 from driftjax.learn.scenario import Scenario, drivers
 from driftjax.learn.stage import drive_lanes
-from driftjax.sim import LapCode
-from driftjax.tune.config import TuneConfig
+from driftjax.sim import LapCode, Trace
+from driftjax.tune.config import Scales, TuneConfig
 from driftjax.tune.loss import Slopes, lap_errors, lap_loss, slope_lanes
 from driftjax.tune.parameters import moved
 from driftjax.vehicle import no_residual
@@ -59,14 +60,13 @@ class Course:
 
     def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> Driven:
         """A lap of each plant `which` at each of `points`."""
-        learn, scales = self.scenario.config, self.config.scales
+        learn = self.scenario.config
         each = [self.lanes(p, which) for p in points]
         lanes = jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *each)
         trace, code, _, figures = self.scenario.blocks.map(
             drive_lanes, lanes, self.scenario.sensors, learn.lap, learn.mpc.dt
         )
-        judge = lambda t, c, table: lap_loss(lap_errors(t, table, scales), c, scales)
-        loss: Array = jax.jit(jax.vmap(judge))(trace, code, lanes[0].table)
+        loss = _losses(trace, code, lanes[0].table, self.config.scales)
         plain: Any = jax.tree.map(lambda a: np.asarray(a).reshape(len(points), -1), (loss, code, figures))
         return Driven(*plain)
 
@@ -76,6 +76,11 @@ class Course:
         shared = (self.scenario.sensors, learn.lap, learn.mpc.dt, self.config.scales, self.config.blend)
         found = self.scenario.blocks.map(slope_lanes, self.lanes(p, which), *shared)
         return jax.tree.map(np.asarray, found)
+
+
+@eqx.filter_jit  # once for all points that are tried
+def _losses(trace: Trace, code: Array, table: ReferenceTable, scales: Scales) -> Array:
+    return jax.vmap(lambda t, c, row: lap_loss(lap_errors(t, row, scales), c, scales))(trace, code, table)
 
 
 def ending(code: int) -> str:
