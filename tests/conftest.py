@@ -13,6 +13,8 @@ os.environ.setdefault("XLA_FLAGS", "--xla_disable_hlo_passes=cpu-parallel-task-a
 import jax
 import pytest
 
+from driftjax.core.programs import let_go
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_cpu_enable_async_dispatch", False)
 jax.config.update("jax_compilation_cache_dir", os.environ.get(
@@ -25,9 +27,6 @@ MAPS = 20000  # memory maps from which programs are given up
 
 @pytest.fixture(autouse=True, scope="module")
 def programs_let_go():
-    """Programs of earlier modules are given up where they have become many: a process may hold 65530 memory maps, every
-    compiled program takes some, and beyond that XLA crashes."""
+    """Programs of earlier modules are given up where they have become many."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and len(maps.read_bytes().splitlines()) > MAPS:
-        jax.clear_caches()
+    let_go(MAPS)

@@ -143,6 +143,17 @@ def _kept(path: Path, plain: Plain, arrays: list) -> tuple[Lowered, PyTree]:
     return jax.jit(jax.export.deserialize(bytearray(serialized)).call).lower(*arrays), skeleton
 
 
+def let_go(most: int = 30_000) -> None:
+    """Give up all programs of this process where it holds more than `most` memory maps; each takes some hundreds.
+
+    Linux allows a process 65530; beyond that XLA crashes. For workers that meet ever new programs, between tasks.
+    """
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > most:
+        _programs.clear()
+        jax.clear_caches()
+
+
 @functools.cache
 def fingerprint() -> bytes:
     """Of this package and of the libraries that trace and lower it: what a program, and a result, depends on."""

@@ -13,6 +13,7 @@ import jax
 
 from driftjax.core import Blocks
 from driftjax.core.joined import Joined
+from driftjax.core.programs import let_go
 from driftjax.core.sharded import Sharded
 from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.executors import Executor
@@ -116,7 +117,14 @@ def run_chunk(
         return lambda blocks: drive(work, trial, blocks, folder / "work", config, watch)
 
     tasks, batch = [task(trial) for trial in trials], devices()
-    return [one(Blocks(1)) for one in tasks] if batch is None else Joined(batch).run(tasks)
+    if batch is not None:
+        let_go()
+        return Joined(batch).run(tasks)
+    outcomes = []
+    for one in tasks:
+        let_go()
+        outcomes.append(one(Blocks(1)))
+    return outcomes
 
 
 @cache

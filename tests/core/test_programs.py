@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import programs
-from driftjax.core.programs import call, prepare
+from driftjax.core.programs import call, let_go, prepare
 
 traced: list[int] = []
 
@@ -59,3 +59,12 @@ def test_what_prints_as_an_address_is_not_kept(folder):
 def test_a_function_within_a_function_is_refused():
     with pytest.raises(ValueError, match="module"):
         call(times(2.0), jnp.ones(()))
+
+
+def test_programs_are_given_up_where_they_are_many_and_come_back(folder):
+    first = call(scaled, jnp.arange(3.0), 2)
+    let_go()
+    assert len(programs._programs) == 1
+    let_go(0)
+    assert not programs._programs
+    np.testing.assert_array_equal(call(scaled, jnp.arange(3.0), 2), first)
