@@ -4,11 +4,13 @@ import os
 import tempfile
 from pathlib import Path
 
+from driftjax import WHOLE_LOOPS
+
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("NPROC", "1")  # XLA's CPU client with two or more threads can deadlock on LAPACK calls
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
 # As the command line: loops cut into parts for threads round otherwise than whole ones.
-os.environ.setdefault("XLA_FLAGS", "--xla_disable_hlo_passes=cpu-parallel-task-assigner")
+os.environ.setdefault("XLA_FLAGS", WHOLE_LOOPS)
 
 import jax
 import pytest

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from driftjax import __version__
+from driftjax import WHOLE_LOOPS, __version__
 
 VERBS = (
     "learn",
@@ -94,12 +94,10 @@ def _told(sentence: str, code: int, verb: str = "") -> int:
 def set_up_jax() -> None:
     """Double precision, and a compilation cache that outlives the process; before anything else is imported."""
     # XLA's CPU client with two or more threads can deadlock on LAPACK calls in one program (seen with jaxlib 0.10.2);
-    # one thread is as fast for batches of laps. Set NPROC to override.
-    os.environ.setdefault("NPROC", "1")
-    # Loops cut into parts for threads round otherwise than whole ones, also on several forced devices.
+    # one thread is as fast for batches of laps. Set NPROC to override. Forced devices have threads of their own.
     flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_disable_hlo_passes" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_disable_hlo_passes=cpu-parallel-task-assigner".strip()
+    if os.environ.setdefault("NPROC", "1") == "1" and WHOLE_LOOPS not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {WHOLE_LOOPS}".strip()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
     import jax
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 
+from driftjax import WHOLE_LOOPS
 from driftjax.core import write_atomically
 from driftjax.core.config import to_dict
 from experiments.bench.config import Config, Part
@@ -69,6 +70,7 @@ def environment(part: Part, cfg: Config) -> dict[str, str]:
     # their long elementwise expressions gain from kernels with several results, which are off by default
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
     if elementwise and jax.default_backend() == "cpu":
-        own["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {fused}".strip()
+        flags = os.environ.get("XLA_FLAGS", "").replace(WHOLE_LOOPS, "")  # their loops may be shared by threads
+        own["XLA_FLAGS"] = f"{flags} {fused}".strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax import WHOLE_LOOPS
 from driftjax.cli import main
 from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
@@ -141,7 +142,9 @@ def test_loading_the_steps_in_cpp_leaves_denormal_numbers_alone():
 
 def test_only_the_mpc_gets_more_threads():
     cfg = dataclasses.replace(QUICK, threads=2)
-    assert environment("mpc", cfg)["NPROC"] == "2" and environment("gp", cfg)["NPROC"] == "1"
+    mpc, gp = environment("mpc", cfg), environment("gp", cfg)
+    assert mpc["NPROC"] == "2" and WHOLE_LOOPS not in mpc["XLA_FLAGS"]
+    assert gp["NPROC"] == "1"
 
 
 def test_bad_options_are_refused():
