@@ -1,8 +1,11 @@
 """`driftjax sweep` and `driftjax runs` over real laps; bad sweeps end with one sentence, code 2 and no folder."""
 
 import os
+import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -111,3 +114,32 @@ def test_a_disk_without_room_ends_with_a_sentence_and_loses_nothing(here):
     assert "4 trials were kept from before, 2 ran" in done.stdout
     names = {path.name for path in Path("s").rglob("*") if path.is_file() and path.suffix != ".png"}
     assert not {name for name in names if name.startswith(".") or name == "error.txt"}
+
+
+SLOW = """
+import sys
+import driftjax.cli.sweep
+from driftjax.cli import main
+from tests.sweep.toy import TOY
+driftjax.cli.sweep.WORKS["learn"] = TOY
+sys.exit(main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"]))
+"""
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_sweep_says_how_to_go_on_and_does(here, number, code):
+    written({"design": "random", "num": 40, "base": {"pause": 0.1}, "fields": {"x": {"low": 0.0, "high": 1.0}}})
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", SLOW]
+    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not list(Path("s").glob("trials/*.parquet")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, error = process.communicate()
+    [sentence] = error.splitlines()
+    assert process.returncode == code
+    assert "stopped; what was computed is in s; continue with: driftjax sweep" in sentence
+    done = subprocess.run(command, env=env, capture_output=True, text=True)
+    kept, ran = map(int, re.findall(r"(\d+) trials were kept from before, (\d+) ran", done.stdout)[0])
+    assert done.returncode == 0 and kept > 0 and ran > 0 and kept + ran == 40
