@@ -24,7 +24,7 @@ jax.config.update("jax_compilation_cache_dir", os.environ.get(
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-MAPS = 20000  # memory maps from which programs are given up
+MAPS = 40000  # memory maps from which programs are given up
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -43,6 +43,7 @@ class _Run:
         self.source, self.executor, self.report = source, executor, report
         self.counts: Counter[str] = Counter()
         self._running: dict[Future, list[Trial]] = {}
+        self._next: list[Trial] = []  # taken from the source; submitting them may fail
         self._suspects: list[Trial] = []  # that ran when a worker died: one of them may be to blame
         self._kills: Counter[str] = Counter()
         self._begun, self._each = time.monotonic(), CHUNK_SECONDS
@@ -65,11 +66,14 @@ class _Run:
     def _fill(self, trials: Iterator[Trial]) -> None:
         """Keep the executor busy; while some are suspected of killing workers, with one of them alone."""
         while len(self._running) < (1 if self._suspects else self.executor.slots):
-            chunk = [self._suspects[-1]] if self._suspects else list(islice(trials, self._size()))
+            if not self._suspects and not self._next:
+                self._next = list(islice(trials, self._size()))
+            chunk = [self._suspects[-1]] if self._suspects else self._next
             if not chunk:
                 return
             args = (self.work, chunk, self.store.path, self.config, self.source.watches)
             self._running[self.executor.submit(run_chunk, *args)] = chunk
+            self._next = [] if chunk is self._next else self._next
 
     def _size(self) -> int:
         """Trials in a chunk: as many as take `CHUNK_SECONDS`, or a batch; few where the next depend on results."""
@@ -92,11 +96,11 @@ class _Run:
         if not self._suspects:
             self._suspects = [trial for chunk in chunks for trial in chunk]
             return
-        [[alone]] = chunks
-        self._kills[alone.id] += 1
-        if self._kills[alone.id] == KILLS:
-            words = f"its worker process was killed {KILLS} times; it may want more memory than there is"
-            self._arrived([Outcome(alone, "failed", words, 0.0, [])])
+        for [alone] in chunks:  # at most one; none where the pool was found broken before it ran
+            self._kills[alone.id] += 1
+            if self._kills[alone.id] == KILLS:
+                words = f"its worker process was killed {KILLS} times; it may want more memory than there is"
+                self._arrived([Outcome(alone, "failed", words, 0.0, [])])
 
     def _tell(self) -> None:
         total, kept = self.source.total, self.source.kept + self.counts.total()

@@ -42,8 +42,11 @@ def test_a_pruner_ends_trials_after_a_step(tmp_path):
     config = config_of(fields=FIELDS, design="optuna", num=16, pruner="MedianPruner", seed=2)
     counts = run(tmp_path, config, workers=2)
     assert counts["pruned"] > 0 and counts["pruned"] + counts["done"] == 16
-    pruned = [row for row in table(tmp_path) if row["status"] == "pruned"]
-    assert {row["stage"] for row in pruned} == {"first"}
+    stages: dict[str, set[str]] = {}
+    for row in table(tmp_path):
+        if row["status"] == "pruned":
+            stages.setdefault(row["trial"], set()).add(row["stage"])
+    assert {"first"} in stages.values()  # as worse than the median after the first step; others may be after the last
 
 
 def test_failures_are_told_to_the_study_and_it_goes_on(tmp_path):
