@@ -124,7 +124,7 @@ def test_workers_give_the_same_as_this_process(tmp_path):
 
 def test_a_worker_that_dies_is_replaced_and_a_trial_that_kills_every_worker_fails(tmp_path):
     config = config_of(fields={"kind": ["good", "kills", "kills-once"]})
-    counts, _, _ = run(tmp_path, config, workers=2)
+    counts, _, _ = run(tmp_path, config, workers=1)
     assert counts == {"done": 2, "failed": 1}
     assert {(row["kind"], row["status"]) for row in table(tmp_path)} == {
         ("good", "done"), ("kills-once", "done"), ("kills", "failed"),

@@ -126,7 +126,9 @@ sys.exit(main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"]))
 """
 
 
-@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    "number, code", [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
+)
 def test_a_stopped_sweep_says_how_to_go_on_and_does(here, number, code):
     written({"design": "random", "num": 40, "base": {"pause": 0.1}, "fields": {"x": {"low": 0.0, "high": 1.0}}})
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
