@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import qmc
 
 from driftjax.sweep.config import Choices, SweepConfig, Value
 
@@ -30,6 +29,8 @@ def points(config: SweepConfig) -> Iterator[Point]:
         yield from (dict(zip(varied, row, strict=True)) for row in itertools.product(*lists))
         return
     if config.design == "lhs":
+        from scipy.stats import qmc  # takes seconds to load, in every worker
+
         rows = iter(qmc.LatinHypercube(len(varied), rng=np.random.default_rng(config.seed)).random(config.num))
     else:
         rng = np.random.default_rng(config.seed)
