@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from driftjax.core.each import num_lanes
 from driftjax.core.programs import call, prepare
 
 T = TypeVar("T")
@@ -45,7 +46,7 @@ class Blocks:
 
         `function` must be a module's own, so that it can be imported and kept (see `call`).
         """
-        num = _num(lanes)
+        num = num_lanes(lanes)
         size = num if self.size is None else self.size
         if size >= num and self.pool is None:
             return call(function, lanes, *shared)
@@ -58,7 +59,7 @@ class Blocks:
             others = jax.tree.map(_plain, shared)
             each = self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True))
             found = _arrived(lambda: list(each))
-        return jax.tree.map(_joined, *found)
+        return jax.tree.map(end_to_end, *found)
 
     def begin(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
         """`function(*args)` begun in a worker; without one, put off until the result is asked for."""
@@ -79,7 +80,7 @@ class Rehearsal(Blocks):
 
     def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
         """Zeros in the shapes of `Blocks.map`."""
-        num, args = _num(lanes), (jax.tree.map(_first, lanes), *jax.tree.map(_plain, shared))
+        num, args = num_lanes(lanes), (jax.tree.map(_first, lanes), *jax.tree.map(_plain, shared))
         name = repr((function.__qualname__, jax.tree.structure(args)))
         with self._lock:
             if name not in self._begun:
@@ -97,15 +98,11 @@ def _arrived(result: Callable[[], T]) -> T:
         ) from None
 
 
-def _joined(*parts: Any) -> Any:
+def end_to_end(*parts: Any) -> Any:
     """Arrays end to end; what is no array is the same in all."""
     if not eqx.is_array(parts[0]):
         return parts[0]
     return jnp.asarray(np.concatenate(parts)) if isinstance(parts[0], np.ndarray) else jnp.concatenate(parts)
-
-
-def _num(lanes: PyTree) -> int:
-    return next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
 
 
 def _first(leaf: Any) -> Any:

@@ -15,10 +15,15 @@ def each(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def run(*lanes: Any) -> Any:
-        num = next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
+        num = num_lanes(lanes)
         if num > 1:
             return eqx.filter_vmap(function)(*lanes)
         found = function(*jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, lanes))
         return jax.tree.map(lambda a: jnp.asarray(a)[None] if eqx.is_array_like(a) else a, found)
 
     return run
+
+
+def num_lanes(lanes: Any) -> int:
+    """Lanes of a batch: the length of the leading axis of its arrays."""
+    return next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from driftjax.core.blocks import Blocks
-from driftjax.core.each import each
+from driftjax.core.blocks import Blocks, end_to_end
+from driftjax.core.each import each, num_lanes
 
 T = TypeVar("T")
 
@@ -20,7 +20,7 @@ class _Request:
 
     def __init__(self, function: Callable[..., PyTree], lanes: PyTree, shared: tuple):
         self.function, self.lanes, self.shared = function, lanes, shared
-        self.num = next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
+        self.num = num_lanes(lanes)
         self.found: PyTree = None
         self.error: BaseException | None = None
 
@@ -119,7 +119,7 @@ def _compute(blocks: Blocks, requests: list[_Request]) -> None:
         arrays = eqx.filter(request.shared, eqx.is_array)
         spread = jax.tree.map(lambda a, num=request.num: jnp.broadcast_to(a, (num, *jnp.shape(a))), arrays)
         wholes.append((request.lanes, spread))
-    lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts) if eqx.is_array(parts[0]) else parts[0], *wholes)
+    lanes = jax.tree.map(end_to_end, *wholes)
     static = eqx.filter(requests[0].shared, eqx.is_array, inverse=True)
     found, begin = blocks.map(in_lanes, lanes, requests[0].function, static), 0
     for request in requests:

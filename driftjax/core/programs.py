@@ -36,16 +36,16 @@ def call(function: Callable[..., PyTree], *args: Any) -> PyTree:
     Without a compilation cache directory, and on a GPU, it is simply traced and compiled.
     """
     run, arrays, skeleton = _program(function, args)
-    return filled(skeleton, run(*arrays))
+    return _filled(skeleton, run(*arrays))
 
 
 def prepare(function: Callable[..., PyTree], *args: Any) -> PyTree:
     """All of `call` but the computation: compiles, and returns zeros in the shapes of the result."""
     run, _, skeleton = _program(function, args)
-    return filled(skeleton, [jnp.zeros(out.shape, out.dtype) for out in run.out_info])
+    return _filled(skeleton, [jnp.zeros(out.shape, out.dtype) for out in run.out_info])
 
 
-def filled(skeleton: PyTree, found: list) -> PyTree:
+def _filled(skeleton: PyTree, found: list) -> PyTree:
     return jax.tree.map(lambda leaf: found[leaf.index] if isinstance(leaf, _Place) else leaf, skeleton)
 
 
@@ -66,12 +66,12 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
             lock = _locks.setdefault(key, threading.Lock())
         with lock:  # of several threads one compiles
             if key not in _programs:
-                _programs[key] = _compiled(Plain(function, structure, static, traced), arrays, around)
+                _programs[key] = _compiled(_Plain(function, structure, static, traced), arrays, around)
     run, skeleton, _ = _programs[key]
     return run, arrays, skeleton
 
 
-def _compiled(plain: "Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "Plain"]:
+def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
     """The program, from the folder if it is there."""
     shapes, (module, name) = [str(jax.typeof(a)) for a in arrays], (plain.function.__module__, plain.name)
     text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, around, fingerprint()))
@@ -97,7 +97,7 @@ class _Place:
         self.index = index
 
 
-class Plain:
+class _Plain:
     """A function of arrays only, which notes the structure of its output while it is traced."""
 
     def __init__(self, function: Callable[..., PyTree], structure: Any, static: list, traced: tuple[bool, ...]):
@@ -122,17 +122,17 @@ class Plain:
 
 
 # The function and its static values are held as well: while they live no other can take an address that a key holds.
-_programs: dict[tuple, tuple[Compiled, PyTree, Plain]] = {}
+_programs: dict[tuple, tuple[Compiled, PyTree, _Plain]] = {}
 _locks: dict[tuple, threading.Lock] = {}
 _locks_guard = threading.Lock()
 
 
-def _lowered(plain: Plain, arrays: list) -> tuple[Lowered, PyTree]:
+def _lowered(plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
     lowered = jax.jit(plain).lower(*arrays)
     return lowered, plain.skeleton
 
 
-def _kept(path: Path, plain: Plain, arrays: list) -> tuple[Lowered, PyTree]:
+def _kept(path: Path, plain: _Plain, arrays: list) -> tuple[Lowered, PyTree]:
     """The program kept at `path`; it is traced and put there first where it is not."""
     if not path.is_file():
         exported = jax.export.export(jax.jit(plain), disabled_checks=UNCHECKED)(*arrays)

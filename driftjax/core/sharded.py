@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as Spec
 from jaxtyping import PyTree
 
-from driftjax.core.blocks import Blocks
+from driftjax.core.blocks import Blocks, end_to_end
+from driftjax.core.each import num_lanes
 from driftjax.core.programs import call
 
 AXIS = "lanes"
@@ -35,8 +36,9 @@ class Sharded(Blocks):
 
     def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
         """`function(lanes, *shared)`, whose arrays all have a leading axis of lanes, in and out."""
-        num = next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf))
-        width, found, done = self.mesh.size, [], 0
+        num = num_lanes(lanes)
+        shared, width = self._placed(shared, Spec()), self.mesh.size
+        found, done = [], 0
         while done < num:
             wanted = num - done if self.size is None else min(num - done, self.size * width)
             wanted = wanted if self._most is None else min(wanted, self._most)
@@ -47,11 +49,11 @@ class Sharded(Blocks):
                 if "RESOURCE_EXHAUSTED" not in str(error) or wanted <= width:
                     raise
                 self._most = wanted // 2
-        return jax.tree.map(lambda *parts: jnp.concatenate(parts) if eqx.is_array(parts[0]) else parts[0], *found)
+        return jax.tree.map(end_to_end, *found)
 
     def _call(self, function: Callable[..., PyTree], num: int, lanes: PyTree, shared: tuple) -> PyTree:
-        lanes, shared = self._placed(lanes, Spec(AXIS)), self._placed(shared, Spec())
-        each = next(len(leaf) for leaf in jax.tree.leaves(lanes) if eqx.is_array(leaf)) // self.mesh.size
+        lanes = self._placed(lanes, Spec(AXIS))
+        each = num_lanes(lanes) // self.mesh.size
         places = list(self.mesh.devices.flat)[: -(-num // each)]  # those with more than padding
         parts = self._threads.map(lambda at: call(function, _on(lanes, at), *_on(shared, at)), places)
         home = places[0]  # where what follows outside of any batch is computed

@@ -66,14 +66,16 @@ class _Run:
     def _fill(self, trials: Iterator[Trial]) -> None:
         """Keep the executor busy; while some are suspected of killing workers, with one of them alone."""
         while len(self._running) < (1 if self._suspects else self.executor.slots):
-            if not self._suspects and not self._next:
-                self._next = list(islice(trials, self._size()))
-            chunk = [self._suspects[-1]] if self._suspects else self._next
+            if self._suspects:
+                chunk = [self._suspects[-1]]
+            else:
+                chunk = self._next = self._next or list(islice(trials, self._size()))
             if not chunk:
                 return
             args = (self.work, chunk, self.store.path, self.config, self.source.watches)
             self._running[self.executor.submit(run_chunk, *args)] = chunk
-            self._next = [] if chunk is self._next else self._next
+            if not self._suspects:
+                self._next = []
 
     def _size(self) -> int:
         """Trials in a chunk: as many as take `CHUNK_SECONDS`, or a batch; few where the next depend on results."""
@@ -120,15 +122,9 @@ def run_chunk(
         watch = watches(trial, config) if watches else None
         return lambda blocks: drive(work, trial, blocks, folder / "work", config, watch)
 
+    let_go()
     tasks, batch = [task(trial) for trial in trials], devices()
-    if batch is not None:
-        let_go()
-        return Joined(batch).run(tasks)
-    outcomes = []
-    for one in tasks:
-        let_go()
-        outcomes.append(one(Blocks(1)))
-    return outcomes
+    return [one(Blocks(1)) for one in tasks] if batch is None else Joined(batch).run(tasks)
 
 
 @cache

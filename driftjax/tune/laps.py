@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from driftjax.control.driver import Driver
 from driftjax.control.table import ReferenceTable
+from driftjax.core.blocks import end_to_end
 from driftjax.gp import zero_gp
 from driftjax.learn.metrics import LapFigures
 from driftjax.learn.scenario import Scenario, drivers
@@ -62,7 +63,7 @@ class Course:
         """A lap of each plant `which` at each of `points`."""
         learn = self.scenario.config
         each = [self.lanes(p, which) for p in points]
-        lanes = jax.tree.map(lambda *a: jnp.concatenate(a) if eqx.is_array(a[0]) else a[0], *each)
+        lanes = jax.tree.map(end_to_end, *each)
         trace, code, _, figures = self.scenario.blocks.map(
             drive_lanes, lanes, self.scenario.sensors, learn.lap, learn.mpc.dt
         )
