@@ -67,7 +67,7 @@ def test_imports_point_downwards(path):
         ("vehicle", "import driftjax.sim"),
         ("tyre", "from driftjax import gp"),
         ("learn", "def f():\n    from driftjax.report import table"),
-        ("sim", "import experiments.equilibria"),
+        ("sim", "import driftjax.equilibrium.map"),
     ],
 )
 def test_the_rule_catches_imports_that_point_up_or_sideways(folder, source):

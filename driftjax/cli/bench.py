@@ -9,10 +9,10 @@ import tyro
 
 from driftjax.cli.console import default_out, progress, typed, within
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
-from experiments.bench.config import PARTS, Config
-from experiments.bench.run import main as measure
-from experiments.bench.table import page
+from driftjax.store import RunFolder
+from driftjax.studies.bench.config import PARTS, Config
+from driftjax.studies.bench.run import main as measure
+from driftjax.studies.bench.table import page
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,11 +10,11 @@ import yaml
 
 from driftjax.cli.console import default_out, measured_log, nominal_car, typed, within
 from driftjax.core import require, write_atomically
-from driftjax.data import RunFolder
-from driftjax.diagnose.calibrate import Calibration, calibrate
-from driftjax.diagnose.diagnosis import check_held_out
-from driftjax.diagnose.told import extended_car, gain_json
+from driftjax.diagnosis.calibrate import Calibration, calibrate
+from driftjax.diagnosis.diagnose import check_held_out
+from driftjax.diagnosis.serialise import extended_car, gain_json
 from driftjax.report import gain_table
+from driftjax.store import RunFolder
 from driftjax.vehicle.effect import effects_named
 
 USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")

@@ -14,7 +14,8 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput, write_atomically
 from driftjax.core.config import require_finite
-from driftjax.data import Log, RunFolder, load_columns, read_log
+from driftjax.logs import Log, load_columns, read_log
+from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig, load_vehicle, notes
 
 T = TypeVar("T")

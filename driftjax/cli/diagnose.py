@@ -7,16 +7,17 @@ from typing import Annotated, Any
 import tyro
 import yaml
 
-from driftjax.cli.closed_loop import Course, closed_loop, load_course
 from driftjax.cli.console import default_out, measured_log, nominal_car, progress, typed, within
-from driftjax.cli.simulate import drive_again
 from driftjax.core import num_workers, require, workers, write_atomically
-from driftjax.data import Log, RunFolder
-from driftjax.diagnose.diagnosis import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
-from driftjax.diagnose.stored import stored
-from driftjax.diagnose.told import bare_json, extended, to_json
-from driftjax.diagnose.verdict import Judgement
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
+from driftjax.diagnosis.figure_data import stored
+from driftjax.diagnosis.serialise import bare_json, extended, to_json
+from driftjax.diagnosis.verdict import Judgement
+from driftjax.logs import Log
+from driftjax.manoeuvres.truth import drive_again
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
+from driftjax.store import RunFolder
+from driftjax.studies.closed_loop import Course, closed_loop, load_course
 from driftjax.vehicle import VehicleConfig, load_vehicle
 
 STEPS = ("noise and nominal car", "naming", "gain", "show", "done")

@@ -8,10 +8,10 @@ import tyro
 
 from driftjax.cli.console import default_out, tell, typed, within
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
+from driftjax.equilibrium.map import Config
+from driftjax.equilibrium.map import main as draw_map
+from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
-from experiments.equilibria import Config
-from experiments.equilibria import main as draw_map
 
 
 @dataclasses.dataclass(frozen=True)

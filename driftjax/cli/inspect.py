@@ -7,9 +7,10 @@ import numpy as np
 import tyro
 
 from driftjax.cli.console import default_out, measured_log, typed, within
-from driftjax.data import CHANNELS, Log, RunFolder
-from driftjax.data.agreement import Agreement, agreements
+from driftjax.logs import CHANNELS, Log
+from driftjax.logs.agreement import Agreement, agreements
 from driftjax.report import write_inspection
+from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
 UNITS = {"V": "m/s", "beta": "rad", "r": "rad/s", "delta": "rad", "Fxr": "N", "x": "m", "y": "m", "s": "m", "e": "m",

@@ -10,11 +10,11 @@ import tyro
 from driftjax.cli.console import default_out, peek, progress, tell, typed, within
 from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
-from driftjax.learn.config import LearnConfig, load_learn_config
-from driftjax.plan import load_plan_config
+from driftjax.learning.config import LearnConfig, load_learn_config
+from driftjax.planner import load_plan_config
 from driftjax.sim import load_plants
 from driftjax.sim.sensors import load_sensors
+from driftjax.store import RunFolder
 from driftjax.track import check_width, load_track
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.plants import load_distribution
@@ -80,7 +80,7 @@ def check(config: LearnConfig) -> None:
 
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     """Run, or go on; then write and print what came out."""
-    from driftjax.learn.run import run as learn
+    from driftjax.learning.run import run as learn
     from driftjax.report import table, write_report
 
     print(f"run folder: {folder.path}", flush=True)

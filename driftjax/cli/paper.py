@@ -10,8 +10,8 @@ import tyro
 from driftjax.cli.console import default_out, peek, progress, typed, within
 from driftjax.core import BadInput, from_dict, num_workers
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
-from experiments.paper.config import Config
+from driftjax.store import RunFolder
+from driftjax.studies.paper.config import Config
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,8 +52,8 @@ def run(argv: list[str]) -> int:
 
 def work(options: Config, folder: RunFolder, workers: int | None) -> int:
     """The comparison into `folder`, and its tables on the terminal."""
-    from experiments.paper.run import main
-    from experiments.paper.table import page
+    from driftjax.studies.paper.run import main
+    from driftjax.studies.paper.table import page
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:

@@ -10,10 +10,11 @@ import tyro
 from driftjax.cli.console import default_out, peek, tell, typed, within
 from driftjax.core import RESULTS, from_dict, read_yaml
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder, plan_dataset, write_plan_csv
-from driftjax.plan import PlanConfig, load_plan_config
-from driftjax.plan import plan as solve
+from driftjax.planner import PlanConfig, load_plan_config
+from driftjax.planner import plan as solve
+from driftjax.planner.dataset import plan_dataset, write_plan_csv
 from driftjax.report import write_plan_figures
+from driftjax.store import RunFolder
 from driftjax.track import Track, check_width, load_track
 from driftjax.vehicle import VehicleConfig, load_vehicle
 

@@ -7,8 +7,8 @@ import tyro
 
 from driftjax.cli.console import typed
 from driftjax.core import BadInput, from_dict
-from driftjax.data import RunFolder
 from driftjax.report import table, write_diagnosis, write_plan_figures, write_report
+from driftjax.store import RunFolder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,9 +41,9 @@ def run(argv: list[str]) -> int:
 
 def _paper(folder: RunFolder) -> int:
     """Tables and figures of a comparison; those of its runs are rebuilt each from its own folder."""
-    from experiments.paper.config import Config
-    from experiments.paper.run import rebuild
-    from experiments.paper.table import page
+    from driftjax.studies.paper.config import Config
+    from driftjax.studies.paper.run import rebuild
+    from driftjax.studies.paper.table import page
 
     found = rebuild(from_dict(Config, folder.config, str(folder.path / "config.yaml")), folder)
     print(page(found), end="")

@@ -6,9 +6,9 @@ from typing import Any
 
 from driftjax.cli.console import typed
 from driftjax.core import require
-from driftjax.data import list_runs
 from driftjax.report import run_line
 from driftjax.report.table import aligned, cell
+from driftjax.store import list_runs
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,10 +11,11 @@ import tyro
 import yaml
 
 from driftjax.cli.console import default_out, peek, typed, within
-from driftjax.control.campaign import LATER, Campaign, Truth, record_runs
 from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder, write_log
+from driftjax.logs import write_log
+from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
+from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS, effects_named
 

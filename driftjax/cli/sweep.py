@@ -11,16 +11,16 @@ import jax
 import tyro
 
 from driftjax.cli.console import default_out, progress, typed, within
-from driftjax.cli.swept import WORKS
 from driftjax.core import BadInput, num_cores, require
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
 from driftjax.report.table import aligned
+from driftjax.store import RunFolder
+from driftjax.studies.sweepable_verbs import WORKS
 from driftjax.sweep import Laid, Store, SweepConfig, check, executor, load_sweep, sweep
-from driftjax.sweep.chosen import Chosen
+from driftjax.sweep.analysis import see, sensitivity, to_json, words
 from driftjax.sweep.engine import devices
 from driftjax.sweep.figures import write_figures
-from driftjax.sweep.look import see, sensitivity, to_json, words
+from driftjax.sweep.optuna_source import Chosen
 
 WAIT = 120  # for the folder of another process [s]
 

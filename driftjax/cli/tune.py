@@ -10,8 +10,8 @@ from driftjax.cli.console import default_out, peek, progress, typed, within
 from driftjax.cli.learn import check
 from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
 from driftjax.core.config import to_dict
-from driftjax.data import RunFolder
-from driftjax.learn.config import load_learn_config
+from driftjax.learning.config import load_learn_config
+from driftjax.store import RunFolder
 from driftjax.tune.config import TuneConfig
 
 QUICK = {"training": 1, "held_out": 2, "budget": 12}

@@ -6,15 +6,15 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from driftjax.data import RunFolder
-from driftjax.data.columns import MEASURED
-from driftjax.diagnose.residual import FORCES
+from driftjax.diagnosis.residual import FORCES
+from driftjax.logs.columns import MEASURED
 from driftjax.report.evidence import confusability, posterior, scores
 from driftjax.report.html import document, folded, heading, paragraph, picture, text
 from driftjax.report.predictions import error_over_horizon, fan
 from driftjax.report.residuals import residual_forces, whiteness
 from driftjax.report.style import save
 from driftjax.report.table import aligned, interval, number
+from driftjax.store import RunFolder
 
 TITLES = {
     "fan": ("Predictions beside the measurement", "Predictions start from the observer's state at the dots and then "

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from driftjax.data import RunFolder
 from driftjax.report.laps import stages_of
 from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, new_figure, stage_label
+from driftjax.store import RunFolder
 
 PANELS = 4  # plants shown at most
 

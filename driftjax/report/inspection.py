@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from driftjax.data import Run
+from driftjax.logs import Run
 from driftjax.report.style import GPR, new_figure, save
 
 DEG = 180 / np.pi

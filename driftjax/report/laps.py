@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from driftjax.data import RunFolder, code_names
+from driftjax.store import RunFolder, code_names
 
 
 @dataclass(frozen=True)

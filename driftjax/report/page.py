@@ -5,7 +5,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from driftjax.data import RunFolder
 from driftjax.report.comparison import comparison
 from driftjax.report.exploration import gp_data, speed_sets
 from driftjax.report.html import document, folded, picture, text
@@ -15,6 +14,7 @@ from driftjax.report.posture import posture
 from driftjax.report.style import save
 from driftjax.report.table import table
 from driftjax.report.tracking import lateral_error, velocity
+from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
 TITLES = {

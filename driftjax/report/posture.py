@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import ArrayLike
 
-from driftjax.data import RunFolder
 from driftjax.report.laps import Lap, best_laps
 from driftjax.report.plan import draw_track
 from driftjax.report.style import CONTROLLERS, KINDS, equal_axes, new_figure
+from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig
 
 OUTLINES = 12  # about how many cars are drawn through the corner

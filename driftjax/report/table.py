@@ -3,8 +3,8 @@
 import math
 from typing import Any
 
-from driftjax.data import RunFolder
 from driftjax.report.style import stage_label
+from driftjax.store import RunFolder
 
 CONTROLLERS = {"path": "path-tracking", "paper": "paper's", "pursuit": "pure pursuit", "lqr": "LQR"}
 HEAD = ("stage", "controller", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed", "failures")

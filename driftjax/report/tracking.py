@@ -5,7 +5,6 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from driftjax.data import RunFolder
 from driftjax.report.laps import Lap, best_laps, controlled_span, mean_curve, mean_of
 from driftjax.report.style import (
     CONTROLLERS,
@@ -16,6 +15,7 @@ from driftjax.report.style import (
     new_figure,
     shade,
 )
+from driftjax.store import RunFolder
 
 
 def _error(lap: Lap, s: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from driftjax.data import RunFolder
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
 from driftjax.report.table import aligned, interval, number
+from driftjax.store import RunFolder
 
 KINDS = {"default": (NOMINAL, "default"), "tuned": (EXPLORED, "tuned by gradients"), "random": (GPR, "random search")}
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from driftjax.data import Run
+from driftjax.logs import Run
 from driftjax.sim.record import Recording
 
 LOST = 5  # mean length of a dropout [samples]

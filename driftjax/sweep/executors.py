@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from driftjax.core import BadInput
 from driftjax.core.blocks import process_pool, set_up, settings
-from driftjax.data.extras import import_extra
+from driftjax.logs.extras import import_extra
 
 # What a process must find before JAX is imported, so that it computes as this one does.
 ENVIRONMENT = ("NPROC", "OPENBLAS_NUM_THREADS", "JAX_PLATFORMS", "XLA_FLAGS", "PYTHONPATH")

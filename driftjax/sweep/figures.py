@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
+from driftjax.sweep.analysis import Seen, Shares, places
 from driftjax.sweep.config import Range
-from driftjax.sweep.look import Seen, Shares, places
 
 PAIRS, LINES = 6, 500  # pairs of fields shown, trials drawn
 

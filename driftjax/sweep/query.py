@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from driftjax.core import BadInput, flat
-from driftjax.data import RunFolder, list_runs
-from driftjax.data.lap_rows import LAP_COLUMNS, lap_rows
+from driftjax.store import RunFolder, list_runs
+from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.sweep.store import PARTS
 
 SHOWN = ("folder", "trial", "car", "stage", "controller", "plant", "noise_seed", "completed", "lateral_error",

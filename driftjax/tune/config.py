@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from driftjax.core import require
-from driftjax.learn.config import LearnConfig
+from driftjax.learning.config import LearnConfig
 from driftjax.tune.parameters import NAMES
 
 

@@ -15,9 +15,9 @@ from driftjax.control.driver import Driver
 from driftjax.control.table import ReferenceTable
 from driftjax.core.blocks import end_to_end
 from driftjax.gp import zero_gp
-from driftjax.learn.metrics import LapFigures
-from driftjax.learn.scenario import Scenario, drivers
-from driftjax.learn.stage import drive_lanes
+from driftjax.learning.metrics import LapFigures
+from driftjax.learning.scenario import Scenario, drivers
+from driftjax.learning.stage import drive_lanes
 from driftjax.sim import LapCode, Trace
 from driftjax.tune.config import Scales, TuneConfig
 from driftjax.tune.loss import Slopes, lap_errors, lap_loss, slope_lanes

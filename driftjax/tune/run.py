@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import workers
-from driftjax.data.folder import RunFolder
-from driftjax.learn.metrics import interval
-from driftjax.learn.scenario import build
+from driftjax.learning.metrics import interval
+from driftjax.learning.scenario import build
+from driftjax.store.folder import RunFolder
 from driftjax.tune.config import TuneConfig
 from driftjax.tune.laps import Course, Driven, ending
 from driftjax.tune.parameters import NAMES, values

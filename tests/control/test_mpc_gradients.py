@@ -12,8 +12,8 @@ from driftjax.control.mpc import MPCSolution, Reference, drift_ocp, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
+from driftjax.studies.bench.drift import U_REF, WEIGHTS, X_REF, car, config
 from driftjax.vehicle import no_residual
-from experiments.bench.drift import U_REF, WEIGHTS, X_REF, car, config
 
 N = 10
 UNIT = np.array([1.0, 1e4])  # of commands

@@ -11,9 +11,9 @@ from driftjax.control.mpc import MPCSolution, Reference, drift_ocp, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
+from driftjax.studies.bench.casadi_mpc import Transcribed
+from driftjax.studies.bench.drift import WEIGHTS, X_REF, car, config, starts
 from driftjax.vehicle import no_residual
-from experiments.bench.casadi_mpc import Transcribed
-from experiments.bench.drift import WEIGHTS, X_REF, car, config, starts
 
 NUM = 256
 N = config().horizon

@@ -12,9 +12,9 @@ import yaml
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal, solve_steady
+from driftjax.equilibrium.map import Config, main
 from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import FoundParameter
-from experiments.equilibria import Config, main
 
 EFFECTS = {"friction": "p", "load_transfer_long": "h", "aero_drag": "c", "mass": "p", "steer_offset": "p"}
 FIXED = SlipRadius(-0.45, 15.0)

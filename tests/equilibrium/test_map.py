@@ -7,8 +7,8 @@ import pytest
 from scipy_steady_states import balance
 
 from driftjax.core import BadInput
+from driftjax.equilibrium.map import Config, main
 from driftjax.vehicle import load_vehicle
-from experiments.equilibria import Config, main
 
 
 def test_map_and_table_are_written_and_true(tmp_path):

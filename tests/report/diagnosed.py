@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from driftjax.data import DIAGNOSIS, RunFolder, dataset
+from driftjax.store import DIAGNOSIS, RunFolder, dataset
 
 EFFECTS = ("friction_rear", "stiffness_rear", "aero_drag", "steer_lag", "gyro_bias", "yaw_inertia")
 DRIVERS = ("slip_front", "slip_rear", "drive", "speed", "time", "heading", "position")

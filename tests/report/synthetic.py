@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from driftjax.data import PLAN, RunFolder, dataset
+from driftjax.store import PLAN, RunFolder, dataset
 
 CODES = {"RUNNING": 0, "COMPLETED": 1, "SPUN": 2, "OFF_TRACK": 3, "STALLED": 4, "TIMEOUT": 5, "NON_FINITE": 6}
 DT, STEPS, ROWS = 0.05, 220, 80

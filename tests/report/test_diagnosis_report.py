@@ -9,13 +9,13 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from driftjax.cli import main
-from driftjax.data import DIAGNOSIS, RunFolder
 from driftjax.report import closed_loop_table, gain_table, run_line, write_diagnosis
 from driftjax.report.diagnosis import TITLES, figures
 from driftjax.report.evidence import PLAIN, confusability, scores
 from driftjax.report.predictions import error_over_horizon, fan
 from driftjax.report.residuals import residual_forces
 from driftjax.report.style import EXPLORED, NOMINAL
+from driftjax.store import DIAGNOSIS, RunFolder
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import pytest
 from matplotlib.colors import to_hex
 from synthetic import synthetic_run
 
-from driftjax.data import RunFolder
 from driftjax.report import table, write_report
 from driftjax.report.laps import best_laps, laps_of, mean_curve
 from driftjax.report.page import figures
@@ -16,6 +15,7 @@ from driftjax.report.posture import _outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
 from driftjax.report.table import best_errors, interval
 from driftjax.report.tracking import lateral_error
+from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
 PER_CONTROLLER = ("lateral_error", "posture", "velocity", "speed_sets", "gp_data")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from driftjax.cli.front import main
-from driftjax.learn.metrics import LapFigures
+from driftjax.learning.metrics import LapFigures
 from driftjax.tune.laps import Driven
 from driftjax.tune.loss import Slopes
 from driftjax.tune.parameters import NAMES

@@ -1,0 +1,112 @@
+"""Residual forces in bins of what they may go with: means, what they explain beyond chance, and the worst in words."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.diagnosis.residual import FORCES, Residuals, limits
+from driftjax.diagnosis.select import LEVEL
+from driftjax.vehicle import VehicleConfig
+
+BINS = 10  # of equal numbers of samples
+FEWEST = 3  # blocks of time below which a bin says nothing
+DRAWS = 499  # of random signs
+WORDS = {
+    "Fx": "the longitudinal force", "Fyf": "the lateral force of the front axle",
+    "Fyr": "the lateral force of the rear axle", "slip_front": "the front slip angle",
+    "slip_rear": "the rear slip angle", "drive": "the drive force", "speed": "the speed",
+    "time": "the time since the run's start", "heading": "the heading", "position": "the position along the lap",
+}  # fmt: skip
+
+
+class Binned(NamedTuple):
+    """Residual forces over one driver; bins (B) in rising order, those of too few blocks left out."""
+
+    value: np.ndarray  # (B,) mean of the driver
+    mean: np.ndarray  # (B, 3) [N]
+    error: np.ndarray  # (B, 3) standard error, robust to dependence within blocks [N]
+    explained: np.ndarray  # (3,) share of the force's variance that the bins explain, less what chance gives
+    systematic: np.ndarray  # (3,) RMS of the force as a function of the driver, less what chance gives [N]
+    ratio: np.ndarray  # (3,) sum of squares of the bins' means over what chance gives
+    drawn: np.ndarray  # (DRAWS, 3) the same under random signs of the blocks
+
+
+class Found(NamedTuple):
+    """Residual forces of one model over everything looked at."""
+
+    rms: np.ndarray  # (3,) [N]
+    over: dict[str, Binned]
+    p_value: float  # that chance gives the largest ratio
+
+
+def binned(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
+    """`forces` (n, 3) over bins of the driver `values` (n,); None where it hardly varies.
+
+    The mean of a bin is taken as that of independent blocks: its error sums the squares of the blocks' sums.
+    """
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 3:
+        return None
+    which = np.searchsorted(edges[1:-1], values, side="right")
+    sums, counts = np.zeros((signs.shape[1], len(edges) - 1, 3)), np.zeros((signs.shape[1], len(edges) - 1))
+    np.add.at(sums, (block, which), forces)
+    np.add.at(counts, (block, which), 1.0)
+    blocks = (counts > 0).sum(axis=0)
+    use = blocks >= FEWEST
+    if use.sum() < 2:
+        return None
+    sums, counts, blocks = sums[:, use], counts[:, use], blocks[use, None]
+    n = counts.sum(axis=0)[:, None]
+    mean = sums.sum(axis=0) / n
+    off = ((sums - counts[..., None] * mean) ** 2).sum(axis=0) * blocks / (blocks - 1)  # few clusters
+    kept = use[which]
+    value = np.array([values[which == j].mean() for j in np.flatnonzero(use)])
+    chance, square = (off / n).sum(axis=0), (n * mean**2).sum(axis=0)
+    overall = forces[kept].mean(axis=0)
+    between = (n * (mean - overall) ** 2).sum(axis=0)
+    total = ((forces[kept] - overall) ** 2).sum(axis=0)
+    drawn = ((np.einsum("dc,cbf->dbf", signs, sums) ** 2) / n).sum(axis=1)
+    return Binned(
+        value, mean, np.sqrt(off) / n, np.maximum(between - chance, 0.0) / total,
+        np.sqrt(np.maximum(square - chance, 0.0) / kept.sum()), square / chance, drawn / chance,
+    )  # fmt: skip
+
+
+def look(left: Residuals, seed: int) -> Found:
+    """Residual forces over every driver, and the test that they go with none of them."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, left.block.max() + 1))
+    each = {name: binned(values, left.forces, left.block, signs) for name, values in left.over.items()}
+    over = {name: one for name, one in each.items() if one is not None}
+    rms = np.sqrt((left.forces**2).mean(axis=0))
+    if not over:
+        return Found(rms, over, 1.0)
+    largest = np.max([one.drawn.max(axis=1) for one in over.values()], axis=0)
+    most = max(float(one.ratio.max()) for one in over.values())
+    return Found(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
+
+
+def driver(found: Found, force: int) -> str | None:
+    """What the force goes with most; None where chance would do as much."""
+    if not found.over:
+        return None
+    name = max(found.over, key=lambda one: found.over[one].explained[force])
+    return name if found.over[name].explained[force] > 0 else None
+
+
+def worst(found: Found, vehicle: VehicleConfig) -> str:
+    """The worst residual force in one sentence: how large, and what it goes with."""
+    size = limits(vehicle)
+    systematic = np.max([one.systematic for one in found.over.values()], axis=0) if found.over else found.rms
+    clear = found.p_value < LEVEL
+    force = int(np.argmax((systematic if clear else found.rms) / size))
+    amount = f"{found.rms[force]:.3g} N RMS ({100 * found.rms[force] / size[force]:.2g} % of mu Fz)"
+    if not clear:
+        text = f"No residual force goes with anything looked at (p = {found.p_value:.2f}); the largest is "
+        return text + f"{WORDS[FORCES[force]]}, {amount}."
+    name = WORDS[FORCES[force]]
+    text = f"{name[0].upper()}{name[1:]} is off most: {amount}"
+    by = driver(found, force)
+    if by is None:
+        return text + ", wherever and however the car drives."
+    share = f"{100 * found.over[by].explained[force]:.0f} % of its variance (p = {found.p_value:.3f})"
+    return text + f"; it goes with {WORDS[by]} most, which explains {share}."

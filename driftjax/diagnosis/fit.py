@@ -1,0 +1,215 @@
+"""Hypotheses fitted: Gauss-Newton on the parameters of the effects in question, through the observer's innovations."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from driftjax.core import BadInput
+from driftjax.diagnosis.noise import CORRELATION, FIRST, PRIOR, Noise, estimate, measurement_noise
+from driftjax.diagnosis.observer import Gains
+from driftjax.diagnosis.runs import (
+    Followed,
+    Pieces,
+    derivatives,
+    differentiate,
+    follow,
+    gains,
+    held,
+    pick,
+    pieces,
+    whiten,
+)
+from driftjax.logs import Run
+from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.effect import Effect
+from driftjax.vehicle.single_track import G
+from driftjax.vehicle.universal import Universal, universal
+
+LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
+TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
+STABLE = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
+SLOW = 0.3  # fall of the cost, over that of the step before, from which derivatives are had anew
+
+
+class Problem(NamedTuple):
+    """Data and model of one diagnosis, with the noise and the observer's gains."""
+
+    model: Universal
+    data: Pieces
+    lower: np.ndarray  # (K,) bounds of theta, in typical sizes
+    upper: np.ndarray
+    start: np.ndarray  # (K,) theta of the nominal car, 0 but for the effects that its file names already
+    owner: np.ndarray  # (K,) index of the effect that a parameter belongs to
+    has: frozenset[str]  # further columns that every run has
+    asked: np.ndarray  # (K,) whether the parameter is in question: others stay where they start
+    noise: Noise
+    gains: Gains
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The catalogue, in the order of `owner`."""
+        return self.model.effects
+
+    def columns(self, members: tuple[int, ...]) -> np.ndarray:
+        """Parameters of the effects `members`."""
+        return np.flatnonzero(np.isin(self.owner, members))
+
+    def part(self, runs: np.ndarray) -> "Problem":
+        """The same problem over the runs with these numbers only."""
+        keep = np.flatnonzero(np.isin(self.data.run, runs))
+        return self._replace(data=self.data.part(keep), gains=pick(self.gains, keep))
+
+
+class Fit(NamedTuple):
+    """One hypothesis at its best."""
+
+    theta: np.ndarray  # (K,) in typical sizes
+    cost: float  # sum of squares of whitened innovations, prior included
+    e: np.ndarray  # (P, T, 3) whitened innovations
+
+
+def problem(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
+) -> Problem:
+    """Everything that questions need, the noise estimated from the data: what no effect in question explains."""
+    task = posed(vehicle, effects, runs, without)
+    return tuned(task, task.start, task.asked)
+
+
+def posed(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
+) -> Problem:
+    """Everything but the noise, which is a first guess, and gains, which hold any car to the data.
+
+    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
+    """
+    data = pieces(vehicle, runs)
+    model = universal(vehicle, effects, substeps(vehicle, runs))
+    has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
+    parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
+    asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
+    lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
+    owner, fixed, start = np.array([i for i, _ in parameters]), held(data), named_already(vehicle, model)
+    return Problem(model, data, lower, upper, start, owner, has, asked, first_guess(data), fixed)
+
+
+def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
+    """In how many parts a step between samples is to be integrated, at nearly the slowest speed of `runs`.
+
+    On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates.
+    """
+    V = np.nanquantile(np.concatenate([run.V for run in runs]), 0.05)
+    stiffness = vehicle.mu * vehicle.B * vehicle.C * G / max(V, 0.1 * np.sqrt(G * (vehicle.a + vehicle.b)))
+    fastest = stiffness * max(1.0, vehicle.m * vehicle.a * vehicle.b / vehicle.Iz)
+    return max(int(np.ceil(runs[0].dt * fastest / STABLE)), 1)
+
+
+def named_already(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
+    """Theta (K,) of the effects in the file of `vehicle`."""
+    values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
+    each = [(effect.name, p.name) for effect in model.effects for p in effect.parameters]
+    lost = sorted({effect for effect, _ in values} - {effect for effect, _ in each})
+    if lost:
+        raise BadInput(f"vehicle '{vehicle.name}' has the effects {', '.join(lost)}, which this catalogue lacks.")
+    return np.array([values.get(key, 0.0) for key in each]) / np.asarray(model.scale)
+
+
+def first_guess(data: Pieces) -> Noise:
+    """Noise before any model is asked."""
+    sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
+    return Noise(sigma, FIRST * sigma, CORRELATION)
+
+
+def tuned(task: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
+    """The problem with the noise that the car `theta` needs, and gains along its path.
+
+    What parameters that are `profiled` (K,) out could explain is not taken for noise.
+    """
+    model, data, fixed = task.model, task.data, held(task.data)
+    path = follow(model, data, theta, fixed)
+    steps = derivatives(model, data, theta, path, profiled)
+    noise = estimate(steps, path.e, fixed, first_guess(data), data.dt)
+    return observed(task, theta, noise)
+
+
+def observed(task: Problem, theta: np.ndarray, noise: Noise) -> Problem:
+    """The problem with this noise, and gains along the path of the car `theta`."""
+    data = task.data
+    return task._replace(noise=noise, gains=gains(task.model, data, theta, noise.row(), held(data)))
+
+
+def around(task: Problem, fit: Fit) -> Followed:
+    """Whitened innovations and their derivatives at `fit`."""
+    return differentiate(task.model, task.data, fit.theta, task.gains, task.asked)
+
+
+def priced(task: Problem, theta: np.ndarray) -> Fit:
+    """The hypothesis `theta` with its cost, infinite where the observer loses the car.
+
+    Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
+    costs: otherwise a delay would pay by itself.
+    """
+    path = follow(task.model, task.data, theta, task.gains)
+    e = np.asarray(whiten(task.gains, path.e))
+    used = path.seen * np.any(task.gains.white, axis=-1)
+    cost = float(np.sum(e**2)) + float(np.sum(task.data.track.seen - used))
+    cost += float(np.sum((theta - task.start) ** 2)) / PRIOR**2
+    return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
+
+
+def information(J: ArrayLike) -> np.ndarray:
+    """Information (K, K) of derivatives (P, T, 3, K)."""
+    J = np.asarray(J)
+    return np.einsum("ptij,ptik->jk", J, J, optimize=True)
+
+
+def normal(at: Followed) -> tuple[np.ndarray, np.ndarray]:
+    """Information (K, K) and score (K,)."""
+    return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
+
+
+def refine(task: Problem, fit: Fit, columns: np.ndarray, near: Followed, num: int = 6) -> Fit:
+    """`fit` improved over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
+
+    Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
+    1995, Sec. 5.4.1), for they take several times as long as the innovations.
+    """
+    if not len(columns):
+        return fit
+    last, J = np.inf, np.asarray(near.J)[..., columns]
+    for _ in range(num):
+        H = information(J) + np.eye(len(columns)) / PRIOR**2
+        score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - task.start)[columns] / PRIOR**2
+        step = np.zeros_like(fit.theta)
+        step[columns] = np.linalg.solve(H, score)
+        if not score @ step[columns] > TOLERANCE:  # what the step promises
+            break
+        before, fit = fit.cost, _shorten(task, fit, step)
+        fall = before - fit.cost
+        if not fall > TOLERANCE:
+            break
+        if fall > SLOW * last:
+            J = np.asarray(around(task, fit).J)[..., columns]
+        last = fall
+    return fit
+
+
+def settle(task: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Followed]:
+    """The best fit over the parameters `columns`, and its derivatives: refined until its own ask for no more."""
+    at = around(task, fit)
+    for _ in range(num):
+        better = refine(task, fit, columns, at)
+        if better is fit:
+            break
+        fit, at = better, around(task, better)
+    return fit, at
+
+
+def _shorten(task: Problem, fit: Fit, step: np.ndarray) -> Fit:
+    """The first of ever shorter steps that lowers the cost, else `fit`."""
+    for length in LENGTHS:
+        trial = priced(task, np.clip(fit.theta + length * step, task.lower, task.upper))
+        if trial.cost < fit.cost:
+            return trial
+    return fit

@@ -1,0 +1,96 @@
+"""Residual forces: what each axle does beyond the model, and with what that goes.
+
+A disturbance of the rates is a force along the car, one to the left and a moment, and these are, whatever the car, a
+drive force and a lateral force of each axle. A cause that sits at one axle therefore shows at that axle only.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.core import Control, State
+from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.noise import Noise, estimate
+from driftjax.diagnosis.observer import Path, Steps
+from driftjax.diagnosis.runs import derivatives, follow, lap_length, spans
+from driftjax.diagnosis.smooth import inside, smooth
+from driftjax.logs import Run
+from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.single_track import G
+
+FORCES = ("Fx", "Fyf", "Fyr")
+SETTLE = 0.5  # time after a run's start that is left out: commands before it are not known [s]
+
+
+class Residuals(NamedTuple):
+    """Samples (n,) of one model's residual forces, and what they may go with."""
+
+    forces: np.ndarray  # (n, 3) drive force, lateral force of front and of rear axle [N], left positive
+    over: dict[str, np.ndarray]  # (n,) each, SI
+    block: np.ndarray  # (n,) number of the block of time
+
+
+def axle_forces(vehicle: VehicleConfig, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
+    """Forces (..., 3) [N] that give the car in the state `x` (..., 3) the further rates `push` (..., 3).
+
+    dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
+    dY = dFyf cos delta + dFyr, dN = a dFyf cos delta - b dFyr, dX = dFx - dFyf sin delta.
+    """
+    (V, beta, _), (dV, dbeta, dr) = np.moveaxis(x, -1, 0), np.moveaxis(push, -1, 0)
+    X = vehicle.m * (dV * np.cos(beta) - V * dbeta * np.sin(beta))
+    Y = vehicle.m * (dV * np.sin(beta) + V * dbeta * np.cos(beta))
+    N = vehicle.Iz * dr
+    L = vehicle.a + vehicle.b
+    Fyf = (vehicle.b * Y + N) / (L * np.cos(delta))
+    Fyr = (vehicle.a * Y - N) / L
+    return np.stack([X + Fyf * np.sin(delta), Fyf, Fyr], axis=-1)
+
+
+def limits(vehicle: VehicleConfig) -> np.ndarray:
+    """What residual forces (3,) are measured by: friction times static load, of the rear axle for the drive [N]."""
+    front, rear = (vehicle.mu * vehicle.m * G * arm / (vehicle.a + vehicle.b) for arm in (vehicle.b, vehicle.a))
+    return np.array([rear, front, rear])
+
+
+def linearised(task: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
+    """The observer's path under `theta`, and the derivatives of its steps."""
+    path = follow(task.model, task.data, theta, task.gains)
+    return path, derivatives(task.model, task.data, theta, path, task.asked)
+
+
+def needed(task: Problem, path: Path, steps: Steps) -> Noise:
+    """Noise that the nominal car needs on `path` when nothing else explains its errors: its defect as disturbances."""
+    bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
+    return estimate(bare, path.e, task.gains, task.noise, task.data.dt)
+
+
+def residuals(
+    vehicle: VehicleConfig, task: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
+) -> Residuals:
+    """What the model that went along `path` leaves over on `runs`, those of `task`, as forces of the nominal car."""
+    seen = np.asarray(path.seen)
+    x, push = smooth(path, steps, seen, noise, task.data.dt)
+    u = np.asarray(path.u)
+    forces = axle_forces(vehicle, x, u[..., 0], push)
+    keep = inside(seen) & (np.arange(seen.shape[1]) >= round(SETTLE / task.data.dt))
+    over = drivers(vehicle, task, x, u, runs)
+    return Residuals(forces[keep], {name: values[keep] for name, values in over.items()}, spans(task.data)[keep])
+
+
+def drivers(
+    vehicle: VehicleConfig, task: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
+) -> dict[str, np.ndarray]:
+    """What residual forces may go with (P, T): heading and position where every run measured them."""
+    nominal, place = vehicle.build(), task.data.track.place
+    front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
+    found = {
+        "slip_front": np.asarray(front), "slip_rear": np.asarray(rear), "drive": u[..., 1], "speed": x[..., 0],
+        "time": np.asarray(place.t),
+    }  # fmt: skip
+    if all("psi" in run.extra for run in runs):
+        found["heading"] = np.angle(np.exp(1j * np.asarray(place.psi)))
+    if all("s" in run.extra for run in runs):
+        found["position"] = np.array(lap_length(tuple(runs)))[task.data.run, None] * np.asarray(place.s)
+    return found

@@ -1,0 +1,129 @@
+"""Which effects the residuals ask for: scores, their test at a family-wise rate, and what they would be worth.
+
+Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
+chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
+Miller 2008).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+from scipy.stats import chi2, norm
+
+from driftjax.diagnosis.fit import Problem, information
+from driftjax.diagnosis.runs import Followed
+
+DRAWS = 1999  # of the random signs
+CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
+
+
+class Scores(NamedTuple):
+    """Tests of everything that is not in the hypothesis yet."""
+
+    H: np.ndarray  # (K, K) information of all parameters
+    blocks: np.ndarray  # (C, K) score of each block
+    T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
+    joint: np.ndarray  # (G,) as |T|, of effects of several parameters of any sign, all of them together
+    gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
+    chance: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
+
+    @property
+    def p_value(self) -> float:
+        """Probability that chance gives the largest score."""
+        largest = max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0))
+        return float((1 + np.sum(self.chance >= largest)) / (DRAWS + 1))
+
+    @property
+    def threshold(self) -> float:
+        """Of scores, which chance passes in one data set of twenty."""
+        return float(np.quantile(self.chance, 0.95))
+
+
+def sums_by_block(task: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Information (K, K) and scores by block (C, K) of innovations (P, T, 3) and derivatives (P, T, 3, K)."""
+    e, J = np.asarray(e), np.asarray(J)
+    blocks = np.zeros((task.data.num_blocks, J.shape[-1]))
+    np.add.at(blocks, task.data.block, np.einsum("ptik,pti->ptk", J, e))
+    return information(J), blocks
+
+
+def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Matrix (K, K) that takes the members `columns` out of scores: effective score = blocks @ it."""
+    P = np.eye(len(H))
+    if len(columns):
+        HS = H[np.ix_(columns, columns)]
+        P[columns] -= np.linalg.solve(HS + 1e-12 * np.trace(HS) * np.eye(len(HS)), H[columns])
+    return P
+
+
+def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, ...], seed: int) -> Scores:
+    """Tests of all effects outside `members` at the fit that `at` belongs to."""
+    H, blocks = sums_by_block(task, at.e, at.J)
+    columns = task.columns(members)
+    P = partial_out(H, columns)
+    effective, information = blocks @ P, P.T @ H @ P
+    own = np.diag(information) > CONDITION * np.diag(H)
+    own[columns] = False
+    U = effective.sum(axis=0)
+    allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
+    T = np.where(allowed, studentised(effective, own), 0.0)
+    one_sided = task.lower >= theta
+    together = [task.columns((i,)) for i in range(len(task.effects)) if i not in members]
+    together = [c for c in together if len(c) > 1 and own[c].all() and not one_sided[c].any()]
+    joint = np.array([joint_size(effective[:, c], U[None, c])[0] for c in together])
+    chance = largest_by_chance(effective, own, one_sided, seed, together)
+    gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
+    return Scores(H, blocks, T, joint, gains, chance)
+
+
+def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Sum of the scores (C, K) over the root of their sum of squares; 0 but for those that are their `own`."""
+    spread = np.sqrt((effective**2).sum(axis=0))
+    return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
+
+
+def joint_size(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """How far sums `U` (n, k) of k scores (C, k) are from zero together: the |T| of one parameter that is as rare.
+
+    Hotelling's statistic with the sum of squares of the blocks, which random signs leave as it is.
+    """
+    squares = np.einsum("ni,ij,nj->n", U, np.linalg.pinv(effective.T @ effective, hermitian=True), U)
+    return norm.isf(chi2.sf(squares, U.shape[1]) / 2)
+
+
+def largest_by_chance(
+    effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int, together: Sequence[np.ndarray] = ()
+) -> np.ndarray:
+    """Largest score (DRAWS,) when blocks have random signs, ascending: of |T|, where `one_sided` ones count if they are
+    positive, and of the parameters `together`."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
+    drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
+    drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
+    joint = [joint_size(effective[:, c], signs @ effective[:, c]) for c in together]
+    return np.sort(np.max([drawn.max(axis=1, initial=0.0), *joint], axis=0))
+
+
+def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:
+    """Fall of the sum of squares by the best linear step in the parameters of one effect whose sign is allowed."""
+    columns = task.columns((effect,))
+    columns = columns[T[columns] != 0]
+    if effect in members or not len(columns):
+        return 0.0
+    part = H[np.ix_(columns, columns)]
+    return float(U[columns] @ np.linalg.solve(part + 1e-9 * np.trace(part) * np.eye(len(part)), U[columns]))
+
+
+def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
+
+    It is robust to dependence within blocks, never below the model's own: sandwich with the correction C / (C - k) of
+    few clusters (Cameron and Miller 2015, Eq. 12).
+    """
+    inverse = np.linalg.inv(H[np.ix_(columns, columns)])
+    U = blocks[:, columns]
+    C = len(U)
+    robust = inverse @ (U.T @ U) @ inverse * C / max(C - len(columns), 1)
+    scale = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
+    return inverse * np.outer(scale, scale)

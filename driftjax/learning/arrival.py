@@ -1,0 +1,55 @@
+"""In what state the car arrives where the drift controller takes over: the corner is planned from there."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.control.table import ReferenceTable
+from driftjax.core import lag_step
+from driftjax.learning.residual import smooth
+from driftjax.sim import Trace
+
+
+class Approach(eqx.Module):
+    """Mean over the laps seen of state and commands at the take-over; the plan's before the first."""
+
+    x: Float[Array, " 5"]  # V, beta, r, e, theta
+    command: Float[Array, " 2"]  # last delta, Fxr
+    reached: Float[Array, " 2"]  # what steering and drive had made of the commands
+    laps: Array
+
+
+def planned_approach(table: ReferenceTable, lead: Array | float) -> Approach:
+    """As the plan in `table` has it, `lead` [m] before the drift section: on its path, with its inputs reached."""
+    x, u = table.state(table.drift_start - lead)
+    inputs, zero = jnp.stack([u.delta, u.Fxr]), jnp.zeros_like(x.V)
+    return Approach(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.asarray(0))
+
+
+def seen(before: Approach, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Approach:
+    """`before` with one lap (time on the leading axis) taken in, by measurements and commands only.
+
+    `s0` [m] is where the drift controller takes over; a lap that does not get there changes nothing.
+    """
+    sensed = trace.sensed
+    past = trace.alive & (sensed.s >= s0)
+    n = jnp.maximum(jnp.argmax(past), 1)  # first sample beyond
+    share = jnp.clip((s0 - sensed.s[n - 1]) / jnp.maximum(sensed.s[n] - sensed.s[n - 1], 1e-9), 0.0, 1.0)
+    at = lambda values: values[n - 1] + share * (values[n] - values[n - 1])
+    x = jnp.stack([at(smooth(values)) for values in (sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta)])
+    commands = jnp.stack([trace.command.delta, trace.command.Fxr], axis=1)
+
+    def respond(y: Array, u: Array) -> tuple[Array, Array]:
+        return lag_step(y, u, lags, dt)[1], y
+
+    reached = jax.lax.scan(respond, jnp.zeros(2), commands)[1]
+    known = jnp.any(past) & jnp.all(jnp.isfinite(x))
+    mean = lambda old, new: jnp.where(known, old + (new - old) / (before.laps + 1), old)
+    return Approach(
+        mean(before.x, x),
+        mean(before.command, commands[n - 1]),
+        mean(before.reached, at(reached)),
+        before.laps + known,
+    )

@@ -1,0 +1,27 @@
+"""The loop driven dry, so that every program it needs is compiled, by one worker each and side by side."""
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+from driftjax.core import Rehearsal
+from driftjax.learning.scenario import Scenario
+from driftjax.learning.stages import drive_stage, first_progress
+
+# Stages that between them need every program, in two rows of about equal work.
+ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
+
+
+def rehearse(scenario: Scenario, names: list[str]) -> None:
+    """Have the workers compile what the stages `names` need; without workers there is nothing to gain."""
+    if scenario.blocks.pool is None:
+        return
+    dry = dataclasses.replace(scenario, blocks=Rehearsal(scenario.blocks.pool))
+
+    def row(stages: tuple[str, ...]) -> None:
+        progress = first_progress(dry)
+        for name in stages:
+            driven = drive_stage(dry, progress, name, 0) if name in names else None
+            progress = progress if driven is None else driven[0]
+
+    with ThreadPoolExecutor(len(ROWS)) as rows:
+        list(rows.map(row, ROWS))

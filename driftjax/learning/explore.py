@@ -1,0 +1,170 @@
+"""Active exploration of a batch of lanes: candidate speeds from the V-sets, the next one by Algorithm 1."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import RESULTS, Control, State, each, features
+from driftjax.equilibrium import SlipSpeed, continuation
+from driftjax.explore import select, v_sets
+from driftjax.learning.config import ExploreConfig
+from driftjax.learning.reference import AIM_POINTS
+from driftjax.learning.scenario import Scenario
+from driftjax.sim import Trace, keep_where
+from driftjax.vehicle import AnyCar, Residual
+
+
+class Candidates(eqx.Module):
+    """Speeds to explore, per lane (leading axis), and which have been driven."""
+
+    s: Array  # (lanes, AIM_POINTS) arc length of the curves [m]
+    origin: Array  # (lanes, AIM_POINTS) planned speed, from which they start [m/s]
+    target: Array  # (lanes, AIM_POINTS) r_b e, where they tend to [m/s]
+    e: Array  # (lanes, AIM_POINTS) measured lateral error that leads them [m]
+    aimed: Array  # (lanes, AIM_POINTS) offset from the path that the lap with this error aimed at [m]
+    widest: Array  # (lanes,) bound on gamma of the last one, either way [m/s]
+    V: Array  # (lanes, K, AIM_POINTS) generated curves [m/s]
+    V_ep: Array  # (lanes, K) their means [m/s]
+    visited: Array  # (lanes, K) driven, or not to be driven: a duplicate, or no equilibrium
+
+
+class Drifts(eqx.Module):
+    """The drift states of a corrected car at the corner's sideslip, over speed.
+
+    At fixed V and yaw rate a car with a friction circle has two drifts or none, a hair apart in speed; at fixed
+    sideslip it has one. So E(V_ep, .) is solved at the sideslip aimed at, from the nominal drift.
+    """
+
+    nominal: AnyCar
+    beta: Array
+    x_eq: State
+    u_eq: Control
+    branch: Array  # the kind of all
+
+    def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
+        """GP input z (5,) of the drift at speed `V`, and whether it exists."""
+        fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
+        found = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
+        return features(found.x, found.u), found.result == RESULTS.successful
+
+
+def drifts(scenario: Scenario) -> Drifts:
+    """The corner's drift states."""
+    beta, branch = jnp.asarray(scenario.corner.beta), jnp.asarray(scenario.branch)
+    return Drifts(scenario.nominal, beta, scenario.x_eq, scenario.u_eq, branch)
+
+
+def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
+    """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`, which `aimed`
+    (lanes, AIM_POINTS) beside the path."""
+    table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
+    s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
+    origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
+    shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
+    weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
+    shaped = scenario.blocks.map(
+        speed_lanes, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+    )
+    if config.speeds != "sets":
+        V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
+        level = jnp.broadcast_to(V_ep[..., None], shaped.V.shape)
+        all_open, unled = jnp.zeros(V_ep.shape, bool), jnp.zeros_like(shaped.e)
+        shaped = eqx.tree_at(lambda c: (c.e, c.V, c.V_ep, c.visited), shaped, (unled, level, V_ep, all_open))
+    _, exists = _states(scenario, shaped.V_ep, residual)
+    return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
+
+
+def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
+    """(lanes, AIM_POINTS) [m]: offset to aim at beside the path with candidate `chosen` (lanes,).
+
+    The k-th of K aims k/K of the measured error e further to the other side than the lap that made it, up to the error
+    that the widest gamma allowed could take out of a steady turn by gamma = r_b e. Its speed curve alone does not:
+    where the planned speed is curved as in a corner that is braked into, the price on its smoothness outweighs r_b e.
+    """
+    config, corner = scenario.config.explore, scenario.corner
+    most = config.gamma_share * corner.V_b / abs(corner.r_b)
+    share = (chosen + 1) / config.num_sets
+    return found.aimed - share[:, None] * jnp.clip(found.e, -most, most)
+
+
+def remaining(
+    scenario: Scenario, found: Candidates, chosen: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
+) -> Candidates:
+    """Candidates after the laps in `trace`, which drove those `chosen` (lanes,) and `aimed` beside the path.
+
+    A lane that was `better` than ever gets new sets about this lap, the others keep those that are left.
+    """
+    visited = found.visited | jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool)
+    left = eqx.tree_at(lambda c: c.visited, found, visited)
+    if scenario.config.explore.speeds != "sets":
+        return left
+    return keep_where(better, candidates(scenario, trace, residual, aimed), left)
+
+
+def _offsets(config: ExploreConfig, keys: Array) -> Array:
+    """(lanes, K) of the speeds that the V-sets are compared with, over their widest bound."""
+    K = config.num_sets
+    if config.speeds == "random":
+        return jax.vmap(lambda key: jax.random.uniform(key, (K,), minval=-1.0, maxval=1.0))(keys)
+    even = jnp.linspace(-1.0, 1.0, K) if config.speeds == "uniform" else jnp.zeros(K)
+    return jnp.broadcast_to(even, (len(keys), K))
+
+
+def speed_lanes(
+    lanes: tuple[Trace, Array],
+    s: Array,
+    origin: Array,
+    r_b: Array,
+    shares: Array,
+    most: Array,
+    weights: tuple[Array, Array],
+    V_b: Array,
+) -> Candidates:
+    """Candidates of lanes given as (lap, what it aimed at), whether or not a drift exists at their speeds.
+
+    Their bounds are `shares` of what the lane's own error calls for, but of no more than `most` [m/s]: bounds beyond it
+    would all give the same curve.
+    """
+
+    def one(trace: Trace, aimed: Array) -> Candidates:
+        at = jnp.where(trace.alive, trace.s, jnp.inf)
+        order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
+        e = jnp.interp(s, at[order], trace.sensed.e[order])
+        widest = jnp.minimum(most, jnp.max(jnp.abs(r_b * e)))
+        bounds = widest * jnp.stack([-shares, shares], axis=1)
+        sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
+                      V_max=3 * V_b)  # fmt: skip
+        return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
+
+    return each(one)(*lanes)
+
+
+def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array, Array]:
+    """GP inputs (lanes, K + 1, 5) of the drifts at speeds `V_ep` (lanes, K) and at the planned one; which exist."""
+    planned = jnp.full((len(V_ep), 1), scenario.corner.V_b)
+    return scenario.blocks.map(state_lanes, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
+
+
+def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
+    """Drift states of lanes given as (speeds, residual)."""
+    return each(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
+
+
+def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
+    """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
+    z, _ = _states(scenario, found.V_ep, residual)
+    options = scenario.config.explore
+    lanes = (found.V_ep, found.visited, z, residual)
+    return scenario.blocks.map(choice_lanes, lanes, jnp.asarray(options.P), jnp.asarray(options.lam))
+
+
+def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """Choices by Algorithm 1 with these weights, of lanes given as (speeds, which were visited, drift states,
+    residual)."""
+
+    def one(V_ep: Array, visited: Array, z: Array, d: Residual):
+        choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
+        return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
+
+    return each(one)(*lanes)

@@ -1,0 +1,132 @@
+"""The loop of Section V-A: nominal laps, GP laps until convergence, V-sets, exploration; every lane keeps its best."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.control.mpc import DriftOCP
+from driftjax.control.table import ReferenceTable
+from driftjax.core import RESULTS, as_float, each
+from driftjax.equilibrium import SlipRadius, continuation
+from driftjax.learning.arrival import Approach, planned_approach, seen
+from driftjax.learning.config import GPConfig
+from driftjax.learning.explore import Candidates
+from driftjax.learning.model import Memory, empty, learn
+from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_table
+from driftjax.learning.residual import claims, estimate_lags, rows, samples
+from driftjax.learning.scenario import Scenario, entry_problems
+from driftjax.learning.stage import Stage
+from driftjax.sim import Trace, keep_where
+from driftjax.solve import Options
+from driftjax.vehicle import AnyCar, Residual
+
+# The entry problem has four times the MPC's horizon and starts from the plan, which its car cannot drive.
+ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
+
+
+class Best(eqx.Module):
+    """What drove each lane's best lap so far (leading axis of lanes)."""
+
+    error: Array  # mean lateral error, infinite before the first completed lap [m]
+    residual: Residual
+    table: ReferenceTable
+
+
+class Progress(eqx.Module):
+    """All that one stage hands to the next: enough to go on after a kill."""
+
+    memory: Memory
+    approach: Approach  # of each lane
+    best: Best
+    last_error: Array  # of the stage before, per lane [m]
+    converged: Array  # bool: GP laps are over
+    found: Candidates
+    explored: Array  # bool: at least one exploration lap was driven
+
+
+def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
+    """Progress before the first lap."""
+    memory = scenario.over_lanes(empty(scenario.config.gp, scenario.lags))
+    table = scenario.over_lanes(scenario.table)
+    approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
+    far = jnp.full(scenario.num_lanes, jnp.inf)
+    no = jnp.asarray(False)
+    return Progress(memory, approach, Best(far, memory.residual, table), far, no, empty_candidates, no)
+
+
+def learn_lanes(
+    lanes: tuple[Memory, Approach, Trace, ReferenceTable, Array],
+    nominal: AnyCar,
+    dt: Array,
+    lead: Array,
+    shortest: Array,
+    config: GPConfig,
+) -> tuple[Memory, Approach]:
+    """Memories and approaches of lanes given as (both before, lap, its reference, keys)."""
+    claim = claims(nominal) if config.orthogonal else None
+
+    def one(memory: Memory, approach: Approach, trace: Trace, table: ReferenceTable, key: Array):
+        lap = samples(trace)
+        lags = estimate_lags(nominal, lap, dt) if config.lags else memory.residual.lags
+        memory = learn(memory, *rows(nominal, lap, dt, lags), lags, config, key, claim, shortest)
+        return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, dt)
+
+    return each(one)(*lanes)
+
+
+def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
+    """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
+    lanes = (progress.memory, progress.approach, stage.laps.trace, stage.table, keys)
+    config = scenario.config
+    numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
+    memory, approach = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, *numbers, config.gp.program)
+    best = progress.best
+    if residual is not None:
+        error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
+        best = keep_where(error < best.error, Best(error, residual, stage.table), best)
+    last = stage.figures.lateral_error
+    fields = lambda p: (p.memory, p.approach, p.best, p.last_error)
+    return eqx.tree_at(fields, progress, (memory, approach, best, last))
+
+
+def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, asked: Aim | None = None) -> Planned:
+    """The reference of every lane from its corrected car, with what exploration asked for (leading axis of lanes).
+
+    `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
+    """
+    config = scenario.config
+    aim: Aim = scenario.over_lanes(no_aim(scenario.table)) if asked is None else asked
+    if config.reference == "entry":
+        ocp = entry_problems(scenario, residual)
+        return scenario.blocks.map(
+            entry_lanes,
+            (ocp, approach, aim),
+            scenario.table,
+            as_float(config.switch.lead),
+            as_float(config.mpc.tolerance),
+        )
+    corner = scenario.corner
+    fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
+    guess = (scenario.x_eq, scenario.u_eq)
+    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, aim.V)
+
+
+def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: Array, tolerance: Array) -> Planned:
+    """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
+    options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
+    return each(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*lanes)
+
+
+@eqx.filter_jit
+def _steps(
+    nominal, residual: Residual, fixed: SlipRadius, guess, branch: Array, table: ReferenceTable, V_shift: Array
+) -> Planned:  # fmt: skip
+    def one(d: Residual, shift: Array) -> Planned:
+        found = continuation(nominal, d, fixed, guess, branch=branch)
+        # r_b and beta_eq stay where V is explored: the same corner at another speed (Wu et al. 2025, Sec. IV-C)
+        step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
+        return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)
+
+    return each(one)(residual, V_shift)

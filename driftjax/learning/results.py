@@ -1,0 +1,82 @@
+"""What a run found: per stage and controller, and the reductions beside the paper's."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from driftjax.learning.metrics import interval, reduction
+from driftjax.learning.scenario import Scenario
+from driftjax.store.variables import code_names
+
+PAPER = {  # Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+    "sedan": (52.8, 27.1, 10.6),
+    "rc": (36.7, 29.0, 7.2),
+}
+
+
+def results(scenario: Scenario, stages: dict[str, xr.Dataset]) -> dict[str, Any]:
+    """results.json of the run: one entry per stage, and the summary per controller."""
+    config = scenario.config
+    entries = [{"name": name, "controllers": _controllers(data)} for name, data in stages.items()]
+    summary = {who: _summary(stages, who, config.car) for who in config.controllers}
+    return {"car": config.car, "seed": config.seed, "stages": entries, "summary": summary}
+
+
+def _lanes(data: xr.Dataset, controller: str) -> xr.Dataset:
+    return data.isel(lane=np.flatnonzero(np.asarray(data["controller"].values) == controller))
+
+
+def _controllers(data: xr.Dataset) -> dict[str, Any]:
+    names = list(dict.fromkeys(np.asarray(data["controller"].values).tolist()))
+    return {name: _figures(_lanes(data, name)) for name in names}
+
+
+def _per_plant(data: xr.Dataset, name: str) -> dict[str, float]:
+    """Mean over noise seeds, per plant: seeds of one plant are not independent plants."""
+    plants, values = np.asarray(data["plant"].values), np.asarray(data[name].values, float)
+    return {str(plant): float(values[plants == plant].mean()) for plant in dict.fromkeys(plants.tolist())}
+
+
+def _figures(data: xr.Dataset) -> dict[str, Any]:
+    codes = np.asarray(data["code"].values)
+    names = code_names(data)
+    counts = {names[int(code)]: int((codes == code).sum()) for code in np.unique(codes)}
+    figure = lambda name: interval(np.array(list(_per_plant(data, name).values())))
+    found = {}
+    if "reference_found" in data:
+        held = np.asarray(data["reference_found"].values)
+        found = {"references_found": [int(held.sum()), len(held)]}
+    return found | {
+        "lateral_error": figure("lateral_error") | {"per_plant": _per_plant(data, "lateral_error")},
+        "velocity_rmse": figure("velocity_rmse"),
+        "drift_share": figure("drift_share"),
+        "completed": [int(np.asarray(data["completed"].values).sum()), len(codes)],
+        "codes": counts,
+    }
+
+
+def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str, np.ndarray] | None:
+    """Lateral error and velocity RMSE per plant of one stage."""
+    if stage not in stages:
+        return None
+    data = _lanes(stages[stage], controller)
+    return {name: np.array(list(_per_plant(data, name).values())) for name in ("lateral_error", "velocity_rmse")}
+
+
+def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
+    nominal, gpr, explored = (_lap(stages, name, controller) for name in ("nominal", "gpr-best", "explore-best"))
+    paper = PAPER.get(car, (None, None, None))
+    error = lambda found: None if found is None else float(found["lateral_error"].mean())
+    out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored)}
+    pairs = {
+        "reduction_gpr": (nominal, gpr, "lateral_error", paper[0]),
+        "reduction_exploration": (gpr, explored, "lateral_error", paper[1]),
+        "reduction_velocity_rmse": (gpr, explored, "velocity_rmse", paper[2]),
+    }
+    for name, (before, after, figure, published) in pairs.items():
+        if before is None or after is None:
+            out[name] = {"value": None, "ci95": [None, None], "paper": published}
+        else:
+            out[name] = reduction(before[figure], after[figure]) | {"paper": published}
+    return out

@@ -1,0 +1,76 @@
+"""`driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
+
+import io
+from collections.abc import Callable, Collection, Iterator
+from typing import Any
+
+import equinox as eqx
+import xarray as xr
+
+from driftjax.core import BadInput, workers
+from driftjax.learning.compile_ahead import rehearse
+from driftjax.learning.config import LearnConfig
+from driftjax.learning.loop import Progress
+from driftjax.learning.results import results
+from driftjax.learning.scenario import Scenario, build
+from driftjax.learning.stages import drive_stage, first_progress, stage_names
+from driftjax.planner.dataset import plan_dataset
+from driftjax.store.folder import RunFolder
+
+Report = Callable[[str, int, int], None]
+
+
+def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
+    """Drive every stage that `folder` does not hold yet; write and return its results, and collect its laps.
+
+    Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
+    """
+    names = stage_names(config)
+    report("plan", 0, len(names) + 1)
+    with workers(num_workers) as blocks:
+        scenario = build(config, blocks)
+        if not folder.has("plan.nc"):
+            folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
+        progress, done = _resume(scenario, folder)
+        report("compile", 0, len(names) + 1)
+        rehearse(scenario, [name for name in names if name not in done])
+        tell = lambda name: report(name, names.index(name) + 1, len(names) + 1)
+        for name, data, after in drive_stages(scenario, progress, done, tell):
+            folder.write_stage(name, data, _dump(after))
+    found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
+    folder.write_json("results", found)
+    folder.collect()
+    report("done", len(names) + 1, len(names) + 1)
+    return found
+
+
+def drive_stages(
+    scenario: Scenario, progress: Progress, done: Collection[str] = (), tell: Callable[[str], object] = str
+) -> Iterator[tuple[str, xr.Dataset, Progress]]:
+    """Name, laps and progress of every stage that is not `done`, as it ends; `tell` hears of each before it begins."""
+    for index, name in enumerate(stage_names(scenario.config)):
+        tell(name)
+        driven = None if name in done else drive_stage(scenario, progress, name, index)
+        if driven is not None:
+            progress, data = driven
+            yield name, data, progress
+
+
+def _dump(progress: Progress) -> bytes:
+    stream = io.BytesIO()
+    eqx.tree_serialise_leaves(stream, progress)
+    return stream.getvalue()
+
+
+def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
+    """What the stage after `name` starts from."""
+    try:
+        return eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(name)), first_progress(scenario))
+    except (RuntimeError, ValueError, EOFError) as error:
+        words = str(error).splitlines()[0]
+        raise BadInput(f"{folder.path}: the state of stage {name} cannot be read ({words}); start anew.") from None
+
+
+def _resume(scenario: Scenario, folder: RunFolder) -> tuple[Progress, list[str]]:
+    done = folder.finished()
+    return (read_progress(scenario, folder, done[-1]) if done else first_progress(scenario)), done

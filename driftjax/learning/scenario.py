@@ -1,0 +1,210 @@
+"""What an experiment drives: plants, path, sensors, seeds and controllers as one batch of lanes."""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.control.driver import Driver, SwitchConfig
+from driftjax.control.lqr import lqr
+from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
+from driftjax.control.pursuit import pure_pursuit
+from driftjax.control.table import ReferenceTable
+from driftjax.core import RESULTS, BadInput, Blocks, Control, State
+from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_steady
+from driftjax.learning.config import LearnConfig
+from driftjax.learning.reference import Corner, corner, entry_horizon, plan_table
+from driftjax.planner import Plan, load_plan_config, plan
+from driftjax.sim import AnyPlant, batch_of, load_plants
+from driftjax.sim.sensors import SensorConfig, load_sensors
+from driftjax.solve import Options
+from driftjax.track import Track, load_track
+from driftjax.vehicle import (
+    AnyCar,
+    Residual,
+    VehicleConfig,
+    build_car,
+    load_vehicle,
+    named_lags,
+    sample_plants,
+)
+from driftjax.vehicle.single_track import G
+
+
+@dataclasses.dataclass(frozen=True)
+class Lane:
+    """Who is driven by whom with which noise."""
+
+    plant: str
+    controller: str
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """Everything that stays the same over the stages of one run."""
+
+    config: LearnConfig
+    vehicle: VehicleConfig
+    nominal: AnyCar  # what is known before the first lap: the nominal car, with the effects that were named
+    lags: Array  # (2,) of steering and drive that were named, 0 where none was [s]
+    track: Track
+    plan: Plan
+    table: ReferenceTable  # the plan as reference
+    corner: Corner
+    x_eq: State  # nominal drift equilibrium of the corner
+    u_eq: Control
+    branch: Branch  # its kind
+    lanes: tuple[Lane, ...]
+    plants: AnyPlant  # one per lane
+    keys: Array  # noise key of each lane
+    sensors: SensorConfig
+    horizon: int  # stages of the entry problem
+    blocks: Blocks  # how lanes are computed
+
+    @property
+    def num_lanes(self) -> int:
+        """Number of lanes."""
+        return len(self.lanes)
+
+    def over_lanes(self, tree):
+        """`tree` repeated along a leading axis of lanes."""
+        return repeated(tree, self.num_lanes)
+
+
+def repeated(tree, num: int):
+    """`tree` repeated `num` times along a leading axis."""
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
+
+
+class Route(NamedTuple):
+    """What is known of car and track before anything is driven."""
+
+    vehicle: VehicleConfig
+    nominal: AnyCar  # with the effects that were named
+    track: Track
+    plan: Plan
+    table: ReferenceTable  # the plan as reference
+    corner: Corner
+    steady: Equilibrium  # nominal drift equilibrium of the corner
+    branch: Branch  # its kind
+
+
+def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route:
+    """Read the car and track that `config` names and plan the lap; raises `BadInput` for what does not fit.
+
+    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
+    """
+    vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
+    track = load_track(config.track)
+    lap = plan(track, vehicle, load_plan_config(config.plan))
+    if not bool(lap.result == RESULTS.successful):
+        raise BadInput(
+            f"{config.track}: no minimum-time plan was found with the options {config.plan} "
+            f"(violation {float(lap.violation):.2g}); ease its drift device or its speeds."
+        )
+    if not lap.drift_intervals():
+        raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
+    table = plan_table(lap)
+    nominal, where = build_car(vehicle), corner(table, config.drift_beta)
+    return Route(vehicle, nominal, track, lap, table, where, *held(nominal, where, config))
+
+
+def build(
+    config: LearnConfig, blocks: Blocks, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
+) -> Scenario:
+    """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
+
+    All lanes are `on` the plant that is given, told with its name.
+    """
+    vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
+    lanes, plants, keys = lay_out(config, on, float(track.length))
+    return Scenario(
+        config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
+        lanes, plants, keys, load_sensors(config.sensors),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
+    )  # fmt: skip
+
+
+def lay_out(
+    config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
+) -> tuple[tuple[Lane, ...], AnyPlant, Array]:
+    """Lanes with their plants and noise keys: every controller, plant and seed; all `on` one plant where it is given.
+
+    `lap` is the length of the track [m].
+    """
+    drawn = (config.car, config.plants, config.seed, config.first_plant)
+    plants = [] if on else load_plants(config.plant) or sample_plants(*drawn)
+    names = [on[0]] if on else [plant.name for plant in plants]
+    each = [
+        (Lane(name, controller, seed), index)
+        for controller in config.controllers
+        for index, name in enumerate(names)
+        for seed in range(config.noise_seeds)
+    ]
+    noise = jax.random.key(config.seed)
+    keys = [
+        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), lane.seed) for lane, index in each
+    ]
+    if on:
+        batch = repeated(on[1], len(each))
+    else:
+        batch = batch_of([plants[index] for _, index in each], lap, config.mpc.dt / config.lap.substeps)
+    return tuple(lane for lane, _ in each), batch, jnp.stack(keys)
+
+
+def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
+    """The steady state aimed at in the corner, and its kind: a drift or, where the tyres have no peak below such a
+    sideslip, as those of a car with driven wheels at both ends may, a slide within it."""
+    fixed = SlipRadius(where.beta, where.R)
+    steady = solve_steady(car, fixed, branch=Branch.COUNTERSTEER)
+    if bool(steady.result == RESULTS.successful):
+        return steady, Branch.COUNTERSTEER
+    grip = car.tyre.mu * G
+    V = jnp.sqrt(grip * abs(where.R))
+    guess = State(V, fixed.beta, V / where.R), Control(jnp.zeros(()), car.m * grip * jnp.sin(jnp.abs(fixed.beta)))
+    steady = solve(car, car, fixed, guess, branch=Branch.GRIP)
+    if bool(steady.result == RESULTS.successful):
+        return steady, Branch.GRIP
+    raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
+
+
+def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
+    """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
+    config = scenario.config
+    weights = [config.path if lane.controller == "path" else config.paper for lane in scenario.lanes]
+    return _problems(scenario, config.mpc, weights, residual)
+
+
+def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
+    """Every lane's problem of planning the corner anew: the path controller's, with a dearer lateral error."""
+    config = scenario.config
+    path = config.path
+    weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
+    mpc = dataclasses.replace(config.mpc, horizon=scenario.horizon)
+    return _problems(scenario, mpc, [weights] * scenario.num_lanes, residual)
+
+
+def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residual: Residual) -> DriftOCP:
+    like = jax.tree.map(lambda a: a[0], residual)
+    each = [drift_ocp(mpc, one, scenario.vehicle, like, scenario.nominal) for one in weights]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *each)
+    return eqx.tree_at(lambda o: o.residual, stacked, residual)
+
+
+def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
+    """The drivers of all lanes: `kind` drives the drift section along `table` (leading axis of lanes)."""
+    config, vehicle = scenario.config, scenario.vehicle
+    ocp = problems(scenario, residual)
+    first = jax.tree.map(lambda a: a[0], ocp)
+    gain = lqr(scenario.nominal, scenario.x_eq, scenario.u_eq, jnp.asarray(config.paper.Q), first.R, first.dt)
+    options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
+    switch: SwitchConfig = config.switch
+    shared = (pure_pursuit(config.pursuit, vehicle), gain)
+    pursuit, gain = scenario.over_lanes(shared)
+    limits = scenario.over_lanes(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
+    path, options = scenario.over_lanes((scenario.plan.path, options))
+    return Driver(kind, path, table, pursuit, gain, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]

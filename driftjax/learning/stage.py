@@ -1,0 +1,75 @@
+"""One stage of the experiment: every lane drives one lap, and what came of it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from driftjax.control.driver import Driver, decide
+from driftjax.control.table import ReferenceTable
+from driftjax.core import each
+from driftjax.learning.metrics import LapFigures, lap_figures
+from driftjax.learning.scenario import Scenario
+from driftjax.sim import AnyPlant, LapCode, LapConfig, Laps, Trace, drive
+from driftjax.sim.sensors import SensorConfig
+
+MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
+
+
+class Stage(eqx.Module):
+    """Laps of one stage, the references they tracked and their figures (leading axis of lanes)."""
+
+    laps: Laps
+    table: ReferenceTable
+    V_ref: Array  # reference speed where the car was (lanes, steps)
+    figures: LapFigures
+
+
+def drive_lanes(
+    lanes: tuple[Driver, AnyPlant, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
+) -> tuple[Trace, Array, Array, LapFigures]:
+    """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
+    drivers, plants, speed, keys = lanes
+    memory = each(lambda d: d.start())(drivers)
+    policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
+    laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
+    table = drivers.table
+    V_ref = each(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
+    judged = lambda trace, code, table, V: lap_figures(trace, code, table, V, lap.lost_error)
+    figures = each(judged)(laps.trace, laps.code, table, V_ref)
+    return laps.trace, laps.code, V_ref, figures
+
+
+def run_stage(scenario: Scenario, drivers: Driver, number: int) -> Stage:
+    """Drive stage `number` in every lane; each stage has noise of its own."""
+    config = scenario.config
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
+    speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
+    lanes = (drivers, scenario.plants, speed, keys)
+    trace, code, V_ref, figures = scenario.blocks.map(drive_lanes, lanes, scenario.sensors, config.lap, config.mpc.dt)
+    return Stage(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
+
+
+def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.ndarray]:
+    """The stage as named arrays, ready for the run folder (see `driftjax.store.variables`)."""
+    trace, table = stage.laps.trace, stage.table
+    row = jax.vmap(lambda t, s: jax.vmap(lambda one: t.state(one)[0])(s))
+    reference = row(table, trace.s)
+    values = {name: getattr(trace, name) for name in ("V", "beta", "r", "x", "y", "psi", "s", "e", "delta", "Fxr")}
+    values |= {f"{name}_measured": getattr(trace.sensed, name) for name in MEASURED}
+    values |= {"alive": trace.alive, "delta_command": trace.command.delta, "Fxr_command": trace.command.Fxr}
+    values |= {name: getattr(trace.decision, name) for name in ("drifting", "solved", "kkt", "num_steps")}
+    values |= {"V_ref": stage.V_ref, "beta_ref": reference.beta, "r_ref": reference.r}
+    values |= {"e_ref": jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.e, one))(s))(table, trace.s)}
+    values |= {"code": stage.laps.code, **stage.figures._asdict()}
+    values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
+    values |= {
+        "plant": np.array([lane.plant for lane in scenario.lanes], object),
+        "controller": np.array([kind if kind != "mpc" else lane.controller for lane in scenario.lanes], object),
+        "seed": np.array([lane.seed for lane in scenario.lanes]),
+    }
+    return {name: np.asarray(value) for name, value in values.items()}
+
+
+CODES = {code.name: int(code) for code in LapCode}

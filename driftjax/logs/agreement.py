@@ -1,0 +1,134 @@
+"""Whether the channels of a log agree with each other, whatever the car: slopes, offsets, time shifts."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from driftjax.logs.log import Run
+
+WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
+LATEST = 0.5  # time shift looked for, either way [s]
+GENTLE = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
+SLOW = 0.1  # share of the top speed below which angles are noise
+FEWEST = 50  # samples from which anything is told
+
+Channels = dict[str, np.ndarray]
+
+
+class Agreement(NamedTuple):
+    """How one channel follows what the others say of it: channel = slope x other + offset, `shift` later."""
+
+    channel: str
+    other: str  # in words
+    unit: str
+    num: int  # samples compared
+    slope: float
+    offset: float  # [unit]
+    rest: float  # RMS of what is left [unit]
+    correlation: float
+    shift: float  # by which the channel is late [s]
+
+
+class Check(NamedTuple):
+    """A channel, and what it should equal."""
+
+    channel: str
+    other: str
+    unit: str
+    needs: tuple[str, ...]  # further columns
+    pair: Callable[[Channels, Channels], tuple[np.ndarray, np.ndarray]]  # from values and rates
+
+
+def _course(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
+    """Sideslip, and the direction of travel less the heading."""
+    angle = np.arctan2(rate["y"], rate["x"]) - y["psi"]
+    return y["beta"], np.angle(np.exp(1j * angle))
+
+
+def _along(y: Channels, rate: Channels) -> np.ndarray:
+    return rate["V"] * np.cos(y["beta"]) - y["V"] * (rate["beta"] + y["r"]) * np.sin(y["beta"])
+
+
+def _across(y: Channels, rate: Channels) -> np.ndarray:
+    return rate["V"] * np.sin(y["beta"]) + y["V"] * (rate["beta"] + y["r"]) * np.cos(y["beta"])
+
+
+CHECKS = (
+    Check("V", "speed of the position", "m/s", ("x", "y"), lambda y, rate: (y["V"], np.hypot(rate["x"], rate["y"]))),
+    Check("beta", "course less heading", "rad", ("x", "y", "psi"), _course),
+    Check("r", "rate of the heading", "rad/s", ("psi",), lambda y, rate: (y["r"], rate["psi"])),
+    Check("ax", "V' cos(beta) - V (beta' + r) sin(beta)", "m/s^2", ("ax",), lambda y, dy: (y["ax"], _along(y, dy))),
+    Check("ay", "V' sin(beta) + V (beta' + r) cos(beta)", "m/s^2", ("ay",), lambda y, dy: (y["ay"], _across(y, dy))),
+)  # fmt: skip
+
+
+def steering(wheelbase: float) -> Check:
+    """Yaw rate against V tan(delta) / L, in gentle driving."""
+
+    def pair(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
+        gentle = np.abs(y["V"] * y["r"]) < GENTLE
+        return np.where(gentle, y["r"], np.nan), y["V"] * np.tan(y["delta"]) / wheelbase
+
+    return Check("r", f"V tan(delta) / L below {GENTLE:g} m/s^2", "rad/s", (), pair)
+
+
+def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agreement]:
+    """Every check that all `runs` have the columns for; that of the steering where the wheelbase [m] is known."""
+    has = set.intersection(*(set(run.extra) for run in runs))
+    checks = [check for check in CHECKS if set(check.needs) <= has]
+    checks += [] if wheelbase is None else [steering(wheelbase)]
+    smoothed = [smooth(run) for run in runs]
+    found = [agreement(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
+    return [one for one in found if one is not None]
+
+
+def smooth(run: Run) -> tuple[Channels, Channels]:
+    """Channels of a run and their rates, both from parabolas over `WINDOW`; NaN near gaps and at low speed."""
+    raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
+    num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
+    if len(run.t) < num:
+        nothing = {name: np.full(len(run.t), np.nan) for name in raw}
+        return nothing, nothing
+    fast = run.V > SLOW * np.nanmax(run.V)
+    of = lambda y, order: np.where(fast, np.asarray(savgol_filter(y, num, 2, order, run.dt)), np.nan)
+    return {name: of(y, 0) for name, y in raw.items()}, {name: of(y, 1) for name, y in raw.items()}
+
+
+def agreement(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:
+    """One check over all runs, None where too little was measured or nothing moves."""
+    y, x = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    both = np.isfinite(y) & np.isfinite(x)
+    if both.sum() < FEWEST or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
+        return None
+    slope, offset = np.polyfit(x[both], y[both], 1)
+    rest = float(np.sqrt(np.mean((y - slope * x - offset)[both] ** 2)))
+    correlation = float(np.corrcoef(x[both], y[both])[0, 1])
+    return Agreement(check.channel, check.other, check.unit, int(both.sum()), float(slope), float(offset), rest,
+                     correlation, late_by(pairs, dt))  # fmt: skip
+
+
+def late_by(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
+    """Time [s] by which the first channel of each pair follows the second: where their correlation is largest."""
+    most = max(round(LATEST / dt), 1)
+    shifts = np.arange(-most, most + 1)
+    score = np.array([_correlation(pairs, int(k), most) for k in shifts])
+    k = int(np.nanargmax(score))
+    if 0 < k < len(score) - 1:  # the vertex of the parabola through three points
+        left, middle, right = score[k - 1 : k + 2]
+        bend = left - 2 * middle + right
+        return float((shifts[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0)) * dt)
+    return float(shifts[k] * dt)
+
+
+def _correlation(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) -> float:
+    """Correlation of y(t + k) with x(t) over all runs, of the samples that every shift has."""
+    rows = []
+    for y, x in pairs:
+        if len(y) > 2 * most:
+            at = np.arange(most, len(y) - most)
+            rows.append(np.stack([y[at + k], x[at]]))
+    y, x = np.concatenate(rows, axis=1) if rows else np.zeros((2, 0))
+    both = np.isfinite(y) & np.isfinite(x)
+    return float(np.corrcoef(y[both], x[both])[0, 1]) if both.sum() >= FEWEST else np.nan

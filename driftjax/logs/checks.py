@@ -1,0 +1,80 @@
+"""What is wrong with a measured run, told in one sentence that names the file, the row or column, and the remedy."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED
+from driftjax.logs.raw import RawRun
+from driftjax.logs.sampling import JITTER, UNIFORM, jitter, sample_time
+
+MAX_ANGLE = 1.6  # rad
+MAX_YAW_RATE = 20.0  # rad/s
+MAX_SAMPLE_TIME = 1.0  # s
+STUCK_ROWS = 20
+SLOW = 0.1  # share of the run's top speed below which sideslip is noise
+
+
+def check_time(run: RawRun) -> float:
+    """Sample time [s] of a run of two rows or more; raises `BadInput` where time does not increase steadily."""
+    t, label = run.values["t"], run.labels["t"]
+    remedy = "time must increase within a run: sort the rows, or name each run in a column of its own"
+    run.refuse("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
+    dt = sample_time(t)
+    if dt > MAX_SAMPLE_TIME:
+        raise BadInput(f"{run.where}: {label} steps by {dt:g}, which looks like milliseconds; write seconds.")
+    if (spread := jitter(t, dt)) > JITTER:
+        raise BadInput(
+            f"{run.where}: the steps of {label} vary by {100 * spread:.0f} % around {dt:.4g} s, "
+            f"more than {100 * JITTER:.0f} %; resample the log evenly."
+        )
+    return dt
+
+
+def void_sideslip(run: RawRun) -> np.ndarray:
+    """Where beta says nothing: past a right angle near standstill.
+
+    At any speed where beta is the direction of vx, vy, whose unit is sure: the car rolls backwards.
+    """
+    V = np.nan_to_num(run.values["V"])
+    doubtful = V < SLOW * V.max(initial=0.0) if run.beta_mapped else np.ones(V.shape, bool)
+    return (np.abs(run.values["beta"]) > MAX_ANGLE) & doubtful
+
+
+def check_values(run: RawRun) -> None:
+    """Raise `BadInput` where a channel is empty, stuck, negative or in another unit."""
+    for name in CHANNELS[1:]:
+        values = run.values[name][np.isfinite(run.values[name])]
+        if not values.size:
+            raise BadInput(f"{run.where}: {run.labels[name]} has no value in any row; fill it in or leave the run out.")
+        if name in MEASURED and values.size > STUCK_ROWS and np.ptp(values) == 0:
+            raise BadInput(
+                f"{run.where}: {run.labels[name]} is {values[0]:g} in all {values.size} rows, "
+                "which looks like a stuck sensor; mend the column or leave the run out."
+            )
+    values = run.values
+    remedy = "speed is not negative: leave out rows driven backwards"
+    run.refuse("V", values["V"] < 0, "m/s", remedy)
+    remedy = "this looks like degrees: write radians, or give a column map with a factor"
+    run.refuse("beta", np.abs(values["beta"]) > MAX_ANGLE, "rad", remedy)
+    run.refuse("delta", np.abs(values["delta"]) > MAX_ANGLE, "rad", remedy)
+    remedy = "this looks like degrees per second: write radians per second, or give a column map with a factor"
+    run.refuse("r", np.abs(values["r"]) > MAX_YAW_RATE, "rad/s", remedy)
+
+
+def missing(run: RawRun) -> str:
+    """How many values of which channels are missing, as `2 of V, 5 of delta`; empty where none are."""
+    counts = {name: int(np.isnan(run.values[name]).sum()) for name in (*MEASURED, *COMMANDS)}
+    return ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
+
+
+def check_rates(sample_times: Mapping[str, float]) -> None:
+    """Raise `BadInput` where two of the named runs differ in sample rate by more than 1 %."""
+    (first, reference), *others = sample_times.items()
+    for name, dt in others:
+        if abs(reference / dt - 1) > UNIFORM:
+            raise BadInput(
+                f"Run '{first}' has {1 / reference:.4g} Hz but run '{name}' has {1 / dt:.4g} Hz; "
+                "thin them to one rate (key 'rate' of a column map), or read them in calls of their own."
+            )

@@ -1,0 +1,195 @@
+"""Column maps: which foreign column is which channel of a log, which rows count, and what stands for the force."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.logs.table import Table
+
+CHANNELS = ("t", "V", "beta", "r", "delta", "Fxr")
+MEASURED = ("V", "beta", "r")
+COMMANDS = ("delta", "Fxr")
+VELOCITIES = ("vx", "vy")
+EXTRA = ("x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
+RUN = "run"
+
+Stamps = Literal["header", "receipt"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel: `factor` times the foreign column plus `offset`, in SI units and radians, left positive."""
+
+    name: str
+    """Channel of the log format."""
+    column: str
+    """Foreign column."""
+    factor: float = 1.0
+    """Channel unit per unit of the column."""
+    offset: float = 0.0
+    """Added after the factor [channel unit]."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Rows count where the foreign column has one of `values`, or lies between `min` and `max`."""
+
+    column: str
+    """Foreign column."""
+    values: tuple[float | str, ...] = ()
+    """Values that pass; empty: any."""
+    min: float | None = None
+    """Least value that passes [unit of the column]."""
+    max: float | None = None
+    """Greatest value that passes [unit of the column]."""
+
+    def holds(self, table: Table) -> np.ndarray:
+        """Which rows of `table` pass."""
+        passes = np.ones(len(table.lines), bool)
+        if self.values:
+            wanted = {_plain(value) for value in self.values}
+            passes &= np.array([_plain(word) in wanted for word in table.words(self.column)], bool)
+        if self.min is not None:
+            passes &= table.numbers(self.column) >= self.min
+        if self.max is not None:
+            passes &= table.numbers(self.column) <= self.max
+        return passes
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What stands for the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
+
+    column: str
+    """Foreign column: throttle, or longitudinal acceleration with the mass as factor."""
+    factor: float = 1.0
+    """Force at standstill [N per unit of the column]."""
+    factor_per_speed: float = 0.0
+    """Change of the factor with the forward speed [N s/m per unit of the column]."""
+    above: float | None = None
+    """Value up to which there is no force [unit of the column]; left out: the column counts from zero both ways."""
+    times: str | None = None
+    """Foreign column that the force is multiplied by, such as 1 while the motor is enabled, else 0."""
+
+    def force(self, table: Table, vx: np.ndarray) -> np.ndarray:
+        """Force [N] in every row at forward speed `vx` [m/s]."""
+        value = table.numbers(self.column)
+        value = value if self.above is None else np.maximum(value - self.above, 0.0)
+        value = value if self.times is None else value * table.numbers(self.times)
+        return (self.factor + self.factor_per_speed * vx) * value if self.factor_per_speed else self.factor * value
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """How to read a foreign log."""
+
+    columns: tuple[Channel, ...]
+    """Channels; vx, vy [m/s] may stand for V, beta. In YAML `name: column` or `name: {column, factor, offset}`."""
+    run: tuple[str, ...] = ()
+    """Columns whose values name the run; empty: a file is one run."""
+    where: tuple[Condition, ...] = ()
+    """Conditions on the rows that count. In YAML `column: value`, `column: [values]` or `column: {min, max}`."""
+    skip_rows: int | tuple[int, ...] = 0
+    """Lines of a CSV to pass over: the first so many, or those with the listed numbers, from 1."""
+    Fxr_from: Drive | None = None
+    """What stands for Fxr where there is no force channel."""
+    rate: float | None = None
+    """Sample rate to thin the log to [Hz]; left out: that of the log."""
+    base: str | None = None
+    """Of a recording (ROS bag, MCAP, MDF): the channel whose time stamps all get; left out: the fastest measured."""
+    stamps: Stamps = "header"
+    """Time stamps of messages: of their headers, where they have them, or of their receipt."""
+
+    def __post_init__(self) -> None:
+        names = [channel.name for channel in self.columns]
+        known = (*CHANNELS, *VELOCITIES, *EXTRA)
+        for name in names:
+            require(name in known, f"key 'columns' maps '{name}'; the channels are {', '.join(known)}.")
+            require(names.count(name) == 1, f"key 'columns' maps '{name}' twice; leave one.")
+        require(self.Fxr_from is None or "Fxr" not in names, "Fxr is in 'columns' and 'Fxr_from'; leave one.")
+        lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
+        require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
+        require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
+
+        require(
+            self.base is None or (self.base in names and self.base != "t"),
+            f"key 'base' is '{self.base}'; it must be a channel that 'columns' maps, such as '{MEASURED[-1]}'.",
+        )
+
+    def skips(self, line: int) -> bool:
+        """Whether line `line` of a CSV, from 1, is to be passed over."""
+        return line <= self.skip_rows if isinstance(self.skip_rows, int) else line in self.skip_rows
+
+    def labels(self) -> dict[str, str]:
+        """What messages call each channel."""
+        named = {c.name: f"column '{c.column}'" + (f" ({c.name})" if c.column != c.name else "") for c in self.columns}
+        force = {} if self.Fxr_from is None else {"Fxr": f"column '{self.Fxr_from.column}' (Fxr)"}
+        source = " and ".join(f"'{c.column}'" for c in self.columns if c.name in VELOCITIES)
+        return {name: f"{name} (columns {source})" for name in ("V", "beta")} | force | named
+
+
+def first_missing(names: Iterable[str]) -> str | None:
+    """First channel that the channels `names` lack; vx, vy give V, beta."""
+    have = set(names)
+    have |= {"V", "beta"} if have.issuperset(VELOCITIES) else set()
+    return next((name for name in CHANNELS if name not in have), None)
+
+
+def load_columns(name: str | Path) -> ColumnMap:
+    """Column map from a YAML file, or a shipped one by name (`dart_jetracer`, `ferrari_250lm`, `genesis_g80`)."""
+    path = find_config("columns", name)
+    values = read_yaml(path)
+    values["columns"] = [
+        {"name": ours} | (theirs if isinstance(theirs, dict) else {"column": theirs})
+        for ours, theirs in _mapping(values, "columns", path).items()
+    ]
+    values["where"] = [
+        {"column": column}
+        | (test if isinstance(test, dict) else {"values": test if isinstance(test, list) else [test]})
+        for column, test in _mapping(values, "where", path).items()
+    ]
+    if isinstance(values.get(RUN), str):
+        values[RUN] = [values[RUN]]
+    return from_dict(ColumnMap, values, str(path))
+
+
+def own_columns(table: Table) -> ColumnMap:
+    """The map of a file that is in the log format already."""
+    names = [name for name in (*CHANNELS, *VELOCITIES, *EXTRA) if name in table]
+    if (lacks := first_missing(names)) is not None:
+        instead = " (or vx and vy)" if lacks in ("V", "beta") else ""
+        raise BadInput(
+            f"{table.path}: column '{lacks}' is missing; add it{instead}, "
+            "or name the column that holds it in a column map."
+        )
+    return ColumnMap(tuple(Channel(name, name) for name in names), (RUN,) if RUN in table else ())
+
+
+def channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
+    """Every channel that the map gives, V and beta and Fxr among them, from rows of `table`."""
+    values = {c.name: c.factor * table.numbers(c.column) + c.offset for c in columns.columns}
+    vx, vy = (values.pop(name, None) for name in VELOCITIES)
+    if vx is not None and vy is not None:
+        values = {"V": np.hypot(vx, vy), "beta": np.arctan2(vy, vx)} | values
+    if columns.Fxr_from is not None:
+        values["Fxr"] = columns.Fxr_from.force(table, values["V"] * np.cos(values["beta"]))
+    return values
+
+
+def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    found = values.get(key) or {}
+    if not isinstance(found, dict):
+        raise BadInput(f"{path}: key '{key}' is {found!r}; it needs 'column: ...' lines.")
+    return found
+
+
+def _plain(value: float | str) -> float | str:
+    """A number where the text is one, so that 1, 1.0 and '1' are the same."""
+    try:
+        return float(value)
+    except ValueError:
+        return value

@@ -1,0 +1,187 @@
+"""Measured logs: runs in the log format, read from tables and recordings, checked and put on an even time base."""
+
+import csv
+import dataclasses
+import hashlib
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from driftjax.core import BadInput, write_atomically
+from driftjax.logs.checks import check_rates
+from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap
+from driftjax.logs.prepare import Part, parts
+from driftjax.logs.raw import raw_runs
+from driftjax.logs.recording import read_recording, recording_kind
+from driftjax.logs.table import Table, parse_table, read_bytes, reading
+
+PIECE = 2**20  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run at an even sample time; arrays (n,), NaN where a measured value is missing."""
+
+    name: str
+    t: np.ndarray
+    """Time [s]."""
+    V: np.ndarray
+    """Speed [m/s]."""
+    beta: np.ndarray
+    """Sideslip [rad], left positive."""
+    r: np.ndarray
+    """Yaw rate [rad/s], left positive."""
+    delta: np.ndarray
+    """Commanded steering angle [rad], left positive."""
+    Fxr: np.ndarray
+    """Commanded longitudinal force of the rear axle [N], driving positive."""
+    dt: float
+    """Sample time [s]."""
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
+    """What else was measured: x, y, s, e [m], psi [rad], ax, ay [m/s^2], wheel speeds wfl, wfr, wrl, wrr [rad/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Runs of one or several files."""
+
+    runs: tuple[Run, ...]
+    sha256: str
+    """Of the bytes of all files, in order, those of a folder by name."""
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...]
+    """Sentences about what was repaired or left out."""
+
+    @property
+    def rows(self) -> int:
+        """Samples in all runs."""
+        return sum(len(run.t) for run in self.runs)
+
+    def only(self, patterns: Sequence[str]) -> "Log":
+        """The runs that match one of the `patterns` (`*` stands for anything) with their name, or with that of the run
+        they are a part of; all, where there is none."""
+        if not patterns:
+            return self
+        called = lambda name: any(fnmatchcase(name, pattern) for pattern in patterns)
+        kept = tuple(run for run in self.runs if called(run.name) or called(run.name.rpartition("@")[0]))
+        if not kept:
+            names = ", ".join(run.name for run in self.runs[:6])
+            raise BadInput(f"runs: no run is called {' or '.join(patterns)}; the log holds {names}.")
+        return dataclasses.replace(self, runs=kept)
+
+    def cut(self, seconds: float | None) -> "Log":
+        """Runs as parts of about so many `seconds`, called run@begin, so that some of a long one can be held out."""
+        if seconds is None:
+            return self
+        parts = [part for run in self.runs for part in _cut(run, max(round(seconds / run.dt), 2))]
+        return dataclasses.replace(self, runs=tuple(parts))
+
+
+def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
+    """Runs of all `paths` in the log format, or in that of `columns`; raises `BadInput` in one sentence.
+
+    A log is a CSV or Parquet file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or MDF file.
+    A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
+    a command is missing for longer than that; the parts are called name, name+1, ...
+    """
+    if not paths:
+        raise BadInput("No log was given; name one file or bag at least.")
+    digest, seen = hashlib.sha256(), dict[bytes, Path]()
+    runs: dict[str, Run] = {}
+    notes: list[str] = []
+    for path in map(Path, paths):
+        kind = recording_kind(path)
+        content = read_bytes(path) if kind is None else b""
+        own = hashlib.sha256()
+        for piece in [content] if kind is None else _pieces(path):
+            own.update(piece)
+            digest.update(piece)
+        if (twin := seen.setdefault(own.digest(), path)) is not path:
+            raise BadInput(f"{path}: holds the same as {twin}; give each log once.")
+        for raw in raw_runs(_table(path, kind, content, columns, notes), columns, notes):
+            name = raw.name if raw.name not in runs else f"{path.stem}/{raw.name}"
+            for part in parts(raw, columns.rate if columns else None, notes):
+                free = _free_name(name, runs)
+                runs[free] = _run(free, part)
+    if not runs:
+        raise BadInput(f"{', '.join(map(str, paths))}: no run has two samples in a row; give a longer log.")
+    check_rates({name: run.dt for name, run in runs.items()})
+    return Log(tuple(runs.values()), digest.hexdigest(), tuple(map(Path, paths)), tuple(notes))
+
+
+def _cut(run: Run, num: int) -> list[Run]:
+    """`run` in parts of at least `num` samples; one shorter than twice that stays whole."""
+    edges = list(range(0, len(run.t) - num + 1, num)) or [0]
+    parts = []
+    for start, stop in zip(edges, [*edges[1:], len(run.t)], strict=True):
+        of = lambda values: values[start:stop]  # noqa: B023
+        main = {name: of(getattr(run, name)) for name in CHANNELS}
+        name = f"{run.name}@{run.t[start] - run.t[0]:g}" if len(edges) > 1 else run.name
+        parts.append(Run(name, **main, dt=run.dt, extra={key: of(values) for key, values in run.extra.items()}))
+    return parts
+
+
+def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | None, notes: list[str]) -> Table:
+    if kind is not None:
+        return read_recording(path, kind, columns, notes)
+    return parse_table(path, content, columns.skips if columns else lambda line: False)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    """What a file holds, or all files of a folder, a piece at a time: recordings may be larger than memory."""
+    for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
+        with reading(file), file.open("rb") as stream:
+            while piece := stream.read(PIECE):
+                yield piece
+
+
+def _run(name: str, part: Part) -> Run:
+    main = {key: part.values[key] for key in CHANNELS[1:]}
+    extra = {key: part.values[key] for key in EXTRA if key in part.values}
+    return Run(name, part.t, **main, dt=part.dt, extra=extra)
+
+
+def _free_name(name: str, taken: Container[str]) -> str:
+    number = 0
+    while (free := f"{name}+{number}" if number else name) in taken:
+        number += 1
+    return free
+
+
+def write_log(path: Path, runs: Sequence[Run]) -> None:
+    """Write runs in the log format, as CSV or Parquet by the suffix of `path`, either whole or not at all.
+
+    Missing values become empty cells; numbers keep every digit.
+    """
+    if not runs:
+        raise BadInput(f"{path}: there is no run to write; give one at least.")
+    extra = [name for name in EXTRA if any(name in run.extra for run in runs)]
+    columns = {name: np.concatenate([getattr(run, name) for run in runs]) for name in CHANNELS}
+    for name in extra:
+        columns[name] = np.concatenate([run.extra.get(name, np.full(len(run.t), np.nan)) for run in runs])
+    names = [run.name for run in runs for _ in run.t]
+    writers = {".csv": _write_csv, ".parquet": _write_parquet}
+    if path.suffix.lower() not in writers:
+        raise BadInput(f"{path}: a log is CSV or Parquet; let the name end in .csv or .parquet.")
+    try:
+        write_atomically(path, lambda p: writers[path.suffix.lower()](p, path, columns, names))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}); give another path.") from None
+
+
+def _write_csv(temporary: Path, path: Path, columns: dict[str, np.ndarray], runs: list[str]) -> None:
+    with temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([*columns, RUN])
+        cells = (["" if value != value else repr(value) for value in y.tolist()] for y in columns.values())
+        writer.writerows(zip(*cells, runs, strict=True))
+
+
+def _write_parquet(temporary: Path, path: Path, columns: dict[str, np.ndarray], runs: list[str]) -> None:
+    import pyarrow.parquet
+
+    table = {name: pyarrow.array(y, from_pandas=True) for name, y in columns.items()}  # NaN becomes null
+    pyarrow.parquet.write_table(pyarrow.table(table | {RUN: runs}), temporary)

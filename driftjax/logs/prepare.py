@@ -1,0 +1,104 @@
+"""From a run as it stands in its file to parts at an even sample time."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.logs import sampling
+from driftjax.logs.checks import check_time, check_values, missing, void_sideslip
+from driftjax.logs.columns import COMMANDS
+from driftjax.logs.raw import RawRun
+
+
+class Part(NamedTuple):
+    """A stretch of a run without long gaps."""
+
+    t: np.ndarray
+    """Time [s], even."""
+    values: dict[str, np.ndarray]
+    """All channels but `t`."""
+    dt: float
+    """Sample time [s]."""
+
+
+def parts(raw: RawRun, rate: float | None, notes: list[str]) -> list[Part]:
+    """The run, checked, cut at long gaps, on an even time base, thinned to `rate` [Hz].
+
+    What was repaired or left out goes to `notes`, in sentences. Raises `BadInput` as `driftjax.logs.checks` does.
+    """
+    run = raw.keep(np.isfinite(raw.values["t"]))
+    if lost := len(raw.lines) - len(run.lines):
+        notes.append(f"{raw.where}: rows without a time were left out: {lost}.")
+    if len(run.lines) < 2:
+        notes.append(f"{raw.where}: was left out, for it has fewer than two rows.")
+        return []
+    dt = check_time(run)
+    run = _checked(run, notes)
+    factor = 1 if rate is None else sampling.thinning(dt, rate, run.where)
+    run = _hold_commands(run, dt, notes)
+    stretches = [run.keep(rows) for rows in sampling.pieces(run.values["t"], dt)]
+    long = [stretch for stretch in stretches if np.ptp(stretch.values["t"]) > (factor - sampling.SLACK) * dt]
+    if short := sum(len(stretch.lines) for stretch in stretches) - sum(len(stretch.lines) for stretch in long):
+        notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
+    if len(long) > 1:
+        notes.append(f"{raw.where}: was cut at gaps into {len(long)} parts.")
+    found = [_even(stretch, dt) for stretch in long]
+    _note_repairs(raw, long, dt, notes)
+    if factor == 1:
+        return found
+    notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
+    return [Part(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in found]
+
+
+def _checked(run: RawRun, notes: list[str]) -> RawRun:
+    """The run with beta missing where it says nothing; raises `BadInput` where a channel cannot be right."""
+    void = void_sideslip(run)
+    if void.any():
+        notes.append(
+            f"{run.where}: values of beta past a right angle, near standstill or rolling backwards, "
+            f"count as missing: {void.sum()}."
+        )
+    run = run.set(beta=np.where(void, np.nan, run.values["beta"]))
+    check_values(run)
+    if lacking := missing(run):
+        notes.append(f"{run.where}: values are missing: {lacking}.")
+    return run
+
+
+def _hold_commands(run: RawRun, dt: float, notes: list[str]) -> RawRun:
+    """Short gaps of the commands held, rows in long ones left out."""
+    known, held = np.ones(len(run.lines), bool), 0
+    for name in COMMANDS:
+        values, there = sampling.hold(run.values["t"], run.values[name], dt)
+        held += int(np.sum(there & np.isnan(run.values[name])))
+        known &= there
+        run = run.set(**{name: values})
+    if held:
+        notes.append(f"{run.where}: missing commands were taken from the sample before: {held}.")
+    if not known.all():
+        notes.append(f"{run.where}: rows where a command is missing for longer were left out: {np.sum(~known)}.")
+    return run.keep(known)
+
+
+def _even(run: RawRun, dt: float) -> Part:
+    values = dict(run.values)
+    t = values.pop("t")
+    if "psi" in values:
+        values["psi"] = sampling.unwrap(values["psi"])
+    if not sampling.is_uniform(t, dt):
+        t, values = sampling.regular(t, values, COMMANDS, dt)
+    return Part(t, values, dt)
+
+
+def _note_repairs(raw: RawRun, stretches: list[RawRun], dt: float, notes: list[str]) -> None:
+    steps = np.concatenate([np.diff(stretch.values["t"]) for stretch in stretches] or [[]]) / dt
+    whole = np.maximum(np.round(steps), 1)
+    if lost := int(np.sum(whole - 1)):
+        notes.append(
+            f"{raw.where}: samples are lost; measured values count as missing there, commands are held: {lost}."
+        )
+    if (uneven := np.abs(steps - whole) > sampling.UNIFORM).any():
+        notes.append(
+            f"{raw.where}: {uneven.sum()} of {steps.size} time steps differ from {dt:.4g} s; "
+            "the run was resampled evenly."
+        )

@@ -1,0 +1,111 @@
+"""Recordings: ROS bags, MCAP and MDF files, whose columns have clocks of their own, as one table on one of them."""
+
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.logs import mcapfile, mdf, rosbag, sampling
+from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
+from driftjax.logs.messages import series_of
+from driftjax.logs.series import Series, check_series, few
+from driftjax.logs.table import Table, reading
+
+TIME = "time"  # column of a recording that holds the time base
+KINDS = {
+    b"#ROSBAG": rosbag.KIND,
+    b"SQLite format 3\0": rosbag.KIND,
+    b"\x89MCAP": mcapfile.KIND,
+    b"MDF     ": mdf.KIND,
+    b"UnFinMF ": mdf.KIND,
+}  # by the first bytes of the file
+
+
+def recording_kind(path: Path) -> str | None:
+    """What kind of recording `path` is, by its first bytes; None for any other file."""
+    with reading(path):
+        if path.is_dir():
+            if not (path / "metadata.yaml").is_file():
+                raise BadInput(f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; give a bag or a file.")
+            return rosbag.KIND
+        if not path.is_file():
+            return None  # nothing there, or a pipe, whose first bytes would be lost
+        with path.open("rb") as stream:
+            start = stream.read(max(map(len, KINDS)))
+    return next((kind for magic, kind in KINDS.items() if start.startswith(magic)), None)
+
+
+def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list[str]) -> Table:
+    """What the map names in a recording of this kind, on the time stamps of one of its channels.
+
+    Measured channels are interpolated between their samples, commands held for up to 3 lost ones, and what else the map
+    names, such as columns of conditions, till the next sample; values are missing where samples are.
+    """
+    if columns is None:
+        names = _names(path, kind)
+        holds = few(names, len(names)) or "nothing"
+        raise BadInput(f"{path}: a recording needs a column map that says what is what; it holds {holds}.")
+    if wrong := [channel.name for channel in columns.columns if channel.column == TIME and channel.name != "t"]:
+        raise BadInput(f"{path}: the column map says that {wrong[0]} is '{TIME}', the time stamps; only t can be that.")
+    roles = _roles(columns)
+    found = _series(path, kind, roles, columns.stamps, notes)
+    for name, series in found.items():
+        check_series(path, name, series, fewest=1 if roles[name] == "state" else 2)
+    base = _base(found, roles, columns)
+    if len({series.source for series in found.values()}) > 1:
+        rate = 1 / sampling.sample_time(found[base].t)
+        notes.append(f"{path}: all columns were put on the time stamps of '{found[base].source}', {rate:.4g} Hz.")
+    t = found[base].t
+    turning = {channel.column: channel.factor for channel in columns.columns if channel.name == "psi"}
+    values = {name: _at(t, series, roles[name], turning.get(name)) for name, series in found.items()}
+    return Table(path, (TIME, *values), (t, *values.values()), np.arange(1, len(t) + 1))
+
+
+def _names(path: Path, kind: str) -> list[str]:
+    read = {rosbag.KIND: rosbag.bag_topics, mcapfile.KIND: mcapfile.mcap_topics, mdf.KIND: mdf.mdf_channels}
+    return read[kind](path)
+
+
+def _series(path: Path, kind: str, names: Iterable[str], stamps: Stamps, notes: list[str]) -> dict[str, Series]:
+    if kind == mdf.KIND:
+        return mdf.mdf_series(path, names)
+    read = {
+        rosbag.KIND: lambda topics: rosbag.bag_messages(path, topics, notes),
+        mcapfile.KIND: lambda topics: mcapfile.mcap_messages(path, topics),
+    }
+    return series_of(path, names, _names(path, kind), read[kind], stamps)
+
+
+def _roles(columns: ColumnMap) -> dict[str, str]:
+    """Every column that the map names but the time: measured, command or state."""
+    drive = columns.Fxr_from
+    state = [*columns.run, *(condition.column for condition in columns.where)]
+    state += [drive.times] if drive and drive.times else []
+    command = [channel.column for channel in columns.columns if channel.name in COMMANDS]
+    command += [drive.column] if drive else []
+    measured = [channel.column for channel in columns.columns if channel.name not in COMMANDS]
+    ranks = {"measured": measured, "command": command, "state": state}  # what is measured is, whatever else it is for
+    roles = dict(chain.from_iterable(((name, role) for name in names) for role, names in reversed(ranks.items())))
+    return {name: role for name, role in roles.items() if name != TIME}
+
+
+def _base(found: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -> str:
+    """Column whose time stamps hold: that of the map's base, else the fastest measured, the first of equals."""
+    if columns.base is not None:
+        return next(channel.column for channel in columns.columns if channel.name == columns.base)
+    measured = [name for name, role in roles.items() if role == "measured"]
+    steps = {name: sampling.sample_time(found[name].t) for name in measured}
+    return next(name for name in measured if steps[name] <= (1 + sampling.UNIFORM) * min(steps.values()))
+
+
+def _at(times: np.ndarray, series: Series, role: str, turning: float | None) -> np.ndarray:
+    """The series at `times`; `turning` is the factor to radians where the values are a heading."""
+    if role == "state":
+        return sampling.latest(times, series.t, series.y, sampling.sample_time(times))
+    dt = sampling.sample_time(series.t)
+    if role == "command":
+        return sampling.latest(times, series.t, series.y, dt, lost=sampling.HOLD)
+    y = series.y if turning is None else sampling.unwrap(turning * series.y) / turning
+    return sampling.between(times, series.t, y, dt)

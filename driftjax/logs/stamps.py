@@ -1,0 +1,52 @@
+"""Time stamps of messages: those in their headers, or the times of receipt."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.logs.columns import Stamps
+from driftjax.logs.fields import ABSENT, inside, is_number
+
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+APART = 1.0  # s by which header and receipt may differ from topic to topic on one clock
+REMEDY = "write 'stamps: receipt' in the column map"
+
+
+def header_stamp(content: Any) -> int | None:
+    """Time stamp in `header.stamp` or `timestamp` of a message [ns], None where there is none."""
+    stamp = inside(inside(content, "header"), "stamp")
+    stamp = inside(content, "timestamp") if stamp is ABSENT else stamp
+    whole, rest = ([inside(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
+    whole, rest = (next(filter(is_number, found), None) for found in (whole, rest))
+    return None if whole is None or rest is None else int(whole) * 10**9 + int(rest)
+
+
+def seconds(
+    path: Path, received: Mapping[str, Sequence[int]], stamped: Mapping[str, Sequence[int | None]], stamps: Stamps
+) -> dict[str, np.ndarray]:
+    """Time of every message by topic [s], from the first message on.
+
+    By header where `stamps` says so and the topic has one. Raises `BadInput` where that makes two clocks of one.
+    """
+    times = {topic: np.array(own, np.int64) for topic, own in received.items()}
+    late = dict.fromkeys(times, 0.0)
+    for topic, own in stamped.items():
+        if stamps == "receipt" or all(one is None for one in own):
+            continue
+        if None in own or not any(own):
+            raise BadInput(f"{path}: not all headers of '{topic}' hold a time stamp; {REMEDY}.")
+        headers = np.array(own, np.int64)
+        late[topic] = float(np.median((times[topic] - headers) / 1e9))
+        times[topic] = headers
+    first, last = min(late, key=late.__getitem__), max(late, key=late.__getitem__)
+    if late[last] - late[first] > APART:
+        raise BadInput(
+            f"{path}: '{first}' was received {late[first]:.4g} s after its time stamps but '{last}' {late[last]:.4g} s "
+            f"after, as if by two clocks; {REMEDY}."
+        )
+    start = min(own.min() for own in times.values())
+    return {topic: (own - start) / 1e9 for topic, own in times.items()}

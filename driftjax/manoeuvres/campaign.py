@@ -1,0 +1,145 @@
+"""Runs of the manoeuvre library on a car with a known truth, driven side by side, as a measurement would log them."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import require
+from driftjax.core.programs import call
+from driftjax.logs import Run
+from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.sim.logged import Flaws, logged
+from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
+from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.single_track import G
+from driftjax.vehicle.universal import universal
+
+REDRAWS = 5  # how often a run that spins is drawn again
+SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this share of sqrt(g L)
+STEP = 1e-3  # longest step of the plant [s]
+PLACE = (0.007, 0.0035)  # typical noise of positions over the wheelbase, of the heading [rad]
+ACCELERATION = 0.005  # typical noise of accelerations, over gravity [-]
+LATER = 2**20  # between the seeds of a campaign and of what is driven after it
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is driven, and how it is measured and disturbed."""
+
+    manoeuvres: tuple[str, ...] = RICH
+    """Manoeuvres, one run each: drift, steady_drift, grip_sine, slalom, step_steer, throttle_steps, coast_down,
+    laps."""
+    duration: float = 10.0
+    """Length of a run [s]."""
+    rate: float = 100.0
+    """Sample rate of the log and the driver [Hz]."""
+    noise: float = 1.0
+    """Sensor noise; 1 is typical: 0.05 m/s, 0.5 deg and 0.5 deg/s on a sedan [-]."""
+    process_noise: float = 1.0
+    """Disturbance of the car's motion; 1 is typical, 0 none [-]."""
+    dropouts: float = 0.0
+    """Share of samples in which V, beta and r are missing, some in a row [-]."""
+    outliers: float = 0.0
+    """Share of values of V, beta and r that are off by 10 to 30 times the typical noise [-]."""
+    seed: int = 0
+    """Seed of manoeuvres, noise, dropouts and outliers."""
+
+    def __post_init__(self) -> None:
+        require(len(self.manoeuvres) > 0, "key 'manoeuvres' is empty; name one at least.")
+        for name in self.manoeuvres:
+            require(name in MANOEUVRES, f"key 'manoeuvres' has '{name}'; choose from {', '.join(MANOEUVRES)}.")
+        require(0.5 <= self.duration <= 600, f"key 'duration' is {self.duration}; it lies in 0.5..600 s.")
+        require(20 <= self.rate <= 1000, f"key 'rate' is {self.rate}; it lies in 20..1000 Hz.")
+        for name, most in (("noise", 20), ("process_noise", 20), ("dropouts", 0.5), ("outliers", 0.5)):
+            value = getattr(self, name)
+            require(0 <= value <= most, f"key '{name}' is {value}; it lies in 0..{most}.")
+        require(self.seed >= 0, f"key 'seed' is {self.seed}; it must not be negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a log does not tell."""
+
+    effects: dict[str, dict[str, float]]
+    """Parameters that are not neutral, SI."""
+    noise: dict[str, float]
+    """Standard deviation of measured V [m/s], beta [rad], r [rad/s]."""
+    process_noise: dict[str, float]
+    """That of rates added to those of V [m/s^2], beta [rad/s], r [rad/s^2], and their correlation time [s]."""
+    left_out: tuple[str, ...]
+    """Runs in which the car spun or came to a stop every time."""
+    states: dict[str, Float[np.ndarray, "T 3"]]
+    """True V, beta, r of each run."""
+
+
+def typical(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
+    """Noise and disturbance of this car, as multiples of the typical ones."""
+    unit = size(vehicle)
+    sigma = noise * np.array([0.0092 * unit.speed, 0.0087, 0.0049 / unit.time])
+    rates = process_noise * np.array([0.0092 * unit.speed / unit.time, 0.0084 / unit.time, 0.028 / unit.time**2])
+    return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time))
+
+
+def driven(
+    vehicle: VehicleConfig, theta: Array, manoeuvre: Manoeuvre, conditions: Conditions, seed: Array, dt: float
+) -> Recording:
+    """One manoeuvre with the noise of its seed; samples every `dt` [s]."""
+    plant = universal(vehicle, tuple(EFFECTS.values())).at(theta)
+    substeps = max(round(dt / STEP), 1)
+    return record(plant, vehicle, manoeuvre, conditions, jax.random.key(seed), dt, substeps)
+
+
+def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -> tuple[tuple[Run, ...], Truth]:
+    """Logged runs of `vehicle` with all effects of the catalogue at `theta` (typical sizes), and the truth.
+
+    A run that spins is drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program
+    serves any number of them; another run length or car compiles anew.
+    """
+    t, dt = np.arange(round(campaign.duration * campaign.rate)) / campaign.rate, 1 / campaign.rate
+    conditions = typical(vehicle, campaign.noise, campaign.process_noise)
+    flaws, runs, states, left_out = flawed(vehicle, campaign), [], {}, []
+    for i, kind in enumerate(campaign.manoeuvres):
+        name, rng = f"{kind}-{i + 1}", np.random.default_rng((campaign.seed, i))
+        for _ in range(1 + REDRAWS):
+            manoeuvre, seed = jax.tree.map(  # arrays of no weak type: one compile
+                lambda a: jnp.asarray(np.asarray(a)),
+                (MANOEUVRES[kind](vehicle, rng, t), rng.integers(2**32, dtype=np.uint32)),
+            )
+            one = call(driven, vehicle, jnp.asarray(theta), manoeuvre, conditions, seed, dt)
+            if not spun(vehicle, one):
+                runs.append(logged(name, one, float(manoeuvre.lap), dt, flaws, rng))
+                states[name] = np.asarray(one.x)
+                break
+        else:
+            left_out.append(name)
+    return tuple(runs), _truth(vehicle, theta, conditions, tuple(left_out), states)
+
+
+def flawed(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:
+    """What is wrong with the logs of a campaign, in units of this car."""
+    metres, heading = campaign.noise * PLACE[0] * size(vehicle).length, campaign.noise * PLACE[1]
+    sigma, acceleration = np.asarray(typical(vehicle).sigma), campaign.noise * ACCELERATION * G
+    return Flaws(campaign.dropouts, campaign.outliers, sigma, metres, heading, acceleration)
+
+
+def spun(vehicle: VehicleConfig, one: Recording) -> bool:
+    """Whether the car left what can be measured: a spin, a stop, or numbers that are not finite."""
+    x = np.asarray(one.x)
+    held = np.isfinite(one.y).all() and np.abs(x[:, 1]).max() <= SPIN
+    return not (held and x[:, 0].min() >= SLOWEST * size(vehicle).speed)
+
+
+def _truth(vehicle: VehicleConfig, theta: np.ndarray, conditions: Conditions, left_out: tuple, states: dict) -> Truth:
+    each = [(effect.name, p.name, p.scale(vehicle)) for effect in EFFECTS.values() for p in effect.parameters]
+    effects: dict[str, dict[str, float]] = {}
+    for (effect, name, scale), strength in zip(each, theta, strict=True):
+        if strength:
+            effects.setdefault(effect, {})[name] = float(f"{strength * scale:.12g}")
+    short = lambda names, values: {name: float(f"{value:.6g}") for name, value in zip(names, values, strict=True)}
+    rates = short(("V", "beta", "r", "correlation"), (*conditions.disturbance, conditions.correlation))
+    return Truth(effects, short(("V", "beta", "r"), conditions.sigma), rates, left_out, states)

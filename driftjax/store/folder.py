@@ -1,0 +1,182 @@
+"""A run folder: the config, what ran, and each finished stage, so that a run can go on where it stopped.
+
+config.yaml, versions.json, plan.nc, results.json, laps.nc, and in stages/ for each stage NN_name.state (what the
+next stage starts from) and NN_name.nc (its laps). A stage is finished when its .nc exists.
+"""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+
+from driftjax.core import BadInput, read_yaml, write_atomically
+from driftjax.store import files
+from driftjax.store.variables import SHARED
+from driftjax.store.versions import versions
+
+CONFIG = "config.yaml"
+BLANK = {"f": np.nan, "b": False, "i": -1}  # what stands for a lane or step that a stage lacks, by kind
+
+
+class RunFolder:
+    """One run on disk; every file is either whole or absent."""
+
+    def __init__(self, path: Path, config: dict[str, Any], made: tuple[Path, ...] | None = None) -> None:
+        self.path, self.config, self._made = path, config, made
+        self._read: dict[Path, xr.Dataset] = {}  # stages that were read; a finished one never changes
+
+    @classmethod
+    def create(cls, path: str | Path, config: dict[str, Any], verb: str = "learn") -> "RunFolder":
+        """New folder for what `driftjax <verb>` does with `config`.
+
+        Raises `BadInput` where it cannot be written or holds a run already.
+        """
+        path = Path(path)
+        try:
+            if (path / CONFIG).exists():
+                raise BadInput(f"{path}: already holds a run; continue it with --resume {path}, or give another --out.")
+            made = tuple(p for p in (path, *path.parents) if not p.exists())
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another --out.") from None
+        folder = cls(path, config, made)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            files.write_json(path / "versions.json", {"verb": verb} | versions())
+            text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
+            write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
+        except OSError as error:
+            folder.discard()
+            raise BadInput(f"{path}: cannot be written ({error.strerror}); give another --out.") from None
+        return folder
+
+    @classmethod
+    def open(cls, path: str | Path) -> "RunFolder":
+        """The run at `path`; raises `BadInput` where there is none."""
+        path = Path(path)
+        if not (path / CONFIG).is_file():
+            raise BadInput(f"{path}: holds no run (there is no {CONFIG}); `driftjax runs` lists those there are.")
+        return cls(path, read_yaml(path / CONFIG))
+
+    def discard(self) -> None:
+        """Undo `create`: remove the run's files, and every folder that it made. Opened runs stay."""
+        if self._made is None:
+            return
+        if not self._made:
+            for name in (CONFIG, "versions.json", "plan.nc"):
+                (self.path / name).unlink(missing_ok=True)
+            shutil.rmtree(self.path / "stages", ignore_errors=True)
+        for path in self._made:
+            if path == self.path:
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+
+    @property
+    def created(self) -> str:
+        """When the run was started, ISO 8601, UTC."""
+        return str(self.read_json("versions").get("created", ""))
+
+    @property
+    def verb(self) -> str:
+        """The verb that made the run."""
+        return str(self.read_json("versions").get("verb", "learn"))
+
+    def finished(self) -> list[str]:
+        """Names of the finished stages, in order."""
+        return [path.stem[3:] for path in sorted((self.path / "stages").glob("[0-9][0-9]_*.nc"))]
+
+    def holds_results(self) -> bool:
+        """Whether a stage, or a trial of a sweep, has been finished."""
+        return bool(self.finished()) or any((self.path / "trials").glob("*.parquet"))
+
+    def _stage(self, name: str) -> Path:
+        found = self.finished()
+        number = found.index(name) if name in found else len(found)
+        return self.path / "stages" / f"{number:02d}_{name}"
+
+    def write_stage(self, name: str, data: xr.Dataset, state: bytes) -> None:
+        """Finish stage `name`: first its state, last its laps, each whole or absent."""
+        stem = self._stage(name)
+        stem.parent.mkdir(exist_ok=True)
+        write_atomically(stem.with_suffix(".state"), lambda p: p.write_bytes(state))
+        files.write_netcdf(stem.with_suffix(".nc"), data.assign_attrs(stage=name))
+
+    def read_stage(self, name: str) -> xr.Dataset:
+        """Laps of a finished stage."""
+        path = self._stage(name).with_suffix(".nc")
+        if path not in self._read:
+            self._read[path] = files.read_netcdf(path)
+        return self._read[path]
+
+    def read_state(self, name: str) -> bytes:
+        """What the stage after `name` starts from."""
+        path = self._stage(name).with_suffix(".state")
+        if not path.is_file():
+            raise BadInput(f"{path}: no such file; the run has not got that far.")
+        return path.read_bytes()
+
+    def write_json(self, name: str, values: dict[str, Any]) -> None:
+        """Write `name`.json; numbers that are not finite become null."""
+        files.write_json(self._json(name), values)
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """What `name`.json holds."""
+        return files.read_json(self._json(name))
+
+    def _json(self, name: str) -> Path:
+        return self.path / f"{name.removesuffix('.json')}.json"
+
+    def write_dataset(self, name: str, data: xr.Dataset) -> None:
+        """Write a dataset of its own, such as plan.nc."""
+        files.write_netcdf(self.path / name, data)
+
+    def read_dataset(self, name: str) -> xr.Dataset:
+        """The dataset in the file `name`."""
+        return files.read_netcdf(self.path / name)
+
+    def has(self, name: str) -> bool:
+        """Whether the run holds the file `name`."""
+        return (self.path / name).is_file()
+
+    def collect(self) -> xr.Dataset:
+        """Write and return laps.nc: the laps of all finished stages along a new dimension `stage`."""
+        names = self.finished()
+        if not names:
+            raise BadInput(f"{self.path}: no stage has finished, so there are no laps to collect.")
+        laps = stack(dict(zip(names, map(self.read_stage, names), strict=True)))
+        self.write_dataset("laps.nc", laps)
+        return laps
+
+
+def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
+    """Stages along a new dimension `stage`; what a stage lacks is NaN, False, -1 or empty."""
+    sizes: dict[Any, int] = {}
+    for data in stages.values():
+        sizes |= {dim: max(size, sizes.get(dim, 0)) for dim, size in data.sizes.items()}
+    variables: dict[Any, xr.Variable] = {}
+    for name in dict.fromkeys(name for data in stages.values() for name in data.variables):
+        parts = {i: data.variables[name] for i, data in enumerate(stages.values()) if name in data.variables}
+        first = next(iter(parts.values()))
+        if name in SHARED:
+            variables[name] = max(parts.values(), key=lambda part: part.size)
+            continue
+        shape = tuple(sizes[dim] for dim in first.dims)
+        dtype = first.dtype if first.dtype.kind in "fbi" else np.dtype(object)
+        whole = np.full((len(stages), *shape), BLANK.get(dtype.kind, ""), dtype)
+        for i, part in parts.items():
+            whole[(i, *(slice(0, n) for n in part.shape))] = part.values
+        variables[name] = xr.Variable(("stage", *first.dims), whole, first.attrs)
+    words = {"units": "1", "long_name": "name of the stage"}
+    coords = {"stage": xr.Variable("stage", np.array(list(stages), object), words)}
+    for data in stages.values():
+        coords |= {name: variables[name] for name in data.coords}
+    return xr.Dataset({k: v for k, v in variables.items() if k not in coords}, coords)
+
+
+def list_runs(root: str | Path) -> list[RunFolder]:
+    """Every run below `root`, oldest first."""
+    paths = [path.parent for path in Path(root).rglob(CONFIG) if (path.parent / "versions.json").is_file()]
+    return sorted(map(RunFolder.open, paths), key=lambda run: (run.created, str(run.path)))

@@ -1,0 +1,99 @@
+"""The fit of a Gaussian process with three outputs and five inputs: scikit-learn beside this package."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.gp import FitResult, Hyper, fit, scales
+from driftjax.gp.likelihood import likelihood
+from driftjax.gp.model import squares
+from driftjax.studies.bench.config import Config
+from driftjax.studies.bench.drift import residual_rows
+from driftjax.studies.bench.peers import missing
+from driftjax.studies.bench.rows import Curve, Keeping, Measured, Row, alternate, timed
+
+TARGETS = {300: 8.0, 1000: 4.0}
+SIZES = (50, 100, 200, 400, 1000)
+NOISE = 0.05  # of the targets, over their root mean square
+SAME = 1e-3  # by so much per data row our log likelihood may be below theirs and still count as the same
+
+
+class Data(NamedTuple):
+    """Rows to be learnt from, raw and divided by their scales."""
+
+    Z: jax.Array
+    Y: jax.Array
+    X: np.ndarray
+    T: np.ndarray
+
+
+def data(num: int) -> Data:
+    """`num` rows of a car with less friction, with noise."""
+    Z, Y = residual_rows(num)
+    Y = Y + NOISE * np.sqrt(np.mean(Y**2, axis=0)) * np.random.default_rng(2).standard_normal(Y.shape)
+    scale, output_scale = scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(num, bool))
+    return Data(jnp.asarray(Z), jnp.asarray(Y), Z / np.asarray(scale), Y / np.asarray(output_scale))
+
+
+def ours(rows: Data) -> Callable[[], FitResult]:
+    """The fit on all `rows` from one start, ready to be run."""
+    num = len(rows.X)
+    return lambda: fit(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
+
+
+def measure(cfg: Config) -> Measured:
+    """All rows; curves where asked for."""
+    rows = [_row(cfg, num) for num in ((40,) if cfg.quick else TARGETS)]
+    return Measured(rows, _curves(cfg) if cfg.plots else [])
+
+
+def _row(cfg: Config, num: int) -> Row:
+    rows = data(num)
+    mine, theirs = Keeping(ours(rows)), Keeping(_scikit_learn(rows))
+    runs = {"ours": timed(mine, 1)} | ({} if missing("scikit-learn") else {"theirs": timed(theirs, 1)})
+    times = alternate(cfg.repeats, runs)
+    facts: dict[str, Any] = {"rows": num, "likelihood": _likelihoods(rows, _logs(mine.last.gp.hyper))}
+    if "theirs" in times:
+        facts["their_likelihood"] = _likelihoods(rows, theirs.last)
+        ahead = (np.array(facts["likelihood"]) - np.array(facts["their_likelihood"])) / num
+        facts["same_likelihood"] = bool(np.all(ahead >= -SAME))
+        words = "the same likelihood" if facts["same_likelihood"] else "NOT the same likelihood"
+        facts["remarks"] = f"{words}: ours less theirs per data row {', '.join(f'{a:.1e}' for a in ahead)}"
+    return Row("gp", f"fit of 3 outputs, 5 inputs, {num} rows", "fit", times["ours"], "scikit-learn",
+               times.get("theirs"), "faster", TARGETS.get(num), missing("scikit-learn"), facts)  # fmt: skip
+
+
+def _scikit_learn(rows: Data) -> Callable[[], np.ndarray]:
+    def run() -> np.ndarray:
+        from driftjax.studies.bench import sklearn_gp
+
+        return sklearn_gp.fit(rows.X, rows.T)
+
+    return run
+
+
+def _logs(hyper: Hyper) -> np.ndarray:
+    columns = (hyper.log_lengthscale, hyper.log_amplitude[:, None], hyper.log_noise[:, None])
+    return np.concatenate([np.asarray(column) for column in columns], axis=1)
+
+
+def _likelihoods(rows: Data, logs: np.ndarray) -> list[float]:
+    """Log marginal likelihood of each output at these hyper-parameters, by the same formula for both sides."""
+    pairs, present = squares(jnp.asarray(rows.X)), jnp.ones(len(rows.X), bool)
+    at = lambda x, y: likelihood("se", Hyper(x[:-2], x[-2], x[-1]), pairs, y, present)
+    return [float(at(jnp.asarray(x), jnp.asarray(y))) for x, y in zip(logs, rows.T.T, strict=True)]
+
+
+def _curves(cfg: Config) -> list[Curve]:
+    sizes, repeats = ((40,), 1) if cfg.quick else (SIZES, min(3, cfg.repeats))
+    fits: dict[str, Callable[[Data], Callable[[], object]]] = {"driftjax": ours}
+    if not missing("scikit-learn"):
+        fits["scikit-learn"] = _scikit_learn
+    curves = []
+    for label, make in fits.items():
+        found = [alternate(repeats, {"one": timed(make(data(n)), 1)})["one"].median for n in sizes]
+        curves.append(Curve("gp", label, "rows", "fit", sizes, tuple(found)))
+    return curves

@@ -1,0 +1,82 @@
+"""Closed-loop laps with a learnt GP, many plants at once, by the code that `driftjax learn` drives with."""
+
+import dataclasses
+import time
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from driftjax.control.driver import Driver
+from driftjax.core import Blocks, workers
+from driftjax.learning.config import LearnConfig, load_learn_config
+from driftjax.learning.loop import remember
+from driftjax.learning.scenario import Scenario, build, drivers
+from driftjax.learning.stage import run_stage
+from driftjax.learning.stages import drive_nominal, first_progress
+from driftjax.sim import LapCode
+from driftjax.studies.bench.config import Config
+from driftjax.studies.bench.rows import Measured, Row, Timing
+from driftjax.vehicle import Residual
+
+CAR = "sedan"
+
+
+class Driven(NamedTuple):
+    """Laps of one call."""
+
+    seconds: float
+    completed: float  # share
+
+
+def settings(num: int) -> LearnConfig:
+    """One controller, `num` plants drawn at random, one noise seed each."""
+    return dataclasses.replace(load_learn_config(CAR), plants=num, noise_seeds=1, controllers=("path",), compare=False)
+
+
+def taught() -> Residual:
+    """What one plant's nominal lap teaches."""
+    with workers(0) as blocks:
+        scenario = build(settings(1), blocks)
+        stage, _ = drive_nominal(scenario, 0)
+        progress = remember(scenario, first_progress(scenario), stage, None, 0)
+    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.memory.residual)
+
+
+def drive(num: int, num_workers: int, residual: Residual) -> Driven:
+    """A GP lap of `num` plants at once, with every worker's programs compiled before."""
+    with workers(num_workers) as blocks:
+        warm_up(blocks, max(1, num_workers), residual)
+        scenario, lanes = laid_out(blocks, num, residual)
+        start = time.perf_counter()
+        stage = run_stage(scenario, lanes, 1)
+        jax.block_until_ready(stage.laps.code)
+        seconds = time.perf_counter() - start
+    return Driven(seconds, float(np.mean(np.asarray(stage.laps.code) == int(LapCode.COMPLETED))))
+
+
+def warm_up(blocks: Blocks, num: int, residual: Residual) -> None:
+    """A lap of `num` plants, one per worker."""
+    scenario, lanes = laid_out(blocks, num, residual)
+    run_stage(scenario, lanes, 0)
+
+
+def laid_out(blocks: Blocks, num: int, residual: Residual) -> tuple[Scenario, Driver]:
+    """`num` plants, all driven with the same residual."""
+    scenario = build(settings(num), blocks)
+    return scenario, drivers(scenario, "mpc", *scenario.over_lanes((scenario.table, residual)))
+
+
+def measure(cfg: Config) -> Measured:
+    """What a lap costs among many, against one alone; each is driven once."""
+    num = 2 if cfg.quick else cfg.batch
+    num_workers = cfg.workers if jax.default_backend() == "cpu" and cfg.workers > 1 else 0
+    residual = taught()
+    alone, many = drive(1, 0, residual), drive(num, num_workers, residual)
+    words = f"{many.seconds:.3g} s in all with {max(1, num_workers)} processes, {many.completed:.3g} of laps completed"
+    facts = {"plants": num, "processes": max(1, num_workers), "seconds": many.seconds, "completed": many.completed,
+             "remarks": words}  # fmt: skip
+    what = f"GP lap in closed loop among {num} plants at once"
+    return Measured([Row("laps", what, "lap", Timing((many.seconds / num,)), "one lap alone, one core",
+                         Timing((alone.seconds,)), "costs", facts=facts)])  # fmt: skip

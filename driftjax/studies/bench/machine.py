@@ -1,0 +1,48 @@
+"""What the numbers were measured on and with."""
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from driftjax.store.versions import versions
+
+PACKAGES = ("casadi", "numba", "scikit-learn", "scipy")
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, device, versions of both sides, date."""
+    return {
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "host": platform.node(),
+        "load_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,  # others slow both sides
+        "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
+        "versions": versions() | {name: _version(name) for name in PACKAGES} | {"g++": _compiler("g++")},
+    }
+
+
+def _processor() -> str:
+    """Name of the processor; many systems tell it in /proc/cpuinfo only."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _compiler(name: str) -> str | None:
+    try:
+        return subprocess.run([name, "-dumpfullversion"], capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None

@@ -1,0 +1,76 @@
+"""The whole bench: every part in a process of its own, then the table, the JSON and the figures."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from driftjax import WHOLE_LOOPS
+from driftjax.core import write_atomically
+from driftjax.core.config import to_dict
+from driftjax.studies.bench.config import Config, Part
+from driftjax.studies.bench.figures import write_figures
+from driftjax.studies.bench.machine import machine
+from driftjax.studies.bench.table import page
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def main(cfg: Config, out: Path, report: Callable[[str, int, int], None]) -> dict[str, Any]:
+    """Measure all parts of `cfg`; writes results.json, results.md and figures to `out`, and returns the results."""
+    cfg = cfg.reduced() if cfg.quick else cfg
+    results: dict[str, Any] = {"machine": machine(), "options": to_dict(cfg), "rows": [], "curves": []}
+    out.mkdir(parents=True, exist_ok=True)
+    for number, part in enumerate(cfg.only):
+        report(part, number, len(cfg.only))
+        found = measured(part, cfg)
+        # at these sizes the targets mean nothing
+        results["rows"] += (
+            [row | {"target": None, "met": None} for row in found["rows"]] if cfg.quick else found["rows"]
+        )
+        results["curves"] += found["curves"]
+        write(results, out)  # what is measured is kept whatever comes next
+    report("done", len(cfg.only), len(cfg.only))
+    write_figures(results["curves"], out)
+    return results
+
+
+def write(results: dict[str, Any], out: Path) -> None:
+    """results.json and results.md so far."""
+    text, table = json.dumps(results, indent=1), page(results)
+    write_atomically(out / "results.json", lambda p: p.write_text(text, encoding="utf-8"))
+    write_atomically(out / "results.md", lambda p: p.write_text(table, encoding="utf-8"))
+
+
+def measured(part: Part, cfg: Config) -> dict[str, Any]:
+    """Rows and curves of one part."""
+    with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:
+        options, out = Path(folder) / "options.json", Path(folder) / "out.json"
+        options.write_text(json.dumps(to_dict(cfg)), encoding="utf-8")
+        command = [sys.executable, "-m", "driftjax.studies.bench.part", part, str(options), str(out)]
+        done = subprocess.run(command, cwd=folder, env=environment(part, cfg), stderr=subprocess.PIPE, text=True)
+        if done.returncode != 0:
+            raise RuntimeError(f"part {part} ended with code {done.returncode}: {done.stderr.strip()[-2000:]}")
+        return json.loads(out.read_text(encoding="utf-8"))
+
+
+def environment(part: Part, cfg: Config) -> dict[str, str]:
+    """This process's, with this copy of the package first, one thread per peer, and the threads of the part."""
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    # only these programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
+    elementwise = part in ("mpc", "simulator")
+    threads = str(cfg.threads if elementwise else 1)
+    own = {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": threads}
+    # their long elementwise expressions gain from kernels with several results, which are off by default
+    fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
+    if elementwise and jax.default_backend() == "cpu":
+        flags = os.environ.get("XLA_FLAGS", "").replace(WHOLE_LOOPS, "")  # their loops may be shared by threads
+        own["XLA_FLAGS"] = f"{flags} {fused}".strip()
+    cache = jax.config.values["jax_compilation_cache_dir"]
+    return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})

@@ -1,0 +1,58 @@
+"""One step of many cars, as this package simulates them."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from driftjax.core import Control, State, call, rk4_step, threads
+from driftjax.studies.bench.config import Dtype
+from driftjax.studies.bench.drift import U_REF, U_SPREAD, X_REF, X_SPREAD
+from driftjax.vehicle import DoubleTrack, PlantState, SingleTrack, load_plant, load_vehicle
+
+DT = (0.01, 0.05)  # steps of the single track [s]
+PLANT_DT = 1e-3  # step of the double track [s], whose wheels are quick
+
+
+def columns(num: int, dtype: Dtype) -> tuple[np.ndarray, ...]:
+    """V, beta, r, delta, Fxr and step (num,) of cars about the reference drift."""
+    rng = np.random.default_rng(0)
+    x = X_REF + rng.uniform(-1, 1, (num, 3)) * X_SPREAD
+    u = U_REF + rng.uniform(-1, 1, (num, 2)) * U_SPREAD
+    table = np.concatenate([x, u, rng.uniform(*DT, (num, 1))], axis=1)
+    return tuple(np.ascontiguousarray(column, dtype) for column in table.T)
+
+
+def step(lanes: tuple[State, Control, Array], car: SingleTrack) -> State:
+    """Single-track cars one step later."""
+    x, u, dt = lanes
+    return rk4_step(lambda y: car(y, u), x, dt)
+
+
+def advance(lanes: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
+    """Double-track cars one step later."""
+    return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*lanes)
+
+
+def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
+    """One step of `batch` single-track cars in one call, which XLA shares among its threads, ready to be run."""
+    V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
+    car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
+    lanes = (State(V, beta, r), Control(delta, Fxr), dt)
+    return lambda: call(step, lanes, car)
+
+
+def ours_plant(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], PlantState]:
+    """One step of `batch` double-track cars, with all that they have and the nominal car lacks, in `num` threads.
+
+    XLA does not share a program that long among its own threads.
+    """
+    V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
+    plant = jax.tree.map(lambda leaf: leaf.astype(dtype), load_plant("sedan").build())
+    state = jax.vmap(plant.rolling)(V)
+    state = state._replace(vx=V * jnp.cos(beta), vy=V * jnp.sin(beta), r=r, delta=delta, drive=Fxr)
+    state = jax.tree.map(lambda leaf: leaf.astype(dtype), state)
+    beside, lanes = threads(batch, num), (state, Control(delta, Fxr))
+    return lambda: beside.map(advance, lanes, plant)

@@ -1,0 +1,92 @@
+"""The rows and curves of the simulator: numba and C++ on one core beside this package."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from driftjax.studies.bench.config import Config, Dtype
+from driftjax.studies.bench.peers import missing
+from driftjax.studies.bench.rows import Curve, Measured, Row, Timing, alternate, timed
+from driftjax.studies.bench.simulator import columns, ours, ours_plant
+from driftjax.vehicle import load_vehicle
+
+VECTOR, NUMBA, SCALAR = "C++, vectorised, one core", "numba, one core", "C++, scalar, one core"
+PACKAGES = {VECTOR: "g++", NUMBA: "numba", SCALAR: "g++"}
+TARGETS: dict[tuple[str, Dtype], float] = {
+    (VECTOR, "float32"): 0.6, (VECTOR, "float64"): 0.5, (NUMBA, "float32"): 8.0, (NUMBA, "float64"): 3.0,
+}  # fmt: skip
+PLANT_TARGET = 12.0
+BATCHES = (1, 16, 256, 4096, 65536, 1048576)
+
+Step = Callable[[], tuple[np.ndarray, ...]]
+
+
+def measure(cfg: Config) -> Measured:
+    """All rows; curves where asked for."""
+    told, vectorised = _peers()
+    rows = []
+    for dtype in cfg.dtype:
+        mine, plant = ours(dtype, cfg.cars), ours_plant(dtype, cfg.cars, cfg.threads)
+        steps = {name: make(columns(cfg.cars, dtype)) for name, make in told.items()}
+        calls = {"ours": mine, "plant": plant} | steps
+        times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
+        found = tuple(map(np.asarray, mine()))
+        for name, package in PACKAGES.items():
+            facts = {"batch": cfg.cars, "dtype": dtype} | _facts(found, steps.get(name))
+            facts |= {"vectorised": vectorised} if name == VECTOR and name in steps else {}
+            what = f"single-track RK4 step, batch {cfg.cars}, {dtype}"
+            rows.append(Row("simulator", what, "step", times["ours"], name, times.get(name), "faster",
+                            TARGETS.get((name, dtype)), missing(package), facts))  # fmt: skip
+        rows.append(_plant_row(times, cfg.cars, dtype))
+    return Measured(rows, _curves(cfg, told) if cfg.plots else [])
+
+
+def _plant_row(times: Mapping[str, Timing], num: int, dtype: Dtype) -> Row:
+    what = f"double-track RK4 step, all effects, batch {num}, {dtype}"
+    facts = {"batch": num, "dtype": dtype}
+    return Row("simulator", what, "step", times["plant"], "the single-track step", times["ours"], "costs",
+               PLANT_TARGET, facts=facts)  # fmt: skip
+
+
+def _peers() -> tuple[dict[str, Callable[[tuple[np.ndarray, ...]], Step]], bool]:
+    """Makers of the steps of those peers that are there, and whether g++ vectorised its loop."""
+    car, makers, vectorised = load_vehicle("sedan"), {}, False
+    if not missing("g++"):
+        from driftjax.studies.bench import cpp_step
+
+        vector, scalar = cpp_step.compiled("vector"), cpp_step.compiled("scalar")
+        vectorised = vector.vectorised
+        makers[VECTOR] = lambda table: cpp_step.stepper(vector, car, table)
+        makers[SCALAR] = lambda table: cpp_step.stepper(scalar, car, table)
+    if not missing("numba"):
+        from driftjax.studies.bench import numba_step
+
+        makers[NUMBA] = lambda table: numba_step.stepper(car, table)
+    return makers, vectorised
+
+
+def _facts(found: tuple[np.ndarray, ...], step: Step | None) -> dict[str, float]:
+    """Largest difference of the states after the step, over their size."""
+    if step is None:
+        return {}
+    apart = [np.max(np.abs(a - b)) / np.max(np.abs(b)) for a, b in zip(found, step(), strict=True)]
+    return {"difference": float(max(apart))}
+
+
+def _curves(cfg: Config, makers: Mapping[str, Callable[[tuple[np.ndarray, ...]], Step]]) -> list[Curve]:
+    sizes, repeats = ((cfg.cars,), 1) if cfg.quick else (BATCHES, min(3, cfg.repeats))
+    curves = []
+    for dtype in cfg.dtype:
+        of_size: dict[str, Callable[[int], Callable[[], Any]]] = {f"driftjax, {dtype}": partial(ours, dtype)}
+        for name, make in makers.items():
+            of_size[f"{name}, {dtype}"] = partial(_peer, make, dtype)
+        for label, step in of_size.items():
+            found = [alternate(repeats, {"one": timed(step(n), n)})["one"].median for n in sizes]
+            curves.append(Curve("simulator", label, "cars side by side", "step", sizes, tuple(found)))
+    return curves
+
+
+def _peer(make: Callable[[tuple[np.ndarray, ...]], Step], dtype: Dtype, num: int) -> Step:
+    return make(columns(num, dtype))

@@ -1,0 +1,111 @@
+"""The gain in closed loop: the corner of `driftjax learn`, driven with each model as MPC on one and the same plant."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from driftjax.manoeuvres.truth import read_truth
+
+from driftjax.cli.console import tell
+from driftjax.core import BadInput, num_workers, read_yaml, workers
+from driftjax.learning.config import LearnConfig, load_learn_config
+from driftjax.learning.metrics import difference
+from driftjax.learning.scenario import build, route_of
+from driftjax.learning.stage import Stage
+from driftjax.learning.stages import drive_nominal
+from driftjax.report import CLOSED_LOOP
+from driftjax.sim import AnyPlant, LapCode, batch_of, load_any_plant, plant_of
+from driftjax.track import load_track
+from driftjax.vehicle import VehicleConfig
+
+CARS = ("sedan", "rc", "dart")  # with shipped settings of `driftjax learn`
+SEEDS = 4  # of the sensor noise, the same for each model
+
+
+@dataclasses.dataclass(frozen=True)
+class Course:
+    """What is driven, on what."""
+
+    name: str  # of the plant, as typed
+    plant: AnyPlant
+    config: LearnConfig
+
+
+def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
+    """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or
+    vehicle YAML, or a shipped plant."""
+    if vehicle.name not in CARS:
+        raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
+                       f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
+    config = load_learn_config(vehicle.name)
+    config = dataclasses.replace(config, plants=1, noise_seeds=SEEDS, controllers=("path",), plant=())
+    lap, step = float(load_track(config.track).length), config.mpc.dt / config.lap.substeps
+    if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant or vehicle YAML holds
+        car, theta, _ = read_truth(plant)
+        return Course(str(plant), plant_of(car, theta, lap, step), config)
+    return Course(str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config)
+
+
+def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
+    """The car `vehicle` as the `extended` one with its effects where they started: the same car, and the same compiled
+    program."""
+    start = {one.name: one.value for one in vehicle.effects}
+    effects = (dataclasses.replace(e, value=start.get(e.name, 0.0), ci95_half=None) for e in extended.effects)
+    return dataclasses.replace(extended, effects=tuple(effects), covariance=())
+
+
+def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
+    """What diagnosis.json holds under `closed_loop`: laps of the nominal and the `extended` car as models.
+
+    Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the
+    same sensor noise, so that their difference is paired.
+    """
+    models = {"nominal": before(nominal, extended)}
+    if extended.effects != nominal.effects:
+        models |= {"extended": extended}
+    tell(extended)
+    laps: dict[str, Stage] = {}
+    told: dict[str, Any] = {}
+    with workers(num_workers(SEEDS)) as blocks:
+        for name, vehicle in models.items():
+            try:
+                scenario = build(course.config, blocks, route_of(course.config, vehicle), (course.name, course.plant))
+            except BadInput as error:  # of the corner on this car: the diagnosis stands without it
+                told[name] = {"not_driven": str(error)}
+                continue
+            laps[name], _ = drive_nominal(scenario, 0)
+            told[name] = figures(laps[name])
+    compared = compare(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
+    return {"plant": course.name, "corner": course.config.car, "controller": "path", "models": told,
+            "difference": compared}  # fmt: skip
+
+
+def figures(stage: Stage) -> dict[str, Any]:
+    """Laps of one model: how they ended, and figures per seed with their means.
+
+    A velocity error is that of what was driven of the drift section; of laps that did not end well it says nothing
+    and is left out.
+    """
+    codes, found = np.asarray(stage.laps.code), stage.figures
+    done = np.asarray(found.completed)
+    each = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
+    each["velocity_rmse"] = np.where(done, each["velocity_rmse"], np.nan)
+    means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in each.items()}
+    return {
+        "completed": [int(done.sum()), len(done)],
+        "codes": [LapCode(int(code)).name for code in codes],
+        **{name: {"mean": means[name], "per_seed": v.tolist()} for name, v in each.items()},
+    }
+
+
+def compare(nominal: Stage, extended: Stage) -> dict[str, Any]:
+    """Extended less nominal, seed by seed, with intervals over seeds; velocity errors of laps that both completed."""
+    both = np.asarray(nominal.figures.completed & extended.figures.completed)
+    every = np.ones_like(both)
+    pairs = {"lateral_error": every, "velocity_rmse": both, "drift_share": every}
+    return {
+        name: difference(*(np.asarray(getattr(one.figures, name))[kept] for one in (nominal, extended)))
+        for name, kept in pairs.items()
+    }

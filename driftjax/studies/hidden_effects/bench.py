@@ -1,0 +1,81 @@
+"""The whole bench: draw, run, score, tell."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from driftjax.core import BadInput, write_atomically
+from driftjax.manoeuvres.library import RICH
+from driftjax.studies.hidden_effects.case import Case, read_case
+from driftjax.studies.hidden_effects.confusion import confusions
+from driftjax.studies.hidden_effects.draw import Numbers, plan
+from driftjax.studies.hidden_effects.figures import write_figures
+from driftjax.studies.hidden_effects.running import run_all
+from driftjax.studies.hidden_effects.score import as_json, as_text, score
+from driftjax.studies.hidden_effects.trial import run_case
+
+CASES, RESULTS = "cases.jsonl", "results.jsonl"
+
+
+@dataclass(frozen=True)
+class Config:
+    """Hide effects in cars and see what `diagnose` makes of the logs."""
+
+    numbers: Annotated[Numbers, tyro.conf.arg(name="")] = field(default_factory=Numbers)
+    cars: tuple[str, ...] = ("sedan",)
+    """Shipped cars, each with all these cases."""
+    manoeuvres: tuple[str, ...] = RICH
+    """Runs of 10 s of each case; every third is held out."""
+    seed: int | None = None
+    """Of the draw; a fresh one, which is printed, where left out."""
+    workers: int = 2
+    """Processes; each takes a core and 2 GB."""
+    case: str | None = None
+    """Run only this case, a line of JSON as printed, and print its result."""
+    resume: bool = False
+    """Go on with the cases in `out` that have no result yet."""
+    out: Path = Path("runs/hidden-effects")
+    """Folder for cases, results, scores and figures."""
+
+
+def main(cfg: Config) -> dict[str, Any]:
+    """Run the bench; returns its scores, or the result of the one case asked for."""
+    if cfg.case is not None:
+        result = run_case(read_case(cfg.case))
+        print(json.dumps(result, indent=1))
+        return result
+    results = run_all(_cases(cfg), cfg.out / RESULTS, cfg.workers)
+    return tell(results, cfg.out)
+
+
+def _cases(cfg: Config) -> list[Case]:
+    """New cases, written down first, or those of an interrupted bench."""
+    path = cfg.out / CASES
+    if cfg.resume:
+        if not path.is_file():
+            raise BadInput(f"{path}: no such file; there is no bench to go on with.")
+        return [read_case(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    if path.exists():
+        raise BadInput(f"{path}: exists already; give another --out, or --resume.")
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if cfg.seed is None else cfg.seed
+    cases = plan(cfg.numbers, cfg.cars, seed, manoeuvres=cfg.manoeuvres)
+    print(f"{len(cases)} cases of seed {seed}", flush=True)
+    cfg.out.mkdir(parents=True, exist_ok=True)
+    text = "".join(case.line() + "\n" for case in cases)
+    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+    return cases
+
+
+def tell(results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Scores and wrong cases onto the screen, into score.json and figures."""
+    table = score(results)
+    wrong = confusions(results)
+    scores = as_json(table)
+    write_atomically(out / "score.json", lambda p: p.write_text(json.dumps(scores, indent=1), encoding="utf-8"))
+    print("\n".join(["", as_text(table), "", f"{len(wrong)} cases went wrong:", *wrong]))
+    print("\n".join(f"figure: {path}" for path in write_figures(results, out)))
+    return scores

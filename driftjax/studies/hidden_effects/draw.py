@@ -1,0 +1,73 @@
+"""Which cases a bench runs: drawn at run time, in an order whose every beginning is a fair sample."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from driftjax.core import require
+from driftjax.manoeuvres.library import RICH
+from driftjax.studies.hidden_effects.case import POOR, Case, Hidden, hidden, names
+from driftjax.vehicle.effect import EFFECTS
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """How many cases of each condition."""
+
+    none: int = 100
+    """Nothing hidden, process noise on."""
+    none_noise: int = 40
+    """Nothing hidden, sensor noise half and twice the typical."""
+    quiet: int = 100
+    """One effect, measurement noise only."""
+    single: int = 100
+    """One effect, process noise on."""
+    weak: int = 50
+    """One effect at 0.3 of its typical size."""
+    pair: int = 60
+    """Two effects."""
+    absent: int = 60
+    """One effect that is taken out of the catalogue."""
+    poor: int = 40
+    """One effect in steady drifts only; the manoeuvre that the diagnosis proposes is driven, and it is made again."""
+    std: int = 2
+    """Drives of CommonRoad's drift model."""
+    mb: int = 2
+    """Drives of CommonRoad's multi-body model."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            require(value >= 0, f"key '{name}' is {value}; give 0 or more cases.")
+
+
+WEAK = 0.3  # of the typical size
+
+
+def plan(
+    numbers: Numbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
+    manoeuvres: tuple[str, ...] = RICH,
+) -> list[Case]:  # fmt: skip
+    """All cases of `seed`, effects from `choice`."""
+    rng = np.random.default_rng(seed)
+    drawn: list[Case] = []
+    for car in cars:
+        drawn += [Case("none", car, 0) for _ in range(numbers.none)]
+        drawn += [Case("none", car, 0, noise=(0.5, 2.0)[i % 2]) for i in range(numbers.none_noise)]
+        of = lambda num: names(num, choice, rng)
+        one = lambda name, scale=1.0: (hidden(name, scale, rng),)
+        drawn += [Case("single", car, 0, one(n), process_noise=0.0) for n in of(numbers.quiet)]  # noqa: B023
+        drawn += [Case("single", car, 0, one(n)) for n in of(numbers.single)]
+        drawn += [Case("single", car, 0, one(n, WEAK), WEAK) for n in of(numbers.weak)]
+        drawn += [Case("pair", car, 0, _two(choice, rng)) for _ in range(numbers.pair)]
+        drawn += [Case("absent", car, 0, one(n), without=(n,)) for n in of(numbers.absent)]
+        drawn += [Case("poor", car, 0, one(n), manoeuvres=POOR) for n in of(numbers.poor)]
+    drawn += [Case("foreign", car, 0) for car, num in (("std", numbers.std), ("mb", numbers.mb)) for _ in range(num)]
+    order = [drawn[i] for i in rng.permutation(len(drawn))]
+    order = [dataclasses.replace(case, seed=int(rng.integers(2**32))) for case in order]
+    return [case if case.condition == "poor" else dataclasses.replace(case, manoeuvres=manoeuvres) for case in order]
+
+
+def _two(choice: tuple[str, ...], rng: np.random.Generator) -> tuple[Hidden, ...]:
+    first, second = rng.choice(len(choice), 2, replace=False)
+    return hidden(choice[first], 1.0, rng), hidden(choice[second], 1.0, rng)

@@ -1,0 +1,38 @@
+"""The naive way to name a cause, kept to compare with: regression of one-step errors.
+
+Every measured sample is taken for the true state, and what the model misses of the next one (the finite difference of
+the data less the model's rate) is regressed on its derivative by each effect. The noise of a sample then stands on
+both sides, with opposite signs in errors one step apart: errors in variables, which do not fade with more data
+(Ljung 1999, Sec. 7.6). Effects whose derivatives look like differentiated noise, such as delays of a sensor, win
+whatever is wrong.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.diagnosis.fit import Problem, normal
+from driftjax.diagnosis.runs import differentiate, follow, held
+
+RIDGE = 1e-9  # share of an effect's information that keeps its own parameters apart
+
+
+def naive(task: Problem) -> np.ndarray:
+    """Fall (E,) of the sum of squared one-step errors, in units of their spread, by the best of each effect alone."""
+    data, theta = task.data, task.start
+    believing = held(data, 1.0)
+    path = follow(task.model, data, theta, believing)
+    e, seen = np.asarray(path.e), np.asarray(path.seen)
+    spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1))
+    white = seen[..., None] * np.diag(1 / np.maximum(spread, 1e-12))
+    at = differentiate(task.model, data, theta, believing._replace(white=jnp.asarray(white)), task.asked)
+    H, b = normal(at)
+    return np.array([_fall(task, H, b, task.columns((i,))) for i in range(len(task.effects))])
+
+
+def _fall(task: Problem, H: np.ndarray, b: np.ndarray, columns: np.ndarray) -> float:
+    """Fall of the sum of squares by a linear step in `columns`, those of a sign that cannot be left out."""
+    columns = columns[((b > 0) | (task.lower < 0))[columns] & (np.diag(H) > 0)[columns]]
+    if not len(columns):
+        return 0.0
+    part = H[np.ix_(columns, columns)]
+    return float(b[columns] @ np.linalg.solve(part + RIDGE * np.trace(part) * np.eye(len(part)), b[columns]))

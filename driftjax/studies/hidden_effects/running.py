@@ -1,0 +1,62 @@
+"""Cases run side by side, each result on disk as soon as it is there."""
+
+import json
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any
+
+from driftjax.core.blocks import workers
+from driftjax.core.config import to_dict
+from driftjax.studies.hidden_effects.case import Case
+from driftjax.studies.hidden_effects.trial import run_case
+
+
+def attempt(case: Case) -> dict[str, Any]:
+    """The result of a case, or the error that it ended with, which counts as a failure."""
+    try:
+        return run_case(case)
+    except Exception:
+        return {"case": to_dict(case), "group": case.group, "error": traceback.format_exc()}
+
+
+def results_in(path: Path) -> list[dict[str, Any]]:
+    """Results so far."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.is_file() else []
+
+
+def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
+    """Results of all `cases`: those in the file `path`, and the others, which are added to it; by `num` processes."""
+    known = results_in(path)
+    done = {json.dumps(result["case"]) for result in known}
+    todo = [case for case in cases if case.line() not in done]
+    start = time.monotonic()
+    with path.open("a", encoding="utf-8") as file:
+        for i, result in enumerate(_each(todo, num), start=1):
+            file.write(json.dumps(result) + "\n")
+            file.flush()
+            known.append(result)
+            left = (time.monotonic() - start) / i * (len(todo) - i) / 60
+            print(f"{i}/{len(todo)}, {left:.0f} min left: {brief(result)}", file=sys.stderr, flush=True)
+    return known
+
+
+def _each(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
+    with workers(num if num > 1 else 0) as blocks:
+        if blocks.pool is None:
+            yield from map(attempt, cases)
+            return
+        running = [blocks.pool.submit(attempt, case) for case in cases]
+        yield from (future.result() for future in as_completed(running))
+
+
+def brief(result: dict[str, Any]) -> str:
+    """One line on a result."""
+    hidden = " + ".join(f"{e['name']} {e['strengths']}" for e in result["case"]["effects"]) or "nothing"
+    if "error" in result:
+        return f"{result['group']}: {hidden} -> failed: {result['error'].strip().splitlines()[-1]}"
+    told = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
+    return f"{result['group']}: {hidden} -> {result['verdict']} {told}, {result['seconds']:.0f} s"

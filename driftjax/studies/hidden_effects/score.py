@@ -1,0 +1,91 @@
+"""What a bench measures, beside its targets."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from driftjax.core import from_dict
+from driftjax.studies.hidden_effects import judged
+from driftjax.studies.hidden_effects.case import Case
+from driftjax.studies.hidden_effects.judged import Result
+from driftjax.studies.hidden_effects.stats import Measure, mean, rate
+
+
+def score(results: list[Result]) -> dict[str, Measure]:
+    """All measures; results that failed are counted by themselves."""
+    good = [r for r in results if "error" not in r]
+    table = {"failed": Measure(len(results) - len(good), len(results), target="0")}
+    for car in sorted({r["case"]["car"] for r in good}):
+        own = [r for r in good if r["case"]["car"] == car]
+        table |= {f"{car}: {name}": m for name, m in (foreign(own) if "height" in own[0] else of_car(own)).items()}
+    took = [r["seconds"] for r in good]
+    table["seconds, median"] = Measure(float(np.median(took)) if took else float("nan"), len(took), target="<= 60")
+    table["seconds, 9 of 10 below"] = Measure(float(np.quantile(took, 0.9)) if took else float("nan"), len(took))
+    return table
+
+
+def foreign(own: list[Result]) -> dict[str, Measure]:
+    """Measures of a foreign simulator."""
+    return {
+        "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in own if r["named"]), "1"),
+        "held-out gain": mean((r["skill"]["extended"][0] for r in own), "> 0"),
+        "height within 15 % or in the set": rate(map(judged.near_height, own), "1"),
+    }
+
+
+def of_car(own: list[Result]) -> dict[str, Measure]:
+    """Measures of one car with hidden effects."""
+    cases = [from_dict(Case, r["case"], "result") for r in own]
+    pick = lambda f: [r for r, case in zip(own, cases, strict=True) if f(case)]
+    none = pick(lambda c: c.condition == "none" and c.noise == 1)
+    single = pick(lambda c: c.condition == "single" and c.scale == 1 and c.process_noise > 0)
+    quiet = pick(lambda c: c.condition == "single" and c.process_noise == 0)
+    weak = pick(lambda c: c.condition == "single" and c.scale < 1)
+    pair, absent = pick(lambda c: c.condition == "pair"), pick(lambda c: c.condition == "absent")
+    poor = pick(lambda c: c.condition == "poor")
+    sets, blind = ([r for r in poor if r["verdict"] == v and "after" in r] for v in ("SET", "DATA_INSUFFICIENT"))
+    other = pick(lambda c: c.condition == "none" and c.noise != 1)
+    present = [*single, *quiet, *weak, *pair]
+    table = {
+        "nothing hidden: named something": rate(map(judged.named, none), "<= 0.05"),
+        "nothing hidden: said UNKNOWN": rate(r["verdict"] == "UNKNOWN" for r in none),
+        "nothing hidden, noise x0.5 and x2: named": rate(map(judged.named, other), "<= 0.05"),
+        "one, measurement noise only: named first": rate(map(judged.first, quiet), ">= 0.98"),
+        "one: named first": rate(map(judged.first, single), ">= 0.93"),
+        "one at 0.3: named first": rate(map(judged.first, weak), ">= 0.80"),
+        "one (all of these): exactly that": rate(map(judged.exactly, [*quiet, *single, *weak])),
+        "one (all of these): said UNKNOWN beside": rate(r["verdict"] == "UNKNOWN" for r in [*quiet, *single, *weak]),
+        "one (typical size): the naive baseline": rate(map(judged.baseline, [*quiet, *single]), "seen to fail"),
+        "two: both found": rate(map(judged.both, pair), ">= 0.95"),
+        "two: exactly these": rate(map(judged.exactly, pair), ">= 0.85"),
+        "absent from the catalogue: not NAMED": rate((r["verdict"] != "NAMED" for r in absent), ">= 0.85"),
+        "absent: named what fits as well as the truth": rate(map(judged.imitated, absent)),
+        "absent: driving variable in the first two": rate(map(judged.driven, absent), ">= 0.75"),
+        "poor log: named something else": rate(map(judged.misled, poor), "<= 0.05"),
+        "poor log, SET: resolved by the manoeuvre proposed": rate(map(judged.resolved, sets), ">= 0.90"),
+        "poor log, DATA_INSUFFICIENT: resolved by it": rate(map(judged.resolved, blind)),
+        "95 % intervals: coverage": rate((x for r in [*single, *weak, *pair] for x in judged.inside(r)), "0.90..0.98"),
+        "95 % intervals: coverage, measurement noise only": rate(x for r in quiet for x in judged.inside(r)),
+        "reported set: mean size": mean((len(judged.answer(c)) for r in present for c in r["causes"]), "<= 1.5"),
+        "share of the explainable removed": mean(judged.shares(present), ">= 0.9"),
+        "named, yet worse on runs held out": rate((judged.worse(r) for r in present if r["named"]), "0"),
+        "calibration error of the probability": Measure(judged.calibration(present), len(present), target="<= 0.05"),
+        "nothing hidden: p-values uniform (KS p)": Measure(judged.uniform(none), len(none), target="> 0.01"),
+    }
+    return {name: measure for name, measure in table.items() if measure.n}
+
+
+def as_json(table: dict[str, Measure]) -> dict[str, Any]:
+    """The table as plain values."""
+    return {name: asdict(measure) for name, measure in table.items()}
+
+
+def as_text(table: dict[str, Measure]) -> str:
+    """The table beside its targets."""
+    width = max(map(len, table))
+    lines = [f"{'':{width}}  {'n':>5} {'value':>7}  {'95 % interval':16} target"]
+    for name, m in table.items():
+        interval = f"[{m.low:.3f}, {m.high:.3f}]" if np.isfinite(m.low) else ""
+        lines.append(f"{name:{width}}  {m.n:5d} {m.value:7.3f}  {interval:16} {m.target}")
+    return "\n".join(lines)

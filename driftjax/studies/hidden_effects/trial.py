@@ -1,0 +1,137 @@
+"""One case diagnosed and set beside its truth."""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+
+from driftjax.core.config import to_dict
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, split
+from driftjax.diagnosis.fit import priced, settle
+from driftjax.diagnosis.gain import open_loop, skill
+from driftjax.diagnosis.score import CONDITION, partial_out
+from driftjax.diagnosis.select import price
+from driftjax.diagnosis.serialise import to_json
+from driftjax.logs import Log, Run
+from driftjax.manoeuvres.campaign import LATER
+from driftjax.studies.hidden_effects.case import Case
+from driftjax.studies.hidden_effects.foreign import height
+from driftjax.studies.hidden_effects.measured import measured, nominal
+from driftjax.studies.hidden_effects.naive import naive
+from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.effect import EFFECTS, Effect
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """Drive, diagnose and compare one case; plain values for one line of JSON."""
+    start = time.perf_counter()
+    vehicle = nominal(case)
+    runs = measured(case, vehicle)
+    seconds = time.perf_counter() - start
+    effects, poor = tuple(EFFECTS.values()), case.condition == "poor"
+    told = examine(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
+    if poor and told["proposed"]:
+        case = dataclasses.replace(case, manoeuvres=(told["proposed"],), seed=case.seed + LATER)
+        more = tuple(dataclasses.replace(run, name=f"next-{run.name}") for run in measured(case, vehicle))
+        told |= {"after": examine(case, vehicle, (*runs, *more), effects, 0)}
+    return told
+
+
+def examine(
+    case: Case, vehicle: VehicleConfig, runs: tuple[Run, ...], effects: tuple[Effect, ...], held_out: int = 3
+) -> dict[str, Any]:
+    """What the diagnosis with the catalogue `effects` makes of `runs`, beside the truth of `case`.
+
+    The gain is measured on every `held_out`-th run; 0: on none, which takes half the time.
+    """
+    log, start = Log(runs, "", (), ()), time.perf_counter()
+    config = DiagnoseConfig(held_out, case.without, gp=False, seed=case.seed)
+    found = diagnose(vehicle, log, config, effects=effects)
+    if not isinstance(found, Diagnosis):
+        raise RuntimeError(f"{len(runs)} runs are left: {found.sentence}")
+    told = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
+    told |= outcome(found, log) | {"naive": effects[int(np.argmax(naive(found.task)))].name}
+    told |= {"hidden": [against(found, case, name) for name in case.names if name not in case.without]}
+    if case.condition == "foreign":
+        return told | {"height": height(case.car)}
+    if found.gain and case.effects:
+        test, truth = found.task.part(split(len(runs), config.held_out)[1]), case.theta(effects)
+        gain = found.gain
+        best = skill(gain.errors["nominal"], open_loop(test, truth), gain.floor, config.seed)
+        told |= {"oracle": [best[0], *best[1]]}
+    if set(told["named"]) != set(case.names):
+        told |= {"prices": prices(found, case)}
+    return told
+
+
+def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
+    """The diagnosis as plain values; parameters in typical sizes."""
+    task, name = found.task, lambda i: found.task.effects[i].name
+    causes = [
+        {
+            "effect": name(c.effect), "probability": c.probability, "p_value": found.found.p_values[c.effect],
+            "theta": c.theta.tolist(), "half_width": c.half_width.tolist(),
+            "scale": np.asarray(task.model.scale)[task.columns((c.effect,))].tolist(),
+            "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
+            "invariance": c.invariance,
+        }
+        for c in found.causes
+    ]  # fmt: skip
+    skills = found.gain.skills if found.gain else {}
+    first = min(found.found.p_values.values(), default=found.found.scores.p_value)
+    noise = [*task.noise.sigma, *task.noise.disturbance, task.noise.correlation]
+    return {
+        "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.judgement.verdict),
+        "sentence": found.judgement.sentence, "causes": causes,
+        "named": [c["effect"] for c in causes], "p_first": first,
+        "p_left": found.left.p_value, "gain_left": found.left.gain,
+        "unexplained": to_json(found, log)["unexplained"], "noise": [float(v) for v in noise],
+        "skill": {model: [value, *interval] for model, (value, interval) in skills.items()},
+    }  # fmt: skip
+
+
+def against(found: Diagnosis, case: Case, name: str) -> dict[str, Any]:
+    """How a hidden effect looked: its test and rank at the nominal car, its nearest double, its estimate if named."""
+    task = found.task
+    effect = [e.name for e in task.effects].index(name)
+    columns = task.columns((effect,))
+    first = found.found.first
+    info = np.diag(first.H)[columns]
+    told: dict[str, Any] = {
+        "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),
+        "deviations": float(np.sqrt(info.max())), "T": float(np.abs(first.T[columns]).max()),
+        "gain": float(first.gain[effect]), "rank": int(np.sum(first.gain > first.gain[effect])),
+    }  # fmt: skip
+    others = tuple(i for i, e in enumerate(task.effects) if e.name in case.names and i != effect)
+    told["alike"] = alike(found, first.H, int(columns[np.argmax(info)]), task.columns(others))
+    for cause in found.causes:
+        if cause.effect == effect:
+            told |= {"theta": cause.theta.tolist(), "half_width": cause.half_width.tolist()}
+    return told
+
+
+def alike(found: Diagnosis, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
+    """Cosine between the signature of parameter `column` and those of its nearest double and of all that was named.
+
+    Parameters `taken` are taken out of every signature.
+    """
+    P, owner, whole = partial_out(H, taken), found.task.owner, np.diag(H)
+    H = P.T @ H @ P
+    own = np.diag(H) > CONDITION * whole
+    cosine = np.where(
+        own & own[column], np.abs(H[column]) / np.sqrt(np.where(own, np.diag(H) * H[column, column], 1)), 0
+    )
+    cosine[taken] = 0.0
+    of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
+    told = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)
+    return {found.task.effects[i].name: of[i] for i in told}
+
+
+def prices(found: Diagnosis, case: Case) -> dict[str, float]:
+    """Price of what was named and of the truth refitted: which of search and evidence went wrong."""
+    task = found.task
+    members = tuple(i for i, effect in enumerate(task.effects) if effect.name in case.names)
+    true = priced(task, case.theta(task.effects))
+    true = settle(task, true, task.columns(members))[0]
+    return {"named": price(task, found.found.fit, found.found.members), "truth": price(task, true, members)}

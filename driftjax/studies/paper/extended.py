@@ -1,0 +1,91 @@
+"""The nominal car extended by `diagnose`, from one log of the car that the plants are drawn around."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import yaml
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Blocks, Control, write_atomically
+from driftjax.core.programs import call
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
+from driftjax.diagnosis.serialise import extended, to_json
+from driftjax.logs import Log, Run, write_log
+from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical
+from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.sim.record import FILTER, Manoeuvre
+from driftjax.store.files import write_json
+from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant
+from driftjax.vehicle.effect import EFFECTS
+
+SECONDS, RATE, SETTLE = 10.0, 100.0, 1.0  # of a run, samples per second, driven before the first of them [s]
+STEP = 5e-4  # of the plant [s]
+JSON, CAR = "diagnosis.json", "extended.yaml"
+
+
+def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: Blocks) -> None:
+    """log.csv, diagnosis.json and extended.yaml into `folder`: the central car of `car`'s plants, diagnosed."""
+    runs = measured(load_plant(car).build(), vehicle, np.random.default_rng(0))
+    folder.mkdir(parents=True, exist_ok=True)
+    write_log(folder / "log.csv", runs)
+    log = Log(runs, "", (folder / "log.csv",), ())
+    sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
+    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), blocks=blocks)
+    assert isinstance(found, Diagnosis), "sixty seconds are enough to judge"
+    write_json(folder / JSON, to_json(found, log))
+    text = yaml.safe_dump(extended(found), sort_keys=False)
+    write_atomically(folder / CAR, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def measured(plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator) -> tuple[Run, ...]:
+    """One run of each manoeuvre of the standard campaign, drawn again where the car spins."""
+    t = np.arange(round((SECONDS + SETTLE) * RATE)) / RATE
+    return tuple(_run(f"{kind}-{i + 1}", kind, plant, vehicle, rng, t) for i, kind in enumerate(RICH))
+
+
+def _run(
+    name: str, kind: str, plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray
+) -> Run:
+    for _ in range(1 + REDRAWS):
+        manoeuvre = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)), MANOEUVRES[kind](vehicle, rng, t))
+        key = jax.random.key(rng.integers(2**32, dtype=np.uint32))
+        y, command = map(np.asarray, call(follow, plant, vehicle, manoeuvre, typical(vehicle).sigma, key, 1 / RATE))
+        if np.isfinite(y).all() and np.abs(y[:, 1]).max() < SPIN:
+            kept = t >= SETTLE
+            (V, beta, r), (delta, Fxr) = y[kept].T, command[kept].T
+            return Run(name, t[kept] - SETTLE, V, beta, r, delta, Fxr, 1 / RATE)
+    raise RuntimeError(f"{vehicle.name}: it spun in {1 + REDRAWS} draws of '{kind}'")
+
+
+def follow(
+    plant: DoubleTrack, vehicle: VehicleConfig, manoeuvre: Manoeuvre, sigma: Float[Array, "3"], key: Array, dt: float
+) -> tuple[Float[Array, "T 3"], Float[Array, "T 2"]]:
+    """Measured V, beta, r with noise `sigma`, and the commands (rad, N) of the driver who filters them."""
+    lower, upper, rate = vehicle.command_limits()
+    smooth = 1 - jnp.exp(-dt / (FILTER * size(vehicle).time))
+    first, u0 = manoeuvre.x_ref[0], jnp.clip(manoeuvre.u_ref[0], lower, upper)
+
+    def step(now: tuple[PlantState, Array, Array], row: tuple[Array, Array, Array]):
+        state, seen, command = now
+        x_ref, u_ref, noise = row
+        motion = plant.motion(state, Control(command[0], command[1]))
+        y = jnp.stack([motion.V, motion.beta, motion.r]) + noise
+        seen = seen + smooth * (y - seen)
+        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), command - dt * rate, command + dt * rate)
+        command = jnp.clip(command, lower, upper)
+        state = plant.advance(state, Control(command[0], command[1]), dt, round(dt / STEP))
+        return (state, seen, command), (y, command)
+
+    noise = sigma * jax.random.normal(key, manoeuvre.x_ref.shape)
+    start = (sliding(plant, first, u0), first, u0)
+    return jax.lax.scan(step, start, (manoeuvre.x_ref, manoeuvre.u_ref, noise))[1]
+
+
+def sliding(plant: DoubleTrack, x: Float[Array, "3"], u: Float[Array, "2"]) -> PlantState:
+    """At V, beta, r with commands reached and free rolling wheels; tyres and loads settle within `SETTLE`."""
+    V, beta, r = x
+    rolling = plant.rolling(V * jnp.cos(beta))
+    return rolling._replace(vy=V * jnp.sin(beta), r=r, delta=u[0], drive=u[1])

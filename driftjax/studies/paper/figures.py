@@ -1,0 +1,99 @@
+"""The comparison in one figure per car."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, NOMINAL, new_figure, save
+from driftjax.studies.paper.statistics import ALONE, METHODS, TARGETS
+
+COLOURS = {"paper": GPR, "path": EXPLORED, "alone": NOMINAL}
+SHIFT = {"paper": -0.16, "path": 0.16}
+
+
+def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
+    """`statistics_<car>.png` and .pdf; the paths of the PNGs."""
+    return [_draw(car, found, folder) for car, found in results["cars"].items()]
+
+
+def _draw(car: str, found: dict[str, Any], folder: Path) -> Path:
+    columns = 2 if found["ablations"] else 1
+    figure, axes = new_figure(2, columns, (7.0 * columns, 8.0))
+    _methods(axes[0, 0], found["methods"])
+    _gains(axes[1, 0], found, TARGETS[car])
+    if found["ablations"]:
+        _ablations(axes[0, 1], found["ablations"], "gpr-best", "GPR, best setting again")
+        _ablations(axes[1, 1], found["ablations"], "explore-best", "explored, best setting again")
+    figure.suptitle(f"{car}: means and 95 % intervals over plants")
+    figure.legend(loc="outside lower center", ncols=3)
+    return save(figure, folder, f"statistics_{car}")
+
+
+def _point(axis: Axes, y: float, cell: dict[str, Any], who: str, label: str | None = None) -> None:
+    """A mean with its interval, and the plants where there are some."""
+    mean = cell.get("mean", cell.get("value"))
+    if mean is None:
+        return
+    low, high = cell["ci95"]
+    colour = COLOURS[who]
+    values = [value for value in cell.get("per_plant", []) if value is not None]
+    axis.plot(values, [y] * len(values), "|", color=colour, alpha=0.35, ms=7, zorder=2)
+    if low is not None:
+        axis.plot([low, high], [y, y], color=colour, lw=2.2, zorder=3)
+    axis.plot([mean], [y], "o", color=colour, ms=5, zorder=4, label=label)
+
+
+def _named(axis: Axes, words: list[str]) -> None:
+    axis.set_yticks(range(len(words)), words)
+    axis.set_ylim(len(words) - 0.5, -0.5)
+    axis.grid(False, axis="y")
+
+
+def _log(axis: Axes) -> None:
+    """Errors of controllers differ by factors; ticks at 1, 2 and 5 keep their labels apart."""
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_xlabel("mean lateral error [m]")
+
+
+def _methods(axis: Axes, methods: dict[str, Any]) -> None:
+    names = [name for name in METHODS if any(name in stages for stages in methods.values())]
+    for who, stages in methods.items():
+        for y, name in enumerate(names):
+            if name in stages and (name not in ALONE or who == "paper"):
+                label = CONTROLLERS[who] if name == "nominal" else None
+                cell = stages[name]["lateral_error"]
+                _point(axis, y, cell, "alone") if name in ALONE else _point(axis, y + SHIFT[who], cell, who, label)
+    _named(axis, [METHODS[name].replace(", ", ",\n") for name in names])
+    _log(axis)
+    axis.set_title("ticks: plants")
+
+
+def _gains(axis: Axes, found: dict[str, Any], aims: dict[str, float]) -> None:
+    words = {
+        "gpr": "lateral error, GPR\nagainst nominal",
+        "exploration": "lateral error, explored\nagainst GPR",
+        "exploration_velocity": "speed RMSE, explored\nagainst GPR",
+    }
+    for y, name in enumerate(words):
+        for who in found["gains"]:
+            _point(axis, y + SHIFT[who], found["gains"][who][name], who)
+        label = "Wu et al. 2025" if y == 0 else None
+        axis.plot([aims[name]], [y], "D", color="black", mfc="none", ms=8, label=label, zorder=5)
+    _named(axis, list(words.values()))
+    axis.axvline(0, color="black", lw=0.8)
+    axis.set_xlabel("reduction [%]")
+
+
+def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> None:
+    for y, one in enumerate(ablations.values()):
+        for who, stages in one["methods"].items():
+            if end in stages:
+                _point(axis, y + SHIFT[who], stages[end]["lateral_error"], who)
+    _named(axis, [one["words"] for one in ablations.values()])
+    _log(axis)
+    axis.set_title(title)

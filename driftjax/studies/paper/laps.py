@@ -1,0 +1,64 @@
+"""Figures of the laps of a run, per plant."""
+
+import numpy as np
+import xarray as xr
+
+from driftjax.store import RunFolder
+
+ENTRY = 1 / 3  # of the drift section: what is lost before there was made while entering
+
+
+def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Every figure of one controller's laps in a stage (SI): means over noise seeds, one per plant.
+
+    RMSE and the parts of the lateral error are over what was driven of the section by the drift controller; lap times
+    are those of completed laps, NaN of plants without one.
+    """
+    lanes = data.isel(lane=np.flatnonzero(data["controller"].values == controller))
+    rows = [_lap(lanes.isel(lane=i), section) for i in range(lanes.sizes["lane"])]
+    plants = lanes["plant"].values
+    of = {
+        plant: [row for row, name in zip(rows, plants, strict=True) if name == plant] for plant in dict.fromkeys(plants)
+    }
+    return {name: np.array([_mean([row[name] for row in found]) for found in of.values()]) for name in rows[0]}
+
+
+def driven(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
+    """Which steps of one lap the drift controller drove in the section."""
+    s = lap["s"].values
+    return lap["alive"].values & lap["drifting"].values & (s >= section[0]) & (s <= section[1])
+
+
+def _mean(values: list[float]) -> float:
+    """Mean of those that are numbers; NaN where none is."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
+
+
+def _lap(lap: xr.Dataset, section: tuple[float, float]) -> dict[str, float]:
+    at = {name: lap[name].values for name in ("s", "e", "beta", "beta_ref", "r", "r_ref", "e_ref")}
+    inside = driven(lap, section)
+    start = inside & (at["s"] <= section[0] + ENTRY * (section[1] - section[0]))
+    rms = lambda a, b: _over(inside, (at[a] - at[b]) ** 2) ** 0.5
+    completed = bool(lap["completed"].values)
+    found = {name: float(lap[name].values) for name in ("lateral_error", "lateral_error_max", "velocity_rmse")}
+    return found | {
+        "beta_rmse": rms("beta", "beta_ref"),
+        "r_rmse": rms("r", "r_ref"),
+        "lap_time": float(lap["t"].values[lap["alive"].values][-1]) if completed else float("nan"),
+        "completed": float(completed),
+        "drifted": float(completed and float(lap["drift_share"].values) >= 0.5),
+        "entry": _over(start, np.abs(at["e"])),
+        "reference": _over(inside, np.abs(at["e_ref"])),
+        "tracking": _over(inside, np.abs(at["e"] - at["e_ref"])),
+    }
+
+
+def _over(where: np.ndarray, values: np.ndarray) -> float:
+    return float(np.mean(values[where])) if where.any() else float("nan")
+
+
+def section_of(run: RunFolder) -> tuple[float, float]:
+    """First and last arc length of the planned drift section [m]."""
+    plan = run.read_dataset("plan.nc")
+    return float(plan.attrs["drift_start"]), float(plan.attrs["drift_end"])

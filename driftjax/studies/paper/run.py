@@ -1,0 +1,118 @@
+"""Drive every run of the comparison that is not there yet, and put together what they show."""
+
+import dataclasses
+from collections.abc import Callable
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from driftjax.core import BadInput, from_dict, workers
+from driftjax.core.config import to_dict
+from driftjax.learning.config import LearnConfig
+from driftjax.learning.run import run as learn
+from driftjax.report import write_report
+from driftjax.store import RunFolder
+from driftjax.store.files import read_json
+from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, fingerprint
+from driftjax.studies.paper.config import Config
+from driftjax.studies.paper.extended import CAR, JSON, extend
+from driftjax.studies.paper.feasible import feasible
+from driftjax.studies.paper.figures import write_figures
+from driftjax.studies.paper.statistics import ablation, compared
+from driftjax.studies.paper.table import page
+from driftjax.vehicle import load_vehicle
+
+DIAGNOSIS = "diagnosis"  # folder below that of the car
+Report = Callable[[str, int, int], None]
+
+
+def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
+    """Results of the comparison; each run has a folder of its own and goes on where it stopped."""
+    cfg = cfg.reduced() if cfg.quick else cfg
+    todo, done, found = arms(cfg), [], {}
+    for number, arm in enumerate(todo):
+        say = lambda stage, done, of, arm=arm, number=number: report(f"{arm.folder}: {stage}", number, len(todo))
+        drive(arm, folder.path, say, num_workers)
+        if arm.name == MAIN:
+            write_report(run_of(arm, folder.path))
+        done.append((arm, shown(arm, folder.path)))
+        found = write(cfg, done, folder)  # what is measured is told whatever comes next
+    report("done", len(todo), len(todo))
+    write_figures(found, folder.path / "figures")
+    return found
+
+
+def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
+    """Results, tables and figures from the runs that are finished."""
+    cfg = cfg.reduced() if cfg.quick else cfg
+    done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
+    if not done or done[0].name != MAIN:
+        raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
+    found = write(cfg, [(arm, shown(arm, folder.path)) for arm in done], folder)
+    write_figures(found, folder.path / "figures")
+    return found
+
+
+def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
+    """The laps of one run, or what is left of them."""
+    path = out / arm.folder
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else begin(arm, out, num_workers)
+    if not run.has("results.json"):
+        learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
+
+
+def begin(arm: Arm, out: Path, num_workers: int) -> RunFolder:
+    """A new run folder, with the laps that another run has driven already."""
+    config = arm.learn
+    if arm.name == EXTENDED:
+        config = dataclasses.replace(config, vehicle=extended(arm, out, num_workers))
+    run = RunFolder.create(out / arm.folder, to_dict(config))
+    if arm.like:
+        other = RunFolder.open(out / arm.like)
+        for name in takewhile(lambda name: name != GPR_BEST, other.finished()):
+            run.write_stage(name, other.read_stage(name), other.read_state(name))
+    return run
+
+
+def extended(arm: Arm, out: Path, num_workers: int) -> Path:
+    """YAML of the car extended by a diagnosis, which is made where it is not there yet."""
+    folder = out / arm.car / DIAGNOSIS
+    if not (folder / CAR).exists():
+        nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
+        with workers(min(num_workers, 1)) as blocks:
+            extend(arm.car, nominal, folder, blocks)
+    return (folder / CAR).resolve()
+
+
+def run_of(arm: Arm, out: Path) -> RunFolder:
+    """The folder of a finished run."""
+    return RunFolder.open(out / arm.folder)
+
+
+def shown(arm: Arm, out: Path) -> dict[str, Any]:
+    """What one finished run shows."""
+    run = run_of(arm, out)
+    if arm.name == MAIN:
+        return {"settings": fingerprint(arm), **compared(run, arm.car), "feasible": feasible(run)}
+    found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
+    if arm.name == EXTENDED:
+        diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
+        found["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
+    return found
+
+
+def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
+    """results.json and results.md of the runs that are `done`, with what each shows; the former is returned."""
+    cars: dict[str, Any] = {}
+    for arm, one in done:
+        if arm.name == MAIN:
+            cars[arm.car] = one | {"ablations": {}}
+        elif arm.car in cars:
+            cars[arm.car]["ablations"][arm.name] = one
+    numbers = [*range(cfg.first_plant, cfg.first_plant + done[0][0].learn.plants)]
+    split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": cfg.noise_seeds,
+             "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
+    found = {"options": to_dict(cfg), "split": split, "cars": cars}
+    folder.write_json("results", found)
+    (folder.path / "results.md").write_text(page(found), encoding="utf-8")
+    return found

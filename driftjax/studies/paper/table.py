@@ -1,0 +1,125 @@
+"""results.md: the comparison in tables."""
+
+from typing import Any
+
+from driftjax.report.table import CONTROLLERS, interval, number
+from driftjax.studies.paper.statistics import ALONE, METHODS
+
+HEAD = {
+    "lateral_error": ("lateral error [m]", ".3f"),
+    "lateral_error_max": ("largest [m]", ".2f"),
+    "velocity_rmse": ("speed RMSE [m/s]", ".2f"),
+    "beta_rmse": ("sideslip RMSE [rad]", ".3f"),
+    "r_rmse": ("yaw rate RMSE [rad/s]", ".2f"),
+    "lap_time": ("lap time [s]", ".2f"),
+    "completed": ("completed", ".2f"),
+    "drifted": ("and sideways", ".2f"),
+}
+PARTS = ("entry", "reference", "tracking")
+GAINS = {
+    "gpr": "lateral error, GPR against nominal [%]",
+    "exploration": "lateral error, explored against GPR [%]",
+    "exploration_velocity": "speed RMSE, explored against GPR [%]",
+    "best_error": "lateral error of the best method [m]",
+    "best_drifted": "its laps completed, sideways over half of the section",
+}
+
+
+def page(results: dict[str, Any]) -> str:
+    """All tables, in Markdown."""
+    split = results["split"]
+    first, last = split["plants"][0], split["plants"][-1]
+    lines = [
+        f"Plants {first} to {last} (seed {split['seed']}, half: {split['half'].replace('_', ' ')}), "
+        f"{split['noise_seeds']} noise seed{'s' if split['noise_seeds'] > 1 else ''} each. Lateral errors are against "
+        "the planned minimum-time path, over the planned drift section; what a failed lap misses of it counts with the "
+        "distance at which a lap is lost. In brackets: 95 % bootstrap intervals over plants, paired for reductions.",
+        "",
+    ]
+    for car, found in results["cars"].items():
+        lines += [f"### {car}", "", f"Settings: SHA-256 {found['settings'][:16]}.", ""]
+        lines += _targets(found["targets"]) + _methods(found["methods"]) + _parts(found)
+        lines += _feasible(found["feasible"]) if found["feasible"] else []
+        lines += _ablations(found["ablations"]) if found["ablations"] else []
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _rows(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    bar = lambda cells: "| " + " | ".join(cells) + " |"
+    return [bar(head), bar(("---",) * len(head)), *map(bar, rows), ""]
+
+
+def _targets(targets: list[dict[str, Any]]) -> list[str]:
+    rows = []
+    for row in targets:
+        form = ".1f" if row["name"] in ("gpr", "exploration", "exploration_velocity") else ".3f"
+        of = row.get("of")
+        words = GAINS[row["name"]] + (f" ({CONTROLLERS[of[0]]}, {METHODS[of[1]]})" if of else "")
+        sign = "<=" if row["name"] == "best_error" else ">="
+        rows.append((words, interval(row, form), f"{sign} {row['aim']:g}", "yes" if row["met"] else "no"))
+    return _rows(("the paper's controller; the best of both", "measured", "aim", "met"), rows)
+
+
+def _methods(methods: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            words if name in ALONE else f"{words}, {CONTROLLERS[who]}",
+            *(interval(stages[name][figure], form) for figure, (_, form) in HEAD.items()),
+        )
+        for who, stages in methods.items()
+        for name, words in METHODS.items()
+        if name in stages and (who == "paper" or name not in ALONE)
+    ]
+    return _rows(("method", *(words for words, _ in HEAD.values())), rows)
+
+
+def _parts(found: dict[str, Any]) -> list[str]:
+    """Where the lateral error comes from, and how often the GP is asked far from its data."""
+    rows = []
+    for who, stages in found["methods"].items():
+        for name in stages:
+            if name not in ALONE:
+                far = found["extrapolation"][who].get(name)
+                parts = (interval(stages[name][part], ".3f") for part in PARTS)
+                error = interval(stages[name]["lateral_error"], ".3f")
+                rows.append((name, CONTROLLERS[who], error, *parts, "-" if far is None else f"{far:.2f}"))
+    head = ("laps", "controller", "lateral error [m]", "in the first third", "of the reference itself",
+            "against the reference", "share far from the GP's data")  # fmt: skip
+    return _rows(head, rows)
+
+
+def _feasible(found: dict[str, Any]) -> list[str]:
+    """Whether the plants, as learnt from them, can drive the planned speed and yaw rate."""
+    rows = []
+    for who in (who for who in CONTROLLERS if who in found):
+        mean, low, high = (number(value, ".3f") for value in found[who]["speed"])
+        shares = (f"{found[who][name]:.2f}" for name in ("exists", "steady"))
+        rows.append((CONTROLLERS[who], *shares, f"{mean} ({low} to {high})"))
+    head = (
+        "nominal car with the GP learnt on each plant",
+        f"share with a drift at V_b {found['V_b']:.2f} m/s and r_b {found['r_b']:.2f} rad/s",
+        "share with one at the planned sideslip and radius",
+        "its speed over V_b: mean (least to largest)",
+    )
+    return _rows(head, rows)
+
+
+def _ablations(ablations: dict[str, Any]) -> list[str]:
+    rows = []
+    for found in ablations.values():
+        for who, stages in found["methods"].items():
+            cells = [interval(stages[name]["lateral_error"], ".3f") if name in stages else "-"
+                     for name in ("nominal", "gpr-best", "explore-best")]  # fmt: skip
+            ends = [stages[name]["completed"] for name in ("gpr-best", "explore-best") if name in stages]
+            done = ", ".join(f"{end['mean']:.2f}" for end in ends)
+            gains = (interval(found["gains"][who][name], ".0f") for name in ("gpr", "exploration"))
+            rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
+    head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
+            "completed: GPR, explored")  # fmt: skip
+    told = [
+        f"{found['words'][0].upper()}{found['words'][1:]}, from 60 s of the car that the plants are drawn around: "
+        f"{found['diagnosis']['verdict']}. {found['diagnosis']['sentence']}"
+        for found in ablations.values()
+        if "diagnosis" in found
+    ]
+    return _rows(head, rows) + [line for words in told for line in (words, "")]

@@ -1,0 +1,138 @@
+"""The verbs as a sweep runs them: options completed, and what comes of them as rows."""
+
+import functools
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from driftjax.cli.console import measured_log, nominal_car
+from driftjax.core import Blocks, from_dict, merged
+from driftjax.core.config import to_dict
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
+from driftjax.diagnosis.serialise import to_json
+from driftjax.learning.config import LearnConfig, files_of, load_learn_config
+from driftjax.learning.run import drive_stages
+from driftjax.learning.scenario import Route, build, route_of
+from driftjax.learning.stages import first_progress
+from driftjax.store import RunFolder
+from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
+from driftjax.studies.paper.config import Config as PaperConfig
+from driftjax.sweep import Work
+from driftjax.sweep.trial import Row
+
+Options = dict[str, Any]
+
+
+@functools.cache
+def _shipped(car: str) -> str:
+    return json.dumps(to_dict(load_learn_config(car)))
+
+
+def whole_learn(options: Options) -> Options:
+    """Options of `learn`, the car's shipped ones where they are left out."""
+    base = json.loads(_shipped(str(options.get("car", "sedan"))))
+    return to_dict(from_dict(LearnConfig, merged(base, options), "a trial"))
+
+
+def learn_files(config: Options) -> list[Path]:
+    """Files that `learn` reads."""
+    return list(files_of(from_dict(LearnConfig, config, "a trial")).values())
+
+
+_routes: dict[str, Route] = {}  # of this process, by what they were made from: trials seldom differ in it
+ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
+
+
+def learn_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+    """Laps of every stage."""
+    options = from_dict(LearnConfig, config, "a trial")
+    made_from = json.dumps([config[name] for name in ROUTE])
+    if made_from not in _routes:
+        _routes[made_from] = route_of(options)
+    scenario = build(options, blocks, _routes[made_from])
+    for name, data, _ in drive_stages(scenario, first_progress(scenario)):
+        yield lap_rows(name, data)
+
+
+@dataclass(frozen=True)
+class LogConfig:
+    """What a diagnosis is made of, with the options of `driftjax diagnose`."""
+
+    logs: tuple[Path, ...]
+    vehicle: Path = Path("sedan")
+    combined_slip: float | None = None
+    columns: str | None = None
+    runs: tuple[str, ...] = ()
+    cut: float | None = None
+    options: DiagnoseConfig = field(default_factory=DiagnoseConfig)
+
+
+def whole_diagnose(options: Options) -> Options:
+    """Options of `diagnose`."""
+    return to_dict(from_dict(LogConfig, options, "a trial"))
+
+
+def diagnose_files(config: Options) -> list[Path]:
+    """The logs, and the car where it is a file."""
+    vehicle = Path(config["vehicle"])
+    return [*map(Path, config["logs"]), *([vehicle] if vehicle.is_file() else [])]
+
+
+def diagnose_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+    """The verdict, and the gain on runs held out."""
+    asked = from_dict(LogConfig, config, "a trial")
+    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
+    found = diagnose(nominal_car(asked.vehicle, asked.combined_slip), log, asked.options, blocks=blocks)
+    if not isinstance(found, Diagnosis):
+        yield [{"verdict": found.verdict, "named": 0, "causes": ""}]
+        return
+    told = to_json(found, log)
+    names = [cause["effect"] for cause in told["causes"]]
+    at = told["gain"]["horizons_s"].index(1.0) if 1.0 in told["gain"].get("horizons_s", []) else None
+    ratio, skill = told["gain"].get("ratio", {}).get("extended"), told["gain"].get("skill", {}).get("extended")
+    yield [{"verdict": told["verdict"], "named": len(names), "causes": ", ".join(names),
+            "error_ratio": ratio[at] if ratio and at is not None else None, "skill": skill}]  # fmt: skip
+
+
+def whole_paper(options: Options) -> Options:
+    """Options of `paper`."""
+    return to_dict(from_dict(PaperConfig, options, "a trial"))
+
+
+def paper_files(config: Options) -> list[Path]:
+    """The shipped settings of its cars, and what they name."""
+    return [path for car in config["cars"] for path in files_of(load_learn_config(car)).values()]
+
+
+def paper_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+    """Means of every method of the comparison, whose runs lie in `folder` until it is done."""
+    from driftjax.studies.paper.run import main
+
+    there = (folder / "config.yaml").exists()
+    run = RunFolder.open(folder) if there else RunFolder.create(folder, config, "paper")
+    results = main(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
+    rows: list[Row] = []
+    for car, found in results["cars"].items():
+        for controller, methods in found["methods"].items():
+            for stage, figures in methods.items():
+                means = {name: figures[name]["mean"] for name in PAPER_FIGURES}
+                rows.append({"car": car, "controller": controller, "stage": stage} | means)
+    shutil.rmtree(folder)
+    yield rows
+
+
+PAPER_FIGURES = ("lateral_error", "lateral_error_max", "velocity_rmse", "lap_time", "completed", "drifted")
+WORKS = {
+    "learn": Work(whole_learn, learn_files, learn_rows, LAP_COLUMNS),
+    "diagnose": Work(
+        whole_diagnose, diagnose_files, diagnose_rows,
+        {"verdict": str, "named": int, "causes": str, "error_ratio": float, "skill": float},
+    ),
+    "paper": Work(
+        whole_paper, paper_files, paper_rows,
+        {"car": str, "controller": str, "stage": str} | dict.fromkeys(PAPER_FIGURES, float),
+    ),
+}  # fmt: skip

@@ -1,0 +1,81 @@
+"""Recordings of a sedan with hidden effects, and the small catalogue that all tests of the diagnosis share."""
+
+import functools
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.diagnosis.noise import Noise
+from driftjax.logs import Run
+from driftjax.manoeuvres.campaign import spun, typical
+from driftjax.manoeuvres.library import MANOEUVRES, RICH
+from driftjax.sim.record import Conditions, Manoeuvre, record
+from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle.effect import effects_named
+from driftjax.vehicle.universal import Universal, universal
+
+NAMES = (
+    "friction_rear stiffness_front load_transfer_long relaxation_length aero_drag drive_gain yaw_inertia steer_offset "
+    "steer_lag gyro_bias"
+).split()
+EFFECTS = effects_named(tuple(NAMES))
+ORDER = [effect.name for effect in EFFECTS]  # one parameter each
+DT, ROWS = 0.01, 600
+ACCELERATION = 0.05  # noise of ax, ay [m/s^2]
+
+
+@functools.cache
+def sedan() -> VehicleConfig:
+    return replace(load_vehicle("sedan"), combined_slip=1.0)
+
+
+@functools.cache
+def catalogue() -> Universal:
+    return universal(sedan(), EFFECTS)
+
+
+@functools.cache
+def truth() -> Noise:
+    """Noise of good sensors, and rates disturbed as a real car's are."""
+    conditions = typical(sedan())
+    return Noise(np.asarray(conditions.sigma), np.asarray(conditions.disturbance), float(conditions.correlation))
+
+
+def hidden(**found: float) -> np.ndarray:
+    """Parameters with these effects at these values, in typical sizes."""
+    return np.array([found.get(name, 0.0) for name in ORDER])
+
+
+@eqx.filter_jit
+def _drive(model: Universal, theta, manoeuvres: Manoeuvre, conditions: Conditions, keys):
+    plant = model.at(theta)
+    return jax.vmap(lambda m, key: record(plant, sedan(), m, conditions, key, DT))(manoeuvres, keys)
+
+
+@functools.cache
+def standard(seed: int) -> Manoeuvre:
+    """The standard manoeuvres, 6 s each, one after the other."""
+    rng, t = np.random.default_rng(seed), np.arange(ROWS) * DT
+    rows = [jax.tree.map(jnp.asarray, MANOEUVRES[name](sedan(), rng, t)) for name in RICH]
+    return jax.tree.map(lambda *a: jnp.stack(a), *rows)
+
+
+def recorded(theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0) -> tuple[Run, ...]:
+    """The standard manoeuvres of `seed` on a sedan with the parameters `theta`; runs that spin are left out."""
+    t, manoeuvres = np.arange(ROWS) * DT, standard(seed)
+    keys = jax.random.split(jax.random.key(noise_seed), len(RICH))
+    noise = truth()._replace(disturbance=disturbed * truth().disturbance)
+    conditions = Conditions(*map(jnp.asarray, noise))
+    found = jax.tree.map(np.asarray, _drive(catalogue(), jnp.asarray(theta), manoeuvres, conditions, keys))
+    runs = []
+    for i, name in enumerate(RICH):
+        one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
+        if not spun(sedan(), one):
+            ax, ay = one.a.T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
+            extra = {"psi": one.place.psi, "s": one.place.s, "ax": ax, "ay": ay}
+            (V, beta, r), (delta, Fxr) = one.y.T, one.command.T
+            runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, extra))
+    return tuple(runs)

@@ -1,0 +1,60 @@
+"""`driftjax calibrate`: a car fitted to runs, its gain on others, and one sentence for what cannot be fitted."""
+
+import functools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnose.recorded import EFFECTS as KNOWN
+from diagnose.recorded import hidden, recorded
+
+from driftjax.cli import main
+from driftjax.diagnosis.calibrate import calibrate
+from driftjax.logs import write_log
+from driftjax.vehicle import load_vehicle
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """Every test works in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+TRUE = {"friction_rear": -1.0, "stiffness_front": 0.8, "steer_offset": -0.7}
+
+
+def test_sizes_are_those_hidden_and_gain_on_runs_held_out(monkeypatch, capsys):
+    monkeypatch.setattr("driftjax.cli.calibrate.calibrate", functools.partial(calibrate, effects=KNOWN))
+    write_log(Path("log.csv"), recorded(hidden(**TRUE), 5, 6))
+    assert main(["calibrate", "log.csv", "--combined-slip", "1", "--effects", *TRUE, "--out", "car"]) == 0
+    car = load_vehicle("car/calibrated.yaml")
+    typical = {effect.name: effect.parameters[0].scale(car) for effect in KNOWN}
+    assert [one.effect for one in car.effects] == [effect.name for effect in KNOWN if effect.name in TRUE]
+    for one in car.effects:
+        assert one.ci95_half is not None
+        assert abs(one.value - TRUE[one.effect] * typical[one.effect]) < 1.5 * one.ci95_half < 0.3 * typical[one.effect]
+    told = json.loads(Path("car/calibration.json").read_text())
+    assert not any(row["at_bound"] for row in told["parameters"])
+    assert told["gain"]["ci95"]["fitted"][0] > 0.5 and len(told["gain"]["held_out_runs"]) == 2
+    words = capsys.readouterr().out
+    assert "friction_rear.p" in words and "nominal" in words and "fitted" in words
+    assert np.shape(car.covariance) == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--effects", "frictoin"], "effect 'frictoin': no such effect"),
+        (["--effects", "side_wind"], "effect 'side_wind' needs the column psi, which a run lacks"),
+        (["--held-out", "1"], "key 'held_out' is 1"),
+        (["--runs", "lap*"], "no run is called lap*; the log holds drift"),
+    ],
+)
+def test_bad_input_is_told_in_one_sentence(flags, words, capsys):
+    runs = recorded(hidden(), 5, 6)[:2]
+    bare = [type(run)(run.name, run.t, run.V, run.beta, run.r, run.delta, run.Fxr, run.dt) for run in runs]
+    write_log(Path("log.csv"), bare)
+    assert main(["calibrate", "log.csv", *flags, "--out", "car"]) == 2
+    told = capsys.readouterr()
+    assert words in told.err and told.err.count("\n") == 1 and not Path("car").exists()

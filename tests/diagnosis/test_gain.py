@@ -1,0 +1,100 @@
+"""Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, runs mixed up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
+
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, split
+from driftjax.diagnosis.fit import observed, problem
+from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
+from driftjax.diagnosis.noise_floor import floor
+from driftjax.diagnosis.verdict import Verdict
+from driftjax.logs import Log
+
+SIGMA = np.array([0.05, 0.01, 0.01])
+FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4, np.arange(200) // 40)
+
+
+def errors(size: float, num: int = 200, seed: int = 0) -> Errors:
+    """Squared errors of noise plus a model error of `size` noises in every channel."""
+    rng = np.random.default_rng(seed)
+    draws = rng.standard_normal((num, 2, 3)) * SIGMA + size * SIGMA
+    return Errors(draws**2, (0.01, 1.0), np.arange(num) // 4, np.arange(num) // 40)
+
+
+def test_rmse_is_the_root_of_the_mean_over_what_was_measured():
+    one = errors(3.0)
+    one.squares[:50] = np.nan
+    np.testing.assert_allclose(one.rms, np.sqrt(np.mean(one.squares[50:], axis=0)))
+
+
+def test_skill_is_one_for_a_model_at_the_noise_floor_and_zero_for_no_change():
+    nominal, mended = errors(5.0), errors(0.0, seed=1)
+    value, (low, high) = skill(nominal, mended, FLOOR)
+    assert value == pytest.approx(1.0, abs=0.03) and low < value < high
+    value, (low, high) = skill(nominal, nominal, FLOOR)
+    assert value == pytest.approx(0.0, abs=1e-12) and low == high == pytest.approx(0.0, abs=1e-9)
+
+
+def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_gain():
+    assert skill(errors(2.0), errors(3.0, seed=1), FLOOR)[0] < -0.5
+    found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
+    assert sum(low < 0 < high for _, (low, high) in found) >= 34
+    assert np.abs([value for value, _ in found]).max() < 0.35
+
+
+def test_no_share_is_told_where_noise_explains_everything():
+    value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
+    assert np.isnan([value, *interval]).all()
+
+
+def test_errors_are_told_over_those_of_the_nominal_car_also_where_noise_explains_everything():
+    before, half = errors(5.0), errors(5.0)
+    found = ratios(before, half._replace(squares=half.squares / 4))
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0.5]] * 2)
+    channel = before.squares * np.array([0.0, 1.0, 1.0])  # one of three is mended, whatever its unit
+    np.testing.assert_allclose(ratios(before, before._replace(squares=channel))[:, 0], np.sqrt(2 / 3))
+    value, low, high = ratios(errors(0.0), errors(0.0, seed=1))[1]
+    assert low < 1 < high and low < value < high < 1.3
+    gone = before._replace(squares=np.where(np.arange(2)[:, None] == 1, np.nan, before.squares))
+    assert np.isnan(ratios(before, gone)[1]).all() and np.isfinite(ratios(before, gone)[0]).all()
+
+
+def test_every_third_run_is_held_out_and_none_of_too_few():
+    use, held = split(7, 3)
+    assert list(held) == [2, 5] and list(use) == [0, 1, 3, 4, 6]
+    for num, every in ((2, 3), (7, 0)):
+        use, held = split(num, every)
+        assert list(use) == list(range(num)) and not len(held)
+
+
+def test_the_floor_is_what_the_true_car_gets_wrong():
+    """Predictions by the car that was driven, with its own noise: their errors are as large as the floor says."""
+    runs = [run for seed in (1, 2) for run in recorded(hidden(), seed=seed, noise_seed=seed + 10)]
+    task = problem(sedan(), EFFECTS, tuple(runs))
+    neutral = np.zeros(len(ORDER))
+    task = observed(task, neutral, truth())
+    ahead = predict(task, neutral)
+    least = at_horizons(task, floor(task, neutral, ahead, seed=3))
+    made = at_horizons(task, ahead.error**2)
+    ratio = np.nanmean(made.squares / least.squares.mean(axis=0), axis=0)[:3]
+    assert (0.6 < ratio).all() and (ratio < 1.6).all(), ratio
+    value, _ = skill(made, made, least)
+    assert np.isnan(value)  # nothing is left to explain
+
+
+def test_runs_mixed_up_show_no_gain():
+    """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
+    runs = recorded(hidden(drive_gain=-1.2, friction_rear=1.0), seed=11, noise_seed=12)
+    mixed = [
+        replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)
+    ]
+    found = {}
+    for name, log in (("whole", runs), ("mixed", tuple(mixed))):
+        told = diagnose(sedan(), Log(log, "", (), ()), DiagnoseConfig(gp=False), effects=EFFECTS)
+        assert isinstance(told, Diagnosis) and told.gain
+        found[name] = told.judgement.verdict, told.gain.skills["extended"][1][0]
+    assert found["whole"][1] > 0.5
+    assert found["mixed"][0] is Verdict.UNKNOWN and not found["mixed"][1] > 0, found

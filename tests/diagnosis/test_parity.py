@@ -1,0 +1,81 @@
+"""Kinematic parity: nothing off on exact kinematics, a biased sensor told from the car, gaps and missing columns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import hidden, recorded, sedan, truth
+
+from driftjax.diagnosis.parity import WINDOW, parity
+from driftjax.logs import Run
+
+DT, NUM = 0.01, 2000
+SIGMA = np.array([0.05, 0.0087, 0.0087])
+
+
+def exact(seed: int = 0) -> Run:
+    """A motion without noise: V, beta and r are given, and the accelerations follow."""
+    t, phase = np.arange(NUM) * DT, np.random.default_rng(seed).uniform(0, 6, 3)
+    V, dV = 12 + 2 * np.sin(0.9 * t + phase[0]), 1.8 * np.cos(0.9 * t + phase[0])
+    beta, dbeta = 0.5 * np.sin(0.7 * t + phase[1]), 0.35 * np.cos(0.7 * t + phase[1])
+    r = 0.6 * np.cos(0.8 * t + phase[2])
+    turn = V * (dbeta + r)
+    ax, ay = dV * np.cos(beta) - turn * np.sin(beta), dV * np.sin(beta) + turn * np.cos(beta)
+    zero = np.zeros(NUM)
+    return Run(f"run{seed}", t, V, beta, r, zero, zero, DT, {"ax": ax, "ay": ay})
+
+
+def noisy(run: Run, seed: int) -> Run:
+    rng = np.random.default_rng([seed, 9])
+    V, beta, r = np.stack([run.V, run.beta, run.r]) + SIGMA[:, None] * rng.standard_normal((3, NUM))
+    extra = {name: values + 0.05 * rng.standard_normal(NUM) for name, values in run.extra.items()}
+    return replace(run, V=V, beta=beta, r=r, extra=extra)
+
+
+def test_exact_kinematics_leave_nothing():
+    found = parity(sedan(), [exact(0), exact(1)], SIGMA)
+    assert found is not None
+    assert np.abs(found.mean).max() < 1e-4 and (found.rms < 1e-3).all()
+    assert found.num == 2 * ((NUM - 1) // round(WINDOW / DT))
+
+
+def test_noise_alone_is_told_to_be_noise():
+    for seed in range(5):
+        found = parity(sedan(), [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(2)], SIGMA)
+        assert found is not None and "agree within noise" in found.statement
+        np.testing.assert_allclose(found.rms / found.floor, 1.0, atol=0.2)
+        np.testing.assert_allclose(found.excess, 1.0, atol=0.5)
+
+
+@pytest.mark.parametrize("bias", [0.02, -0.02])
+def test_a_biased_gyro_shows_in_the_sideslips_rate_by_as_much(bias):
+    runs = [noisy(exact(k), k) for k in range(2)]
+    found = parity(sedan(), [replace(run, r=run.r + bias) for run in runs], SIGMA)
+    assert found is not None
+    assert found.mean[1] == pytest.approx(bias, abs=0.003) and abs(found.z[1]) > 4 > abs(found.z[0])
+    assert "beta' is off by" in found.statement and "a sensor or the road" in found.statement
+
+
+def test_an_error_without_a_mean_shows_too():
+    runs = [noisy(exact(k), k) for k in range(2)]
+    wave = 0.5 * np.sin(2 * np.pi * np.arange(NUM) * DT / 10)  # a slope felt while the car turns round
+    found = parity(sedan(), [replace(run, extra=run.extra | {"ay": run.extra["ay"] + wave}) for run in runs], SIGMA)
+    assert found is not None and found.excess[1] > 1.5 and "errs by" in found.statement
+
+
+def test_gaps_are_left_out_and_missing_columns_told():
+    run = noisy(exact(0), 0)
+    V = run.V.copy()
+    V[500:560] = np.nan
+    whole, gappy = parity(sedan(), [run], SIGMA), parity(sedan(), [replace(run, V=V)], SIGMA)
+    assert whole is not None and gappy is not None
+    assert whole.num - 4 <= gappy.num < whole.num and np.isfinite(gappy.mean).all()
+    assert parity(sedan(), [run, replace(run, extra={"ax": run.extra["ax"]})], SIGMA) is None
+    assert parity(sedan(), [replace(run, V=np.full(NUM, np.nan))], SIGMA) is None
+    assert parity(sedan(), [replace(run, V=0.1 + 0 * run.V)], SIGMA) is None  # too slow for a sideslip
+
+
+@pytest.mark.parametrize(("name", "size", "told"), [("friction_rear", -2.0, False), ("gyro_bias", 2.0, True)])
+def test_recordings_tell_sensors_from_physics(name, size, told):
+    found = parity(sedan(), recorded(hidden(**{name: size}), 3, 4), truth().sigma)
+    assert found is not None and ("a sensor or the road" in found.statement) == told

@@ -1,0 +1,204 @@
+"""Which effects are named: hidden ones drawn afresh at every run, none, and the statistics of the scores by themselves.
+
+The cases of a failed run come back with `DRIFTJAX_SEED` set to the printed seed.
+"""
+
+import functools
+import os
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+
+from driftjax.core import BadInput
+from driftjax.diagnosis.fit import TOLERANCE, Problem, information, normal, priced, problem
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.runs import Followed, Pieces
+from driftjax.diagnosis.score import covariance, partial_out, scores, sums_by_block
+from driftjax.diagnosis.select import search
+from driftjax.vehicle.parameters import FoundParameter
+
+CLEAR = ("friction_rear", "stiffness_front", "drive_gain", "yaw_inertia", "steer_offset", "steer_lag", "gyro_bias")
+BLOCKS, LENGTH, SIZE = 24, 8, 5  # of the synthetic data: blocks, samples in each, parameters
+FREE, ONE_SIDED = np.full(SIZE, -4.0), np.zeros(SIZE)
+
+
+@functools.cache
+def seed() -> int:
+    given = os.environ.get("DRIFTJAX_SEED")
+    return int(given) if given else int(np.random.default_rng().integers(2**31))
+
+
+def diagnosed(theta, rng):
+    """The search on a fresh recording of a car with the parameters `theta`; all cases drive the same manoeuvres."""
+    runs = recorded(theta, seed() % 2**32, int(rng.integers(2**31)))
+    task = problem(sedan(), EFFECTS, runs)
+    return task, search(task, priced(task, np.zeros(len(ORDER))))
+
+
+@pytest.mark.parametrize("case", range(2))
+def test_a_hidden_effect_is_named_and_measured(case):
+    rng = np.random.default_rng([seed(), 1])
+    name = str(rng.choice(CLEAR, 2, replace=False)[case])
+    rng = np.random.default_rng([seed(), 2, case])
+    parameter = EFFECTS[ORDER.index(name)].parameters[0]
+    size = rng.uniform(0.7, 1.5) * (1.0 if parameter.lower == 0 else rng.choice([-1.0, 1.0]))
+    print(f"DRIFTJAX_SEED={seed()} case {case}: {name} {size:.3f}")
+    task, found = diagnosed(hidden(**{name: size}), rng)
+    assert [ORDER[i] for i in found.members] == [name]
+    columns = task.columns(found.members)
+    deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
+    assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
+    assert deviation < 0.25  # or the line above says little
+    assert found.fit.cost < found.nominal.cost - 50
+    assert found.p_values[found.members[0]] < 0.05
+    H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))
+    assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
+
+
+def test_nothing_is_named_where_nothing_is_hidden():
+    print(f"DRIFTJAX_SEED={seed()}")
+    named = [diagnosed(hidden(), np.random.default_rng([seed(), 3, case]))[1].members for case in range(2)]
+    assert sum(len(members) > 0 for members in named) <= 1, named
+
+
+def test_a_search_begins_where_the_file_of_the_car_does():
+    """What an earlier diagnosis named is neither named again nor lost; what changed since is."""
+    known = FoundParameter("drive_gain", "p", 0.06 * 1.2)
+    vehicle = replace(sedan(), effects=(known,))
+    for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
+        task = problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
+        found = search(task, priced(task, task.start))
+        assert [ORDER[i] for i in found.members] == names
+        assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
+    with pytest.raises(BadInput, match="lacks"):
+        problem(replace(vehicle, effects=(FoundParameter("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23))
+
+
+def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
+    task = problem(sedan(), EFFECTS, recorded(hidden(drive_gain=1.2, steer_lag=1.0), 21, 22))
+    found = search(task, priced(task, task.start), most=1)
+    assert len(found.members) == 1 and ORDER[found.members[0]] in ("drive_gain", "steer_lag")
+    assert found.scores.p_value < 0.05
+
+
+def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
+    """A problem of which only the bookkeeping is used: one piece, `SIZE` effects of one parameter."""
+    block = np.repeat(np.arange(blocks), LENGTH)[None]
+    data = Pieces(None, np.zeros(1, int), block, blocks, 0.01)  # type: ignore[arg-type]
+    model = SimpleNamespace(effects=EFFECTS[:SIZE])
+    nothing: Any = None
+    known = np.zeros(SIZE), np.arange(SIZE), frozenset[str](), np.ones(SIZE, bool)
+    return Problem(model, data, lower, np.full(SIZE, 4.0), *known, nothing, nothing)  # type: ignore[arg-type]
+
+
+def noise(rng, blocks=BLOCKS) -> Followed:
+    """Innovations of a true model, and derivatives of which two look alike."""
+    shape = (1, blocks * LENGTH, 3)
+    J = rng.normal(size=(*shape, SIZE))
+    J[..., 1] += 2 * J[..., 0]
+    return followed(rng.normal(size=shape), J)
+
+
+def followed(e, J) -> Followed:
+    """Innovations and derivatives that come from nowhere."""
+    nothing: Any = None
+    return Followed(e, J, nothing, nothing)
+
+
+@pytest.mark.parametrize("lower", [FREE, ONE_SIDED], ids=["free", "one-sided"])
+@pytest.mark.parametrize("members", [(), (0,)], ids=["none", "one"])
+def test_chance_is_rejected_no_more_often_than_said(lower, members):
+    rng, task = np.random.default_rng(8), made_up(lower)
+    p = np.array([scores(task, noise(rng), np.zeros(SIZE), members, seed=i).p_value for i in range(200)])
+    assert (p < 0.05).mean() < 0.10
+    assert p.min() > 0 and p.max() <= 1
+    assert 0.35 < p[p < 0.999].mean() < 0.65  # nor is it shy
+
+
+def test_dependence_within_blocks_is_not_taken_for_an_effect():
+    rng, task = np.random.default_rng(9), made_up()
+    p = []
+    for i in range(200):
+        at = noise(rng)
+        e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
+        p.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed=i).p_value)
+    assert np.mean(np.array(p) < 0.05) < 0.10
+
+
+def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
+    rng, task = np.random.default_rng(10), made_up()
+    at, size = noise(rng), 0.4
+    e = np.asarray(at.e) + size * np.asarray(at.J)[..., 3]
+    found = scores(task, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    assert found.p_value < 0.005 and np.argmax(np.abs(found.T)) == 3 == np.argmax(found.gain)
+    explained = np.sum(e**2) - np.sum((e - size * np.asarray(at.J)[..., 3]) ** 2)
+    assert found.gain[3] == pytest.approx(explained, rel=0.2)
+
+
+def test_several_parameters_of_an_effect_are_tested_together():
+    """Four that act in six blocks each, so that no |T| can pass the root of six; together they do."""
+    task = made_up()._replace(owner=np.array([0, 0, 0, 0, 1]))
+    rng, J, shape = np.random.default_rng(13), np.zeros((1, BLOCKS * LENGTH, 3, SIZE)), (1, BLOCKS * LENGTH, 3)
+    for k in range(4):
+        J[:, k * 6 * LENGTH : (k + 1) * 6 * LENGTH, :, k] = 1.0
+    by_chance, found = [], []
+    for seed in range(100):
+        e = rng.normal(size=shape)
+        J[..., 4] = rng.normal(size=shape)
+        by_chance.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed).p_value)
+        found.append(scores(task, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
+    assert np.mean(np.array(by_chance) < 0.05) < 0.12  # p < 1e-3 at a rate of 5 %
+    assert max(np.abs(one.T[:4]).max() for one in found) < np.sqrt(6) + 1e-9
+    assert np.median([one.joint[0] for one in found]) > np.sqrt(6) + 1
+    assert np.median([one.p_value for one in found]) < 0.01
+
+
+def test_signs_that_an_effect_cannot_have_are_not_tested():
+    rng, task = np.random.default_rng(11), made_up(ONE_SIDED)
+    at = noise(rng)
+    e = np.asarray(at.e) - 0.6 * np.asarray(at.J)[..., 3]
+    found = scores(task, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    assert found.T[3] == 0 == found.gain[3]
+    free = scores(made_up(), at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    assert free.T[3] < -4
+
+
+def test_members_have_no_score_and_take_theirs_out_of_others():
+    rng, task = np.random.default_rng(12), made_up()
+    at, members = noise(rng), (0, 3)
+    columns, J = np.array(members), np.asarray(at.J)
+    flat = J.reshape(-1, SIZE)
+    P = partial_out(flat.T @ flat, columns)
+    effective = (flat * np.asarray(at.e).reshape(-1, 1)) @ P
+    np.testing.assert_allclose(effective[:, columns], 0, atol=1e-10)
+    left = flat[:, 1] - flat[:, columns] @ np.linalg.lstsq(flat[:, columns], flat[:, 1])[0]
+    np.testing.assert_allclose((flat @ P)[:, 1], left, atol=1e-9)
+    one = scores(task, at, np.zeros(SIZE), members, seed=0)
+    assert not one.T[columns].any() and not one.gain[columns].any()
+    moved = np.asarray(at.e) + J[..., columns] @ np.array([0.7, -0.3])  # what members can explain
+    other = scores(task, at._replace(e=moved), np.zeros(SIZE), members, seed=0)
+    np.testing.assert_allclose(other.gain, one.gain, rtol=1e-6, atol=1e-9)
+
+
+def test_covariance_of_independent_data_is_the_inverse_information():
+    rng, task = np.random.default_rng(13), made_up(blocks=300)
+    at, columns = noise(rng, 300), np.array([0, 1, 2])
+    J = np.asarray(at.J).reshape(-1, SIZE)[:, columns]
+    expected = np.linalg.inv(J.T @ J)
+    found = covariance(*sums_by_block(task, at.e, at.J), columns)
+    np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=0.25)
+    correlation = lambda c: c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
+    np.testing.assert_allclose(correlation(found), correlation(expected), atol=1e-9)
+
+
+def test_covariance_grows_where_samples_of_a_block_say_the_same():
+    rng, task, columns = np.random.default_rng(14), made_up(blocks=300), np.array([0, 1])
+    at = noise(rng, 300)
+    e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
+    flat = J.reshape(-1, SIZE)[:, columns]
+    found = covariance(*sums_by_block(task, e, J), columns)
+    np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)

@@ -1,0 +1,96 @@
+"""What the catalogue lacks: generic terms find the variable and the size; and what to drive next when names compete."""
+
+import functools
+
+import numpy as np
+import pytest
+from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+
+from driftjax.diagnosis.evidence import Cause
+from driftjax.diagnosis.fit import Problem, around, priced, problem
+from driftjax.diagnosis.propose import in_catalogue, propose
+from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.select import Selection
+from driftjax.diagnosis.unknown import unexplained
+from driftjax.diagnosis.verdict import Judgement, Verdict, judge
+from driftjax.vehicle.effect import EFFECTS as CATALOGUE
+from driftjax.vehicle.single_track import G
+
+
+@functools.cache
+def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
+    """Runs with an effect that the catalogue lacks, and a search that has named nothing."""
+    theta = hidden(**{name: size}) if size else hidden()
+    task = problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
+    fit = priced(task, np.zeros(len(ORDER)))
+    at = around(task, fit)
+    left = scores(task, at, fit.theta, (), 0)
+    return task, Selection((), fit, at, left, {}, task, fit, left)
+
+
+def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
+    task, found = nominal_only("drive_gain", 2.5)
+    left = unexplained(task, found, 0)
+    gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical
+    assert left.found and "Fxr" in list(left.drivers)[:4]  # in a drift, sideslip and drive go together
+    assert (left.term.channel, left.term.function, left.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
+    assert left.term.value == pytest.approx(gain * G, rel=0.35) and 0 < left.term.half_width < 0.3 * gain * G
+    told = judge(task, found, [], left, 36.0)
+    assert told.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in told.sentence
+
+
+def test_a_missing_bias_of_the_gyro_is_told_as_an_error_of_the_sensor():
+    task, found = nominal_only("gyro_bias", 2.0)
+    left = unexplained(task, found, 0)
+    bias = 2.0 * float(task.model.scale[ORDER.index("gyro_bias")])
+    assert left.found and next(iter(left.drivers)) == "1" == next(iter(left.at_first))
+    assert left.term[:3] == ("r", "sensor", "1") and left.term.unit == "rad/s"
+    assert left.term.value == pytest.approx(bias, rel=0.35)
+    assert "in what is measured as r" in judge(task, found, [], left, 36.0).sentence
+
+
+def test_effects_that_one_force_outdoes_only_imitate_it():
+    task, found = nominal_only("drive_gain", 2.5)
+    useless = tuple(ORDER.index(name) for name in ("yaw_inertia", "steer_offset"))
+    one, two = (unexplained(task, found._replace(members=useless[:num]), 0) for num in (1, 2))
+    assert one.simpler is None and two.simpler is not None
+    assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
+    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0) for i in useless]
+    told = judge(task, found, named, two._replace(p_value=1.0), 36.0)
+    assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
+
+
+def test_an_effect_that_is_left_out_takes_no_part():
+    task, found = nominal_only("drive_gain", 2.5)
+    column = ORDER.index("drive_gain")
+    assert not task.asked[column] and task.asked.sum() == len(ORDER) - 1
+    assert found.scores.T[column] == 0 == found.scores.gain[column] and not found.scores.H[column].any()
+
+
+def test_nothing_is_left_of_a_car_without_effects():
+    left = unexplained(*nominal_only("drive_gain", 0.0), 0)
+    assert not left.found and left.p_value > 0.05
+
+
+def test_the_next_manoeuvre_should_tell_rivals_apart():
+    task, found = nominal_only("drive_gain", 0.0)
+    own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
+    fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
+    found = found._replace(members=(own,), fit=fit)
+    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0)
+    ask = lambda verdict: propose(sedan(), task, found, [cause], Judgement(verdict, ""), 0)
+    assert ask(Verdict.NAMED) is None
+    told = ask(Verdict.SET)
+    assert told is not None and told.now == pytest.approx(0.6) and told.now < told.after <= 1
+    assert told.after == max(told.others.values()) == told.others[told.manoeuvre] and told.manoeuvre in told.sentence
+    assert min(told.others.values()) < told.after  # coasting straight tells little of load transfer in a drift
+
+
+def test_parameters_keep_their_effects_in_the_whole_catalogue():
+    task, _ = nominal_only("drive_gain", 0.0)
+    theta = in_catalogue(task, np.arange(1.0, len(ORDER) + 1))
+    at = 0
+    for name, effect in CATALOGUE.items():
+        expected = ORDER.index(name) + 1 if name in ORDER else 0
+        np.testing.assert_array_equal(theta[at : at + len(effect.parameters)], expected)
+        at += len(effect.parameters)

@@ -1,0 +1,123 @@
+"""`driftjax diagnose` from the shell: a hidden effect found, data that say nothing, one sentence for bad input."""
+
+import csv
+import functools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnose.recorded import EFFECTS as KNOWN
+from diagnose.recorded import hidden, recorded
+
+from driftjax.cli import main
+from driftjax.diagnosis.diagnose import diagnose
+from driftjax.logs import Run, write_log
+from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.effect import EFFECTS
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """Every test works in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def hidden_lag():
+    """Runs of a sedan whose steering lags by a typical time."""
+    return recorded(hidden(steer_lag=1.0), 5, 6)
+
+
+def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden_lag, capsys, monkeypatch):
+    monkeypatch.setattr("driftjax.cli.diagnose.diagnose", functools.partial(diagnose, effects=KNOWN))
+    write_log(Path("log.csv"), hidden_lag)
+    asked = ["log.csv", "--combined-slip", "1", "--out", "found", "--without", "friction_rear"]
+    assert main(["diagnose", *asked]) == 0
+    told = json.loads(Path("found/diagnosis.json").read_text())
+    assert (told["schema"], told["verdict"]) == (1, "NAMED")
+    assert [cause["effect"] for cause in told["causes"]] == ["steer_lag"]
+    found = told["causes"][0]["parameters"]["tau"]
+    true = next(p for p in EFFECTS["steer_lag"].parameters).typical * (3.05 / 9.81) ** 0.5
+    assert found["unit"] == "s" and found["value"] == pytest.approx(true, rel=0.1)
+    gain = told["gain"]
+    names = [run.name for run in hidden_lag]
+    assert gain["held_out_runs"] == names[2::3]
+    # what process noise makes of a second in a drift counts as explainable, so that even the true car stays below 1
+    assert gain["skill"]["extended"] > 0.5 and gain["ci95"]["extended"][0] > 0
+    assert gain["skill"]["extended"] > gain["skill"]["retuned"]
+    car = yaml.safe_load(Path("found/extended.yaml").read_text())
+    assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(found["value"])
+    vehicle = load_vehicle("found/extended.yaml")
+    assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
+    half = vehicle.effects[0].ci95_half
+    assert half is not None and 1.9 < half / vehicle.covariance[0][0] ** 0.5 < 2.3  # a quantile of Student's t
+    shown = told["show"]
+    assert set(shown["residual_forces"]) == {"p_value", "Fx", "Fyf", "Fyr"}
+    assert "agree within noise" in shown["kinematic_parity"]["statement"]
+    nominal = np.array([shown["open_loop"]["in_noises"][name] for name in ("V", "beta", "r")])
+    assert nominal.shape == (3, 4) and (nominal[:, 0] < nominal[:, 2]).all()
+    first = Path("found/report.html").read_text()
+    assert first.count("data:image/png;base64,") == len(list(Path("found/figures").glob("*.pdf"))) == 7
+    assert sum(path.stat().st_size for path in Path("found").glob("*.nc")) < 1e6
+    Path("found/report.html").unlink()
+    assert main(["report", "found"]) == 0
+    assert Path("found/report.html").read_text().count("data:image/png;base64,") == 7
+    out = capsys.readouterr().out
+    assert shown["worst"] in out
+    assert "NAMED: The steering lags behind its command" in out and "extended" in out
+    assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
+    more = ["--vehicle", "found/extended.yaml", "--without", "friction_rear", "--held-out", "0", "--out", "again"]
+    assert main(["diagnose", "log.csv", *more]) == 0  # what was named is where this one starts: nothing is missing now
+    assert json.loads(Path("again/diagnosis.json").read_text())["verdict"] == "NOTHING"
+    assert load_vehicle("again/extended.yaml").effects == vehicle.effects
+
+
+def test_two_seconds_of_data_say_nothing(capsys):
+    t = np.arange(200) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    assert main(["diagnose", "short.csv", "--out", "short"]) == 0
+    told = json.loads(Path("short/diagnosis.json").read_text())
+    assert told["verdict"] == "DATA_INSUFFICIENT" and told["causes"] == []
+    assert "2.0 s" in told["sentence"] and "2.0 s" in capsys.readouterr().out
+    assert "2.0 s" in Path("short/report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: [row[:2] + row[3:] for row in rows], ("log.csv", "beta")),
+        (lambda rows: [rows[0], *[[*row[:2], str(57.3 * float(row[2])), *row[3:]] for row in rows[1:]]], ("degrees",)),
+        (lambda rows: rows[:50] + rows[40:], ("log.csv", "t")),
+        (lambda rows: [rows[0], [rows[1][0], "fast", *rows[1][2:]], *rows[2:]], ("log.csv", "fast")),
+    ],
+)
+def test_a_bad_log_is_one_sentence_and_leaves_nothing(change, words, capsys):
+    t = np.arange(600) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("log.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    with open("log.csv", newline="") as file:
+        rows = list(csv.reader(file))
+    with open("log.csv", "w", newline="") as file:
+        csv.writer(file).writerows(change(rows))
+    assert main(["diagnose", "log.csv", "--out", "out"]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and all(word in told[0] for word in words)
+    assert not Path("out").exists()
+
+
+def test_an_unknown_effect_and_a_missing_log_are_bad_input(capsys):
+    assert main(["diagnose", "none.csv"]) == 2
+    assert "none.csv" in capsys.readouterr().err
+    t = np.arange(600) * 0.01
+    wave = 0.1 * np.sin(5 * t)
+    write_log(Path("log.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    assert main(["diagnose", "log.csv", "--without", "magic"]) == 2
+    assert "magic" in capsys.readouterr().err
+    assert main(["diagnose", "log.csv", "--most", "0"]) == 2
+    assert "key 'most' is 0" in capsys.readouterr().err
+    assert main(["diagnose", "log.csv", "--drive", "truth.yaml", "--columns", "dart_jetracer"]) == 2
+    assert "leave --columns and --runs out" in capsys.readouterr().err

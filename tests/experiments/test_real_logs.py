@@ -1,0 +1,89 @@
+"""The questions to real logs: what is told of a diagnosis, what a calibrated car forgets, and the whole of one."""
+
+import copy
+from pathlib import Path
+
+import pytest
+import yaml
+
+from driftjax.core import BadInput
+from driftjax.logs import load_columns
+from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.effect import effects_named
+from experiments import real_logs
+from experiments.real_logs import QUESTIONS, Config, answer, driven_on, main, nominal, picture, told
+
+SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
+LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
+
+
+def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
+    """What `diagnosis.json` says of one named effect, and of gains."""
+    rmse = {name: {"V": [0.1, size], "beta": [0.01, size], "r": [0.1, 2 * size]}
+            for name, size in (("nominal", 2.0), ("retuned", 1.5), ("extended", 0.5))}  # fmt: skip
+    gain = {"horizons_s": [0.05, 1.0], "rmse": rmse, "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]},
+            "ratio": {name: [0.6, 0.25] for name in ("extended", "extended_gp")},
+            "ratio_ci95": {name: [[0.5, 0.7], [0.2, 0.3]] for name in ("extended", "extended_gp")}}  # fmt: skip
+    cause = {"effect": effect, "parameters": {parameter: {"value": value, "ci95": [value - half, value + half]}}}
+    return {"verdict": "NAMED", "sentence": "", "causes": [cause], "gain": gain, "closed_loop": None}
+
+
+def test_every_question_asks_for_what_there_is():
+    for question in QUESTIONS:
+        load_columns(question.columns)
+        load_vehicle(question.vehicle)
+        asked = (*question.looked_for, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
+        assert {effect.name for effect in effects_named(asked)} == set(asked)
+        assert question.calibrated_on or not question.forgotten
+
+
+def test_friction_is_told_over_that_of_the_calibrated_car():
+    found = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
+    one = found["friction.p"]
+    assert one["value"] == pytest.approx(0.425) and one["ci95"] == pytest.approx([0.4, 0.45]) and one["as_known"]
+    assert not answer(LOW, diagnosis("friction", "p", -0.4, 0.02), {"friction": -0.2})["friction.p"]["as_known"]
+    assert answer(LOW, diagnosis("drive_gain", "p", -0.4, 0.02), {"friction": -0.2}) == {}
+
+
+def test_it_is_told_in_words_and_drawn():
+    content = diagnosis("steer_lag", "tau", 0.09, 0.01)
+    content["answer"] = answer(STEERING, content, {})
+    words = told(STEERING, content)
+    assert "steer_lag.tau = 0.09 [0.08, 0.1]; others: 0.06..0.13" in words and "0.90 [0.80, 0.95]" in words
+    assert "extended_gp: error after 1 s on runs held out, over that of the nominal car: 0.25 [0.20, 0.30]" in words
+    laps = {"nominal": {"completed": [0, 4]}, "extended": {"completed": [3, 4]}}
+    apart = {"difference": {"lateral_error": {"mean": -0.2, "ci95": [-0.25, -0.15]}}, "models": laps}
+    words = told(LOW, content | {"closed_loop": apart})
+    assert "on the car of dart_slides: nominal 0 of 4, extended 3 of 4; lateral error changes by -0.200" in words
+    nothing = copy.deepcopy(content) | {"answer": {}}
+    assert "none of them was named" in told(STEERING, nothing)
+    bars = picture({"dart_steering": content}).axes[2].containers
+    assert [bar.datavalues[0] for bar in bars] == pytest.approx([1.0, 0.75, 0.25])  # pyright: ignore
+
+
+def test_a_calibrated_car_forgets_what_is_to_be_found(tmp_path):
+    folder = tmp_path / "dart_calibrated"
+    folder.mkdir()
+    car = yaml.safe_load(Path("configs/vehicle/dart.yaml").read_text())
+    effects = {"steer_lag": {"tau": 0.05}, "friction": {"p": -0.2}} | car.pop("effects")
+    (folder / "calibrated.yaml").write_text(yaml.safe_dump({"nominal": car, "effects": effects}))
+    path = nominal(STEERING, Config(out=tmp_path))
+    assert {one.effect for one in load_vehicle(path).effects} == {"friction", "drive_split"}
+    assert nominal(LOW, Config(out=tmp_path)) == folder / "calibrated.yaml"
+
+
+def test_an_unknown_question_and_one_before_its_turn_are_told(tmp_path):
+    with pytest.raises(BadInput, match=r"question 'moon': choose from dart_slides, .*genesis"):
+        main(Config(only=("moon",)))
+    assert driven_on(STEERING, Config(out=tmp_path)) is None
+    with pytest.raises(BadInput, match="drives on the car that 'dart_slides' finds; ask that one too"):
+        driven_on(LOW, Config(out=tmp_path))
+
+
+@pytest.mark.slow
+def test_the_recording_of_the_sedan_shows_its_sensors(tmp_path):
+    if not SHARED.is_dir():
+        pytest.skip("../shared/data is absent")
+    found = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
+    assert found["answer"] and found["gain"]["ci95"]["extended"][0] > 0
+    assert (tmp_path / "real_logs.png").is_file()

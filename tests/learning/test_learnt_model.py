@@ -1,0 +1,86 @@
+"""The learnt residual: a planted one passes the gate, noise does not, and no data means no residual."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.learning.config import GPConfig
+from driftjax.learning.model import BLOCK, empty, learn, trust
+
+LAGS = jnp.asarray([0.05, 0.1])
+CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
+MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 800.0])
+SIZE = np.array([0.5, 0.2, 0.4])
+fitted = eqx.filter_jit(lambda memory, Z, Y, mask, key: learn(memory, Z, Y, mask, LAGS, CONFIG, key))
+
+
+def planted(W):
+    """Smooth in the inputs over their standard deviations `W` (M, 5); of the magnitudes `SIZE`."""
+    return SIZE * np.stack([np.sin(W[:, 0]), 0.7 * W[:, 1], np.cos(0.5 * W[:, 2]) + 0.5 * W[:, 0]], axis=1)
+
+
+def data(noise: float, signal: float, num: int = 160):
+    rng = np.random.default_rng(0)
+    W = rng.normal(size=(num, 5))
+    Y = signal * planted(W) + noise * SIZE * rng.normal(size=(num, 3))
+    return jnp.asarray(MEAN + SPREAD * W), jnp.asarray(Y), jnp.ones(num, bool)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return fitted(empty(CONFIG), *data(noise=0.1, signal=1.0), jax.random.key(0))
+
+
+def test_a_planted_residual_is_learnt_and_trusted(good):
+    assert np.all(np.asarray(good.residual.gate) > 0.7)
+    W = 0.7 * np.random.default_rng(1).normal(size=(30, 5))
+    error = np.asarray(jax.vmap(good.residual)(jnp.asarray(MEAN + SPREAD * W))) - planted(W)
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.5 * SIZE)
+
+
+def test_pure_noise_is_switched_off():
+    Z, Y, mask = data(noise=1.0, signal=0.0)
+    found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
+    assert np.all(np.std(jax.vmap(found.residual)(Z), axis=0) < 0.2 * SIZE)
+
+
+def test_rows_that_are_no_data_change_nothing_and_few_rows_teach_nothing():
+    Z, Y, _ = data(noise=0.1, signal=1.0)
+    few = jnp.arange(len(Z)) < 15
+    found = fitted(empty(CONFIG), Z, Y, few, jax.random.key(0))
+    assert int(jnp.sum(found.mask)) == 15
+    assert bool(jnp.all(found.residual.gate == 0)) and bool(jnp.all(found.residual(Z[0]) == 0))
+
+
+def test_the_memory_keeps_its_size_and_the_data_of_earlier_laps(good):
+    Z, Y, mask = data(noise=0.1, signal=1.0)
+    again = fitted(good, Z, Y, jnp.zeros_like(mask), jax.random.key(1))
+    assert again.Z.shape == good.Z.shape == (CONFIG.size, 5)
+    kept = {tuple(z) for z in np.asarray(good.Z[good.mask])}
+    assert {tuple(z) for z in np.asarray(again.Z[again.mask])} == kept
+
+
+def test_without_a_lap_there_is_no_residual():
+    nothing = empty(CONFIG)
+    assert not bool(jnp.any(nothing.mask))
+    assert bool(jnp.all(nothing.residual(jnp.asarray(MEAN)) == 0))
+
+
+def test_noise_of_the_data_does_not_lower_the_gate():
+    """A gate of explained variance would: no mean explains more of noisy targets than what is no noise in them."""
+    Z, Y, mask = data(noise=0.75, signal=1.0, num=400)
+    found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
+    explained = 1 - (0.75 * SIZE) ** 2 / np.mean(np.asarray(Y) ** 2, axis=0)
+    assert np.all(explained < 0.65) and np.all(np.asarray(found.residual.gate) > explained + 0.1)
+
+
+def test_a_mean_that_says_twice_too_much_is_halved():
+    Z, Y, mask = data(noise=0.05, signal=1.0)
+    gp = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0)).residual.gp
+    held = (np.arange(len(mask)) // BLOCK) % 2 == 1
+    halved = jnp.where(jnp.asarray(held)[:, None], 0.5 * Y, Y)
+    gate = np.asarray(eqx.filter_jit(lambda: trust(gp, Z, halved, mask, CONFIG))())
+    np.testing.assert_allclose(gate, 0.5, atol=0.08)
+    assert np.all(np.asarray(trust(gp, Z, -Y * held[:, None] + Y * ~held[:, None], mask, CONFIG)) == 0)

@@ -1,0 +1,117 @@
+"""Figures of synthetic laps in closed form; intervals and reductions of the mean."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.control.table import ReferenceTable
+from driftjax.core import Control
+from driftjax.learning.metrics import difference, interval, lap_figures, reduction
+from driftjax.sim import LapCode, Sensed, Trace
+
+START, END, LOST = 10.0, 30.0, 8.0
+
+
+def table() -> ReferenceTable:
+    flat = jnp.full(5, 9.0)
+    return ReferenceTable(0.0, 10.0, *([flat] * 9), drift_start=START, drift_end=END)
+
+
+def lap(s, e, beta, r, V, alive) -> Trace:
+    s, e, beta, r, V = (jnp.broadcast_to(jnp.asarray(a, float), jnp.shape(s)) for a in (s, e, beta, r, V))
+    zero = jnp.zeros_like(s)
+    sensed = Sensed(V, beta, r, zero, zero, zero, s, e, zero)
+    return Trace(jnp.asarray(alive), sensed, V, beta, r, zero, zero, zero, s, e, zero, zero, Control(zero, zero), zero)
+
+
+S = np.arange(0.0, 40.5, 0.5)
+
+
+def figures(trace: Trace, code: LapCode):
+    return lap_figures(trace, jnp.asarray(int(code)), table(), jnp.full(trace.s.shape, 9.0), jnp.asarray(LOST))
+
+
+def test_means_over_the_drift_section_of_a_completed_lap():
+    e = np.where(S < 20, 0.4, -1.2)
+    e = np.where((S < START) | (S > END), 99.0, e)  # outside the section nothing counts
+    beta = np.where(S < 20, -0.5, -0.1)
+    found = figures(lap(S, e, beta, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
+    rows = np.abs(e[(S >= START) & (S <= END)])
+    assert float(found.lateral_error) == pytest.approx(rows.mean())
+    assert float(found.lateral_error_max) == pytest.approx(1.2)
+    assert float(found.velocity_rmse) == pytest.approx(0.5)
+    assert float(found.drift_share) == pytest.approx(20 / 41)
+    assert bool(found.completed)
+
+
+def test_means_are_over_distance_not_over_time():
+    s = np.concatenate([np.arange(10, 20, 0.1), np.arange(20, 31, 1.0)])  # ten times as many rows in the first half
+    e = np.where(s < 20 - 1e-9, 1.0, 3.0)
+    found = figures(lap(s, e, -0.5, 1.0, 9.0, np.ones_like(s, bool)), LapCode.COMPLETED)
+    assert float(found.lateral_error) == pytest.approx(2.0, abs=0.06)  # the last row adds nothing
+
+
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_only_sideslip_against_the_turn_counts_as_drift(turn):
+    alive = np.ones_like(S, bool)
+    assert float(figures(lap(S, 0.0, -0.5 * turn, turn, 9.0, alive), LapCode.COMPLETED).drift_share) == 1.0
+    assert float(figures(lap(S, 0.0, +0.5 * turn, turn, 9.0, alive), LapCode.COMPLETED).drift_share) == 0.0
+    assert float(figures(lap(S, 0.0, -0.3 * turn, turn, 9.0, alive), LapCode.COMPLETED).drift_share) == 0.0
+
+
+def test_what_a_failed_lap_did_not_drive_counts_as_lost():
+    alive = S <= 15.0
+    held = np.minimum(S, 15.0)  # rows after the end repeat the last
+    found = figures(lap(held, 0.5, -0.5, 1.0, 9.0, alive), LapCode.SPUN)
+    driven, missing = 5.0, 15.0
+    assert float(found.lateral_error) == pytest.approx((0.5 * driven + LOST * missing) / 20.0, rel=1e-6)
+    assert float(found.lateral_error_max) == LOST
+    assert float(found.drift_share) == pytest.approx(driven / 20.0)
+    assert not bool(found.completed)
+
+
+def test_a_lap_lost_before_the_section_has_the_lost_error():
+    found = figures(lap(np.minimum(S, 5.0), 0.1, 0.0, 0.0, 9.0, S <= 5.0), LapCode.OFF_TRACK)
+    assert float(found.lateral_error) == pytest.approx(LOST) and float(found.drift_share) == 0.0
+
+
+def test_the_interval_holds_the_mean_and_narrows_with_more_plants():
+    values = np.random.default_rng(0).normal(2.0, 0.5, 400)
+    few, many = interval(values[:25]), interval(values)
+    for found, used in ((few, values[:25]), (many, values)):
+        low, high = found["ci95"]
+        assert found["mean"] == pytest.approx(used.mean()) and low < used.mean() < high
+        # the bootstrap's width is that of the normal interval, 2 x 1.96 sd / sqrt(n)
+        assert high - low == pytest.approx(2 * 1.96 * used.std() / np.sqrt(len(used)), rel=0.15)
+    assert interval(values) == interval(values)
+    assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None]}
+    assert interval(np.full(5, 3.0))["ci95"] == [3.0, 3.0]
+
+
+def test_the_reduction_is_that_of_the_means_and_paired():
+    before = np.array([1.0, 2.0, 4.0, 5.0])
+    found = reduction(before, 0.6 * before)
+    assert found["value"] == pytest.approx(40.0)
+    np.testing.assert_allclose(found["ci95"], [40.0, 40.0])  # the same share in every plant: nothing left to vary
+    mixed = reduction(before, np.array([0.5, 2.2, 3.0, 2.0]))
+    assert mixed["value"] == pytest.approx(100 * (1 - 7.7 / 12.0)) and mixed["ci95"][0] < mixed["value"]
+    assert mixed["ci95"][1] > mixed["value"]
+    assert reduction(np.array([2.0]), np.array([1.0])) == {"value": 50.0, "ci95": [None, None]}
+    assert reduction(before, 2 * before)["value"] == pytest.approx(-100.0)
+
+
+def test_a_lap_that_ends_in_numbers_that_are_not_counts_up_to_there():
+    s = np.where(S <= 20, S, np.nan)
+    found = figures(lap(s, 1.0, -0.5, 1.0, 9.0, S <= 20), LapCode.NON_FINITE)
+    assert float(found.lateral_error) == pytest.approx((1.0 * 10 + LOST * 10) / 20)
+    assert all(np.isfinite(value) for value in found)
+
+
+def test_paired_differences_have_the_interval_of_student():
+    before, apart = np.array([5.0, 9.0, 2.0, 7.0]), np.array([-1.0, -2.0, -1.5, -0.5])
+    found = difference(before, before + apart)
+    half = 3.18245 * apart.std(ddof=1) / 2  # the 97.5 % quantile of Student's t with three degrees of freedom
+    assert found["mean"] == pytest.approx(-1.25) and found["pairs"] == 4
+    np.testing.assert_allclose(found["ci95"], [-1.25 - half, -1.25 + half], rtol=1e-5)
+    assert difference(before[:1], before[:1] + 1) == {"mean": 1.0, "ci95": [None, None], "pairs": 1}
+    assert difference(before[:0], before[:0]) == {"mean": None, "ci95": [None, None], "pairs": 0}

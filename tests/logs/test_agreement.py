@@ -1,0 +1,83 @@
+"""Channels of a made-up drive that agree, and what a bias, a scale or a delay in one of them shows."""
+
+import json
+
+import numpy as np
+import pytest
+
+from driftjax.cli import main
+from driftjax.logs import Run, write_log
+from driftjax.logs.agreement import Agreement, agreements
+
+DT, NUM, L = 0.01, 3000, 2.5
+
+
+def drive(**changed: float) -> Run:
+    """A car on a winding road; `changed` adds to a channel, `..._slope` scales it, `..._late` delays it [s]."""
+    t = np.arange(NUM) * DT
+    V, beta = 12 + 2 * np.sin(0.5 * t), 0.05 * np.sin(0.9 * t)
+    r = 0.12 * np.sin(0.7 * t) + 0.1 * np.sin(2.3 * t)
+    summed = lambda rate: (np.cumsum(rate) - rate / 2) * DT
+    psi = summed(r)
+    x, y = summed(V * np.cos(psi + beta)), summed(V * np.sin(psi + beta))
+    dV, dbeta = np.gradient(V, DT), np.gradient(beta, DT)
+    turn = V * (dbeta + r)
+    ax, ay = dV * np.cos(beta) - turn * np.sin(beta), dV * np.sin(beta) + turn * np.cos(beta)
+    made = {"V": V, "beta": beta, "r": r, "delta": np.arctan(r * L / V), "Fxr": 100 + 0 * t, "x": x, "y": y, "psi": psi,
+            "ax": ax, "ay": ay}  # fmt: skip
+    for name, values in made.items():
+        late = np.interp(t - changed.get(f"{name}_late", 0.0), t, values)
+        made[name] = changed.get(f"{name}_slope", 1.0) * late + changed.get(name, 0.0)
+    extra = {name: made.pop(name) for name in ("x", "y", "psi", "ax", "ay")}
+    return Run("road", t, **made, dt=DT, extra=extra)
+
+
+def found(run: Run) -> dict[tuple[str, str], Agreement]:
+    return {(one.channel, one.other.split()[0]): one for one in agreements([run], L)}
+
+
+def test_channels_of_one_motion_agree():
+    told = found(drive())
+    assert len(told) == 6
+    for name, one in told.items():
+        assert one.slope == pytest.approx(1, abs=0.02), name
+        assert abs(one.offset) < 0.01 and abs(one.shift) < 0.006 and one.correlation > 0.99, name
+
+
+@pytest.mark.parametrize(
+    ("changed", "where", "what", "size"),
+    [
+        ({"r": 0.02}, ("r", "rate"), "offset", 0.02),
+        ({"beta": -0.01}, ("beta", "course"), "offset", -0.01),
+        ({"V_slope": 1.05}, ("V", "speed"), "slope", 1.05),
+        ({"ay": 0.6}, ("ay", "V'"), "offset", 0.6),
+        ({"ax_slope": 1.1}, ("ax", "V'"), "slope", 1.1),
+        ({"delta_slope": 1 / 1.2}, ("r", "V"), "slope", 1.2),
+        ({"delta_late": -0.15}, ("r", "V"), "shift", 0.15),
+        ({"r_late": 0.08}, ("r", "rate"), "shift", 0.08),
+    ],
+)
+def test_a_fault_shows_as_what_it_is(changed, where, what, size):
+    assert getattr(found(drive(**changed))[where], what) == pytest.approx(size, rel=0.05, abs=0.002)
+
+
+def test_what_is_missing_or_too_short_is_not_compared():
+    run = drive()
+    del run.extra["x"]
+    assert ("V", "speed") not in found(run) and ("r", "rate") in found(run)
+    few = slice(0, 20)
+    cut = {name: getattr(run, name)[few] for name in ("t", "V", "beta", "r", "delta", "Fxr")}
+    short = Run("short", **cut, dt=DT)
+    assert agreements([short], L) == []
+
+
+def test_a_log_is_inspected(tmp_path, capsys):
+    write_log(tmp_path / "log.csv", [drive(r=0.02)])
+    out = tmp_path / "out"
+    assert main(["inspect", str(tmp_path / "log.csv"), "--vehicle", "sedan", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "1 runs, 30.0 s at 100 Hz" in told and "rate of the heading" in told
+    content = json.loads((out / "inspection.json").read_text())
+    assert content["channels"]["r"]["unit"] == "rad/s" and len(content["agreement"]) == 6
+    assert (out / "figures" / "channels.png").stat().st_size > 10000
+    assert main(["inspect", str(tmp_path / "none.csv")]) == 2

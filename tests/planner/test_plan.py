@@ -1,0 +1,247 @@
+"""Minimum-time plans: IPOPT on the same transcription, physics of the drift, mirror, labels, honest failure."""
+
+import dataclasses
+from dataclasses import replace
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.core import RESULTS, BadInput, Control, State, rk4_step
+from driftjax.planner import Plan, PlanConfig, load_plan_config, plan
+from driftjax.planner.nodes import nodes
+from driftjax.planner.planner import problem
+from driftjax.planner.problem import MinimumTime
+from driftjax.planner.stages import device, guesses, stages, tight_corners
+from driftjax.studies.bench.casadi_plan import Transcribed
+from driftjax.track import corner, load_track, playground
+from driftjax.vehicle import load_vehicle
+
+G = 9.81
+
+# The published car at minimum time and nothing else; the shipped options are tested by their own case.
+PUBLISHED = {
+    "sedan": PlanConfig(entry_speed=12.31),
+    "rc": PlanConfig(
+        entry_speed=3.016, V_min=0.8, V_max=8.0, beta_d=0.261799, drift_radius=1.2, drift_from=0.35, drift_to=0.85
+    ),
+}
+
+
+@cache
+def setup(car: str, drift: bool):
+    config = dataclasses.replace(PUBLISHED[car], drift=drift)
+    return load_track(f"{car}_corner"), load_vehicle(car), config
+
+
+@cache
+def solved(car: str, drift: bool) -> Plan:
+    return plan(*setup(car, drift))
+
+
+CASES = [("sedan", True), ("sedan", False), ("rc", True), ("rc", False)]
+
+
+@pytest.mark.parametrize("car, drift", CASES)
+def test_ipopt_finds_the_same_time_and_the_plan_keeps_its_limits(car, drift):
+    compare_with_ipopt(solved(car, drift), *setup(car, drift))
+
+
+@pytest.mark.parametrize("car", ["sedan", "rc"])
+def test_ipopt_finds_the_same_time_with_the_shipped_options(car):
+    """Friction circle, fair speed, price on the course: the oracle has its own copy of each."""
+    track, vehicle, config = load_track(f"{car}_corner"), load_vehicle(car), load_plan_config(car)
+    compare_with_ipopt(plan(track, vehicle, config), track, vehicle, config)
+
+
+def compare_with_ipopt(found: Plan, track, vehicle, config):
+    assert found.result == RESULTS.successful and float(found.violation) < 1e-6
+    vehicle = config.planned(vehicle)
+    at = nodes(track, vehicle.a + vehicle.b, config)
+    stage, corners = stages(track, vehicle, config, at.s)
+    ds = at.s[1] - at.s[0]
+    scale = np.asarray(problem(vehicle, config, stage, ds).scale)
+    guess = guesses(at.s, stage, corners, vehicle, config)[0]
+    states, _, success = Transcribed(vehicle, config, stage, ds, scale).solve(guess)
+    assert success
+    slowness = (1 - states[:, 3] * np.asarray(stage.kappa)[:, 0]) / (states[:, 0] * np.cos(states[:, 1] + states[:, 4]))
+    time = np.sum(np.asarray(stage.share) * slowness) * ds
+    assert float(found.lap_time) == pytest.approx(time, rel=3e-3)
+    assert np.all((found.V >= config.V_min) & (found.V <= config.V_max))
+    assert np.all((found.e <= stage.e_max + 1e-4) & (found.e >= stage.e_min - 1e-4))
+    assert np.all(np.abs(found.delta) <= vehicle.delta_max + 1e-4)
+    assert np.all((found.Fxr <= vehicle.Fxr_max * (1 + 1e-4)) & (found.Fxr >= vehicle.Fxr_min * (1 + 1e-4)))
+    assert np.all(-stage.side * found.beta >= stage.slip - 1e-4)
+    h = np.diff(found.t)
+    assert np.all(np.abs(np.diff(found.delta)) <= vehicle.delta_rate_max * h * 1.001 + 1e-6)
+    assert np.all(np.abs(np.diff(found.Fxr)) <= vehicle.Fxr_rate_max * h * 1.001 + 1e-6 * vehicle.Fxr_max)
+
+
+def test_plan_is_a_trajectory_of_the_nominal_car():
+    found = solved("sedan", True)
+    model = setup("sedan", True)[1].build()
+
+    def world(x, u):  # state (car, x, y, psi)
+        dx = model(x[0], u)
+        course = x[3] + x[0].beta
+        return dx, x[0].V * jnp.cos(course), x[0].V * jnp.sin(course), x[0].r
+
+    def step(k):
+        h, at = found.t[k + 1] - found.t[k], lambda v: v[k]
+        start = (State(found.V[k], found.beta[k], found.r[k]), at(found.x), at(found.y), at(found.psi))
+        middle = Control((found.delta[k] + found.delta[k + 1]) / 2, (found.Fxr[k] + found.Fxr[k + 1]) / 2)
+        (car, x, y, psi) = rk4_step(lambda w: world(w, middle), start, h)
+        return car.V - found.V[k + 1], x - found.x[k + 1], y - found.y[k + 1], psi - found.psi[k + 1]
+
+    wrong = jax.jit(jax.vmap(step))(jnp.arange(len(found.t) - 1))
+    for error, size in zip(wrong, (0.02, 2e-3, 2e-3, 2e-3), strict=True):
+        assert np.abs(error).max() < size
+
+
+@pytest.mark.parametrize("car", ["sedan", "rc"])
+def test_drift_device_gives_one_drift_in_the_corner(car):
+    _, vehicle, config = setup(car, True)
+    found, grip = solved(car, True), solved(car, False)
+    start, end = found.drift_interval()
+    assert found.drift_intervals() == [(start, end)]
+    middle = (found.S > start + 0.3 * (end - start)) & (found.S < end - 0.3 * (end - start))
+    assert np.all(found.beta[middle] < -0.7 * config.beta_d) and np.all(found.r[middle] > 0)
+    assert np.min(found.beta) <= -config.beta_d
+    load = np.mean((found.V * found.r)[middle]) / (vehicle.mu * G)
+    assert 0.8 < load < 1.1  # the tyres are at their limit, without a friction circle
+    assert grip.drift_intervals() == []
+    assert np.all(np.abs(grip.beta) <= config.beta_normal + 1e-5)
+    with pytest.raises(ValueError, match="no drift"):
+        grip.drift_interval()
+
+
+def test_sedan_corner_has_the_speed_and_slip_of_a_drift():
+    found = solved("sedan", True)
+    start, end = found.drift_interval()
+    middle = (found.S > start + 0.2 * (end - start)) & (found.S < end - 0.2 * (end - start))
+    assert 10.5 < np.mean(found.V[middle]) < 13.5
+    assert -35 < np.rad2deg(np.mean(found.beta[middle])) < -19
+
+
+def test_labels_follow_the_signs_of_sideslip_and_yaw_rate():
+    config = setup("sedan", True)[2]
+    found = solved("sedan", True)
+    opposite = (found.beta * found.r < 0) & (np.abs(found.beta) > config.label_beta)
+    np.testing.assert_array_equal(found.drift, opposite)
+    runs = eqx.tree_at(lambda p: p.drift, found, jnp.zeros_like(found.drift).at[jnp.array([3, 4, 5, 9, 300])].set(True))
+    S = np.asarray(found.S)
+    assert runs.drift_intervals() == [(S[3], S[5]), (S[9], S[9]), (S[300], S[300])]
+
+
+def test_path_is_the_course_driven_between_the_borders():
+    track, found = setup("rc", True)[0], solved("rc", True)
+    path = found.path
+    assert float(path.length) == pytest.approx(float(found.S[-1])) and not path.closed
+    x, y, course, _ = jax.vmap(path.pose)(found.S)
+    np.testing.assert_allclose(x, found.x, atol=1e-4)
+    np.testing.assert_allclose(y, found.y, atol=1e-4)
+    np.testing.assert_allclose(course, found.psi + found.beta, atol=2e-3)
+    k = np.argmin(np.abs(found.s - float(track.length) / 2))
+    w_right, w_left = path.widths(found.S[k])
+    for side in (w_left, -w_right):  # a point on the path's border lies on the track's border
+        _, e = track.locate(*path.position(found.S[k], side))
+        assert abs(float(e)) == pytest.approx(0.35, abs=0.02)
+
+
+def test_right_hand_corner_is_the_mirror_image():
+    track, vehicle, config = setup("sedan", True)
+    mirrored = plan(corner(45, 8, 15, -np.pi, 30, 3), vehicle, config)
+    left = solved("sedan", True)
+    assert mirrored.result == RESULTS.successful
+    assert float(mirrored.lap_time) == pytest.approx(float(left.lap_time), rel=1e-5)
+    for name, size in [("beta", 1e-2), ("r", 2e-2), ("e", 2e-2), ("theta", 1e-2), ("y", 2e-2)]:
+        np.testing.assert_allclose(getattr(mirrored, name), -getattr(left, name), atol=size, err_msg=name)
+    np.testing.assert_array_equal(mirrored.drift, left.drift)
+
+
+IMPOSSIBLE = {
+    "entry far too fast": {"entry_speed": 32.0},
+    "entry above V_max": {"V_max": 10.0},
+    "no drift without steering back": {"beta_d": 0.85, "end_slip": 0.01, "drift_ramp": 0.01},
+}
+
+
+@pytest.mark.parametrize("change", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
+def test_impossible_demands_are_not_called_a_plan(change):
+    track, vehicle, config = setup("sedan", True)
+    found = plan(track, vehicle, dataclasses.replace(config, max_steps=60, **change))
+    assert found.result != RESULTS.successful
+    assert float(found.violation) > 1e-4 and found.result == RESULTS.infeasible
+
+
+def test_too_few_iterations_are_told():
+    track, vehicle, config = setup("sedan", True)
+    found = plan(track, vehicle, dataclasses.replace(config, max_steps=2))
+    assert found.result != RESULTS.successful and int(found.num_steps) == 2
+
+
+def test_other_numbers_and_the_other_car_need_no_new_compile(monkeypatch):
+    solved("sedan", True)
+    solved("sedan", False)
+
+    def traced_again(*_):
+        raise AssertionError("the planner was traced again")
+
+    monkeypatch.setattr(MinimumTime, "slope", traced_again)
+    track, vehicle, config = setup("rc", True)
+    plan(track, vehicle, dataclasses.replace(config, max_steps=1))
+    track, vehicle, config = setup("sedan", True)
+    plan(track, replace(vehicle, mu=0.9), dataclasses.replace(config, entry_speed=11.0, beta_d=0.4, max_steps=1))
+
+
+def test_device_is_for_tight_corners_and_ramps_up():
+    config = PlanConfig()
+    s = np.linspace(0, 400, 801)
+    kappa = np.where((s > 50) & (s < 90), 1 / 15, 0) - np.where((s > 150) & (s < 190), 1 / 16, 0)
+    kappa = kappa + np.where((s > 250) & (s < 300), 1 / 40, 0) + np.where((s > 350) & (s < 355), 1 / 10, 0)
+    found = tight_corners(s, kappa, config)
+    assert [c.side for c in found] == [1, -1]  # neither the wide one nor the kink
+    side, slip, beta_max = device(s, found, config)
+    assert slip[(s > 60) & (s < 80)] == pytest.approx(config.beta_d)
+    assert np.all(slip[(s < 50) | ((s > 92) & (s < 150))] < -1)
+    assert np.all(np.diff(slip[(s > 51) & (s < 60)]) >= 0)
+    assert side[np.argmin(np.abs(s - 170))] == -1
+    assert beta_max[0] == config.beta_normal and beta_max[np.argmin(np.abs(s - 70))] == config.beta_max
+    off = device(s, found, dataclasses.replace(config, drift=False))[1]
+    assert np.all(off < -1)
+
+
+def test_bad_plans_are_refused():
+    track, vehicle, config = setup("rc", True)
+    with pytest.raises(BadInput, match="0.7 m wide, but the car is 0.8 m wide"):
+        plan(track, replace(vehicle, width=0.8), config)
+    with pytest.raises(BadInput, match="no room for a car .* lower 'margin'"):
+        plan(track, vehicle, dataclasses.replace(config, margin=0.3))
+    for key, value in [("V_min", 50.0), ("beta_d", 1.2), ("drift_ramp", 0.6), ("num_nodes", 3), ("lead", 0.0)]:
+        with pytest.raises(BadInput, match=f"'{key}'|'drift_from'"):
+            PlanConfig(**{key: value})
+
+
+def test_nodes_of_a_closed_lap_are_a_whole_number_of_steps_between_straights():
+    track = playground(1.0, 3.0)
+    at = nodes(track, 3.05, PlanConfig())
+    assert at.s[at.last] - at.s[at.first] == pytest.approx(float(track.length))
+    for k in (0, at.first, at.last):
+        assert abs(float(track.pose(at.s[k])[3])) < 1e-9
+    assert at.first > 20 and len(at.s) - at.last > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("car", ["sedan", "rc"])
+def test_closed_lap_drifts_its_hairpin_only(car):
+    track = load_track(f"{car}_playground")
+    found = plan(track, load_vehicle(car), load_plan_config(car))
+    assert found.result == RESULTS.successful
+    assert found.path.closed and len(found.drift_intervals()) == 1
+    assert float(found.closing) < 0.1 * float(track.w_left[0])
+    start, end = found.drift_interval()
+    k = int(np.argmin(np.abs(np.asarray(found.S) - (start + end) / 2)))
+    assert float(track.pose(found.s[k])[3]) == pytest.approx(float(track.kappa.max()), rel=1e-2)
