@@ -1,28 +1,19 @@
-"""Shared settings of the tests: float64, the persistent compilation cache, one device thread."""
+"""Shared settings of the tests: those of the package, and a compilation cache of their own."""
 
 import os
 import tempfile
 from pathlib import Path
 
-from driftjax import WHOLE_LOOPS
-
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ.setdefault("NPROC", "1")  # XLA's CPU client with two or more threads can deadlock on LAPACK calls
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
-# As the command line: loops cut into parts for threads round otherwise than whole ones.
-os.environ.setdefault("XLA_FLAGS", WHOLE_LOOPS)
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "driftjax-jax-cache"))
+
 
 import jax
 import pytest
 
 from driftjax.core.programs import let_go
 
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_cpu_enable_async_dispatch", False)
-jax.config.update("jax_compilation_cache_dir", os.environ.get(
-    "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "driftjax-jax-cache")))  # fmt: skip
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-
 
 MAPS = 40000  # memory maps from which programs are given up
 

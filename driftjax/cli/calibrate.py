@@ -8,13 +8,15 @@ import numpy as np
 import tyro
 import yaml
 
-from driftjax.cli.console import default_out, measured_log, nominal_car, typed, within
+from driftjax.cli.console import default_out, typed, within
 from driftjax.core import require, write_atomically
 from driftjax.diagnosis.calibrate import Calibration, calibrate
 from driftjax.diagnosis.diagnose import check_held_out
 from driftjax.diagnosis.serialise import extended_car, gain_json
+from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
+from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_named
 
 USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
@@ -56,8 +58,8 @@ class Calibrate:
 def run(argv: list[str]) -> int:
     """Read, fit, tell."""
     asked = typed(Calibrate, argv, "driftjax calibrate")
-    vehicle = nominal_car(asked.vehicle, asked.combined_slip)
-    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
+    vehicle = load_vehicle(asked.vehicle, asked.combined_slip)
+    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut, "effects": list(asked.effects)}
     folder = RunFolder.create(

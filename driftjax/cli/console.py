@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,9 +14,8 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput, write_atomically
 from driftjax.core.config import require_finite
-from driftjax.logs import Log, load_columns, read_log
 from driftjax.store import RunFolder
-from driftjax.vehicle import VehicleConfig, load_vehicle, notes
+from driftjax.vehicle import VehicleConfig, notes
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -40,19 +39,6 @@ def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) ->
         return options
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
-
-
-def measured_log(
-    logs: Sequence[Path], columns: str | None, runs: Sequence[str] = (), cut: float | None = None
-) -> Log:  # fmt: skip
-    """The runs called for of the `logs`, read with a column map where one is given, in parts of `cut` seconds."""
-    return read_log(logs, load_columns(columns) if columns else None).cut(cut).only(runs)
-
-
-def nominal_car(name: Path, combined_slip: float | None) -> VehicleConfig:
-    """The vehicle of this name, with another friction ellipse where one is given."""
-    vehicle = load_vehicle(name)
-    return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
 
 
 def default_out(verb: str, name: str) -> Path:

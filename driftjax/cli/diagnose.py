@@ -7,13 +7,13 @@ from typing import Annotated, Any
 import tyro
 import yaml
 
-from driftjax.cli.console import default_out, measured_log, nominal_car, progress, typed, within
+from driftjax.cli.console import default_out, progress, tell, typed, within
 from driftjax.core import num_workers, require, workers, write_atomically
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnosis.figure_data import stored
 from driftjax.diagnosis.serialise import bare_json, extended, to_json
 from driftjax.diagnosis.verdict import Judgement
-from driftjax.logs import Log
+from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.store import RunFolder
@@ -58,9 +58,9 @@ def run(argv: list[str]) -> int:
     asked = typed(Diagnose, argv, "driftjax diagnose")
     lone = asked.drive is None or not (asked.columns or asked.runs)
     require(lone, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
-    vehicle = nominal_car(asked.vehicle, asked.combined_slip)
+    vehicle = load_vehicle(asked.vehicle, asked.combined_slip)
     course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
-    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
+    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut}
     options |= {"options": dataclasses.asdict(asked.options), "closed_loop": course.name if course else None}
@@ -74,7 +74,7 @@ def run(argv: list[str]) -> int:
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
-            work(vehicle, measured_log((*asked.logs, more), None, (), asked.cut), asked.options, again, course)
+            work(vehicle, read_log((*asked.logs, more), cut=asked.cut), asked.options, again, course)
         return 0
 
     return within(folder, both)
@@ -109,7 +109,9 @@ def work(
         print(gain_table(content["gain"]))
     if course and isinstance(found, Diagnosis):
         print(f"closed loop: driving on {course.name}", flush=True)
-        driven = closed_loop(course, vehicle, load_vehicle(folder.path / "extended.yaml"))
+        car = load_vehicle(folder.path / "extended.yaml")
+        tell(car)
+        driven = closed_loop(course, vehicle, car)
         print(closed_loop_table(_kept(folder, content | {"closed_loop": driven})["closed_loop"]))
     print(f"report: {write_diagnosis(folder)}")
     return found

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from driftjax import WHOLE_LOOPS, __version__
+from driftjax import __version__
 
 VERBS = (
     "learn",
@@ -67,7 +67,6 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     if verb not in VERBS:
         return _told(f"there is no verb '{verb}'; choose one of {', '.join(VERBS)}.", 2)
-    set_up_jax()
     from driftjax.core import BadInput
 
     try:
@@ -89,23 +88,6 @@ def main(argv: list[str] | None = None) -> int:
 def _told(sentence: str, code: int, verb: str = "") -> int:
     print(f"driftjax{' ' * bool(verb)}{verb}: {sentence}", file=sys.stderr)
     return code
-
-
-def set_up_jax() -> None:
-    """Double precision, and a compilation cache that outlives the process; before anything else is imported."""
-    # XLA's CPU client with two or more threads can deadlock on LAPACK calls in one program (seen with jaxlib 0.10.2);
-    # one thread is as fast for batches of laps. Set NPROC to override. Forced devices have threads of their own.
-    flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.setdefault("NPROC", "1") == "1" and WHOLE_LOOPS not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {WHOLE_LOOPS}".strip()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # who calls computes: threads beside each other as well
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small programs add up
-    if jax.config.values["jax_compilation_cache_dir"] is None:  # JAX itself reads JAX_COMPILATION_CACHE_DIR
-        jax.config.update("jax_compilation_cache_dir", os.path.expanduser("~/.cache/driftjax"))
 
 
 @contextmanager

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from driftjax.cli.console import default_out, measured_log, typed, within
-from driftjax.logs import CHANNELS, Log
+from driftjax.cli.console import default_out, typed, within
+from driftjax.logs import CHANNELS, Log, read_log
 from driftjax.logs.agreement import Agreement, agreements
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
@@ -35,7 +35,7 @@ def run(argv: list[str]) -> int:
     """Read, compare, tell."""
     asked = typed(Inspect, argv, "driftjax inspect")
     vehicle = load_vehicle(asked.vehicle) if asked.vehicle else None
-    log = measured_log(asked.logs, asked.columns)
+    log = read_log(asked.logs, asked.columns)
     options = {"logs": [str(path) for path in asked.logs], "columns": asked.columns,
                "vehicle": str(asked.vehicle) if asked.vehicle else None}  # fmt: skip
     folder = RunFolder.create(asked.out or default_out("inspect", asked.logs[0].stem), options, "inspect")

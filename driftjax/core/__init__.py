@@ -26,3 +26,6 @@ from driftjax.core.records import State as State
 from driftjax.core.records import as_float as as_float
 from driftjax.core.records import features as features
 from driftjax.core.results import RESULTS as RESULTS
+from driftjax.environment import dispatch_inline
+
+dispatch_inline()

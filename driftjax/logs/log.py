@@ -12,7 +12,7 @@ import numpy as np
 
 from driftjax.core import BadInput, write_atomically
 from driftjax.logs.checks import check_rates
-from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap
+from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap, load_columns
 from driftjax.logs.prepare import Part, parts
 from driftjax.logs.raw import raw_runs
 from driftjax.logs.recording import read_recording, recording_kind
@@ -80,19 +80,30 @@ class Log:
         return dataclasses.replace(self, runs=tuple(parts))
 
 
-def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
-    """Runs of all `paths` in the log format, or in that of `columns`; raises `BadInput` in one sentence.
+def read_log(
+    paths: str | Path | Sequence[str | Path],
+    columns: ColumnMap | str | None = None,
+    *,
+    runs: Sequence[str] = (),
+    cut: float | None = None,
+) -> Log:
+    """Read the runs of all `paths` in the log format, or in that of a column map; raises `BadInput` in one sentence.
+
+    `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.only`) after `cut`
+    has split long runs into parts of so many seconds (see `Log.cut`).
 
     A log is a CSV or Parquet file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or MDF file.
     A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
     a command is missing for longer than that; the parts are called name, name+1, ...
     """
+    paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:
         raise BadInput("No log was given; name one file or bag at least.")
+    columns = load_columns(columns) if isinstance(columns, str) else columns
     digest, seen = hashlib.sha256(), dict[bytes, Path]()
-    runs: dict[str, Run] = {}
+    read: dict[str, Run] = {}
     notes: list[str] = []
-    for path in map(Path, paths):
+    for path in paths:
         kind = recording_kind(path)
         content = read_bytes(path) if kind is None else b""
         own = hashlib.sha256()
@@ -102,14 +113,14 @@ def read_log(paths: Sequence[Path], columns: ColumnMap | None = None) -> Log:
         if (twin := seen.setdefault(own.digest(), path)) is not path:
             raise BadInput(f"{path}: holds the same as {twin}; give each log once.")
         for raw in raw_runs(_table(path, kind, content, columns, notes), columns, notes):
-            name = raw.name if raw.name not in runs else f"{path.stem}/{raw.name}"
+            name = raw.name if raw.name not in read else f"{path.stem}/{raw.name}"
             for part in parts(raw, columns.rate if columns else None, notes):
-                free = _free_name(name, runs)
-                runs[free] = _run(free, part)
-    if not runs:
+                free = _free_name(name, read)
+                read[free] = _run(free, part)
+    if not read:
         raise BadInput(f"{', '.join(map(str, paths))}: no run has two samples in a row; give a longer log.")
-    check_rates({name: run.dt for name, run in runs.items()})
-    return Log(tuple(runs.values()), digest.hexdigest(), tuple(map(Path, paths)), tuple(notes))
+    check_rates({name: run.dt for name, run in read.items()})
+    return Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes)).cut(cut).only(runs)
 
 
 def _cut(run: Run, num: int) -> list[Run]:

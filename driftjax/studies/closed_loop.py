@@ -6,15 +6,14 @@ from typing import Any
 
 import jax
 import numpy as np
-from driftjax.manoeuvres.truth import read_truth
 
-from driftjax.cli.console import tell
 from driftjax.core import BadInput, num_workers, read_yaml, workers
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
 from driftjax.learning.scenario import build, route_of
 from driftjax.learning.stage import Stage
 from driftjax.learning.stages import drive_nominal
+from driftjax.manoeuvres.truth import read_truth
 from driftjax.report import CLOSED_LOOP
 from driftjax.sim import AnyPlant, LapCode, batch_of, load_any_plant, plant_of
 from driftjax.track import load_track
@@ -65,7 +64,6 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
     models = {"nominal": before(nominal, extended)}
     if extended.effects != nominal.effects:
         models |= {"extended": extended}
-    tell(extended)
     laps: dict[str, Stage] = {}
     told: dict[str, Any] = {}
     with workers(num_workers(SEEDS)) as blocks:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.cli.console import measured_log, nominal_car
 from driftjax.core import Blocks, from_dict, merged
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
@@ -17,11 +16,13 @@ from driftjax.learning.config import LearnConfig, files_of, load_learn_config
 from driftjax.learning.run import drive_stages
 from driftjax.learning.scenario import Route, build, route_of
 from driftjax.learning.stages import first_progress
+from driftjax.logs import read_log
 from driftjax.store import RunFolder
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.studies.paper.config import Config as PaperConfig
 from driftjax.sweep import Work
 from driftjax.sweep.trial import Row
+from driftjax.vehicle import load_vehicle
 
 Options = dict[str, Any]
 
@@ -84,8 +85,8 @@ def diagnose_files(config: Options) -> list[Path]:
 def diagnose_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
     """The verdict, and the gain on runs held out."""
     asked = from_dict(LogConfig, config, "a trial")
-    log = measured_log(asked.logs, asked.columns, asked.runs, asked.cut)
-    found = diagnose(nominal_car(asked.vehicle, asked.combined_slip), log, asked.options, blocks=blocks)
+    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
+    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, blocks=blocks)
     if not isinstance(found, Diagnosis):
         yield [{"verdict": found.verdict, "named": 0, "causes": ""}]
         return

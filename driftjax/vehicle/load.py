@@ -13,12 +13,13 @@ ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends
 SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
 
 
-def load_vehicle(name: str | Path) -> VehicleConfig:
+def load_vehicle(name: str | Path, combined_slip: float | None = None) -> VehicleConfig:
     """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`).
 
     Keys are the parameters of the nominal car, at the top or below `nominal`, and for an extended car `effects`
     (effect -> parameter -> value in SI, or {value, ci95_half}) and `covariance` ({parameters: [effect.parameter],
-    matrix}), as `driftjax diagnose` writes them into extended.yaml.
+    matrix}), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces the file's friction
+    ellipse: 0 none (as published), 1 a circle.
     """
     path = find_config("vehicle", name)
     content = read_yaml(path)
@@ -34,7 +35,8 @@ def load_vehicle(name: str | Path) -> VehicleConfig:
     where = f"{path}: key 'effects'"
     found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
     matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
-    return dataclasses.replace(vehicle, effects=found, covariance=matrix)
+    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix)
+    return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from driftjax.manoeuvres.truth import strengths
 
 from driftjax.cli import main
 from driftjax.diagnosis.parity import parity
@@ -16,12 +15,13 @@ from driftjax.logs import read_log
 from driftjax.manoeuvres import campaign
 from driftjax.manoeuvres.campaign import Campaign, driven, record_runs, typical
 from driftjax.manoeuvres.library import MANOEUVRES
+from driftjax.manoeuvres.truth import effect_strengths
 from driftjax.sim.logged import dropouts
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import EFFECTS
 
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
-NEUTRAL = strengths(SEDAN, ())
+NEUTRAL = effect_strengths(SEDAN, ())
 NAMES = ("grip_sine", "slalom", "step_steer", "throttle_steps", "coast_down", "slalom", "grip_sine")
 SHORT = Campaign(NAMES, duration=2.0)
 FLAGS = ["simulate", "--manoeuvres", *NAMES, "--duration", "2"]
@@ -53,7 +53,7 @@ def test_noise_is_as_asked_and_beside_the_truth():
     ids=["nothing", "physics", "road"],
 )
 def test_accelerations_tell_the_motion_but_for_the_pull_of_the_road(effects, shown):
-    runs, _ = record_runs(SEDAN, strengths(SEDAN, effects), SHORT)
+    runs, _ = record_runs(SEDAN, effect_strengths(SEDAN, effects), SHORT)
     found = parity(SEDAN, runs, np.array([0.05, 0.0087, 0.0087]))
     assert found is not None and found.num == len(NAMES) * 6
     V, beta = np.moveaxis(signals(runs, "V", "beta"), -1, 0)
@@ -83,7 +83,7 @@ def test_without_noise_and_disturbance_a_log_is_the_truth_but_for_effects():
     still = dataclasses.replace(SHORT, noise=0.0, process_noise=0.0)
     plain, truth = record_runs(SEDAN, NEUTRAL, still)
     np.testing.assert_array_equal(signals(plain, "V", "beta", "r"), np.stack(list(truth.states.values())))
-    theta = strengths(SEDAN, ("friction_front.p=-0.1", "gyro_bias=1"))
+    theta = effect_strengths(SEDAN, ("friction_front.p=-0.1", "gyro_bias=1"))
     changed, truth = record_runs(SEDAN, theta, still)
     scale = EFFECTS["gyro_bias"].parameters[0].scale(SEDAN)
     assert truth.effects["friction_front"] == {"p": -0.1}
@@ -144,7 +144,7 @@ def test_the_log_reads_back_repeats_and_hides_the_truth(capsys):
     )
     runs = read_log([Path("one/log.csv")]).runs
     assert [run.name for run in runs] == [f"{name}-{i + 1}" for i, name in enumerate(NAMES)]
-    theta = strengths(SEDAN, ("friction.p=0.05", "friction_front=-1", "load_transfer_long.h=0.5"))
+    theta = effect_strengths(SEDAN, ("friction.p=0.05", "friction_front=-1", "load_transfer_long.h=0.5"))
     made, _ = record_runs(SEDAN, theta, dataclasses.replace(SHORT, seed=3))
     for a, b in zip(runs, made, strict=True):
         np.testing.assert_array_equal(a.V, b.V)

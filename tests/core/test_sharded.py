@@ -42,8 +42,7 @@ def test_one_device_gives_what_blocks_give():
 
 CHILD = """
 import json, jax
-from driftjax.cli.front import set_up_jax
-set_up_jax()
+import driftjax
 from driftjax.core import Blocks, programs
 from driftjax.core.sharded import Sharded
 from tests.core.test_sharded import settled, some

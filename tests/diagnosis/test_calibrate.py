@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnose.recorded import EFFECTS as KNOWN
-from diagnose.recorded import hidden, recorded
+from diagnosis.recorded import EFFECTS as KNOWN
+from diagnosis.recorded import hidden, recorded
 
 from driftjax.cli import main
 from driftjax.diagnosis.calibrate import calibrate

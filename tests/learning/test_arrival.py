@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from driftjax.core import Control
-from driftjax.learning import arrival as approach
+from driftjax.learning import arrival
 from driftjax.learning.arrival import Approach
 from driftjax.sim import Sensed, Trace
 
 DT, LAGS = jnp.asarray(0.1), jnp.asarray([0.05, 0.2])
-seen = eqx.filter_jit(approach.seen)
+seen = eqx.filter_jit(arrival.seen)
 PLANNED = Approach(jnp.asarray([9.0, 0.0, 0.1, 0.0, 0.0]), jnp.zeros(2), jnp.zeros(2), jnp.asarray(0))
 
 

@@ -11,17 +11,16 @@ from driftjax.studies.bench.config import Config
 from driftjax.studies.bench.rows import Measured, Row, Timing
 
 TARGET = 45.0  # seconds
-FLAGS = ("--plants", "1", "--workers", "1")  # one process sees every program once
 
 
 def learn(folder: Path, name: str) -> dict[str, float]:
     """A run with the cache in `folder`: seconds spent on programs, and in all."""
     out = folder / f"{name}.json"
-    command = [sys.executable, "-m", "driftjax.studies.bench.compiling", str(out), *FLAGS, "--out", str(folder / name)]
+    command = [sys.executable, "-m", "driftjax.studies.bench.compiling", str(out), str(folder / name)]
     own = {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
     done = subprocess.run(command, env={**os.environ, **own}, capture_output=True, text=True)
     if done.returncode != 0:
-        raise RuntimeError(f"driftjax learn ended with code {done.returncode}: {done.stderr.strip()[-2000:]}")
+        raise RuntimeError(f"learning ended with code {done.returncode}: {done.stderr.strip()[-2000:]}")
     return json.loads(out.read_text(encoding="utf-8"))
 
 

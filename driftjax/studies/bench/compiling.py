@@ -1,9 +1,17 @@
-"""`driftjax learn` in this process with its compilations timed: `python -m driftjax.studies.bench.compiling OUT FLAG...`."""
+"""Learn on one plant with all compilations timed: `python -m driftjax.studies.bench.compiling OUT FOLDER`."""
 
+import dataclasses
 import json
 import sys
 import time
 from pathlib import Path
+
+import jax
+
+from driftjax.core.config import to_dict
+from driftjax.learning.config import load_learn_config
+from driftjax.learning.run import run
+from driftjax.store import RunFolder
 
 EVENTS = (
     "/jax/core/compile/jaxpr_trace_duration",
@@ -32,22 +40,16 @@ class Spans:
         return total
 
 
-def main(out: Path, flags: list[str]) -> int:
-    """Learn; seconds spent on programs, and in all, go to `out`."""
-    from driftjax.cli.front import main as driftjax
-    from driftjax.cli.front import set_up_jax
-
-    set_up_jax()
-    import jax
-
+def main(out: Path, folder: Path) -> None:
+    """Learn into the run folder `folder`; write the seconds spent on programs, and in all, to `out`."""
     spans = Spans()
     jax.monitoring.register_event_duration_secs_listener(spans)
     start = time.perf_counter()
-    code = driftjax(["learn", *flags])
-    found = {"programs": spans.seconds(), "all": time.perf_counter() - start, "number": len(spans.found)}
-    out.write_text(json.dumps(found), encoding="utf-8")
-    return code
+    config = dataclasses.replace(load_learn_config("sedan"), plants=1)  # one process sees every program once
+    run(config, RunFolder.create(folder, to_dict(config)), lambda text, done, total: None)
+    seconds = {"programs": spans.seconds(), "all": time.perf_counter() - start, "number": len(spans.found)}
+    out.write_text(json.dumps(seconds), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), sys.argv[2:]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

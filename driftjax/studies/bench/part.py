@@ -13,9 +13,6 @@ MODULES = {
 
 def main(part: str, options: Path, out: Path) -> None:
     """Measure `part` with the config in `options`; rows and curves go to `out`."""
-    from driftjax.cli.front import set_up_jax
-
-    set_up_jax()
     from driftjax.core import from_dict
     from driftjax.studies.bench.config import Config
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import jax
 
-from driftjax import WHOLE_LOOPS
 from driftjax.core import write_atomically
 from driftjax.core.config import to_dict
+from driftjax.environment import WHOLE_LOOPS
 from driftjax.studies.bench.config import Config, Part
 from driftjax.studies.bench.figures import write_figures
 from driftjax.studies.bench.machine import machine
 from driftjax.studies.bench.table import page
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def main(cfg: Config, out: Path, report: Callable[[str, int, int], None]) -> dict[str, Any]:

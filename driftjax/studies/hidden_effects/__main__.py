@@ -2,10 +2,7 @@
 
 import sys
 
-from driftjax.cli.front import set_up_jax
-
 if __name__ == "__main__":
-    set_up_jax()
     import tyro
 
     from driftjax.core import BadInput

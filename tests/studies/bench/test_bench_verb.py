@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax import WHOLE_LOOPS
 from driftjax.cli import main
 from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
+from driftjax.environment import WHOLE_LOOPS
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from driftjax.studies.bench.casadi_mpc import Transcribed
 from driftjax.studies.bench.compiling import EVENTS, Spans

@@ -10,7 +10,7 @@ import os
 
 import numpy as np
 import pytest
-from recorded import EFFECTS, NAMES, recorded, sedan
+from diagnosis.recorded import EFFECTS, NAMES, recorded, sedan
 
 from driftjax.logs import Run
 from driftjax.studies.hidden_effects import judged

@@ -1,0 +1,82 @@
+"""What a process needs before JAX computes: double precision, one thread per program, a compilation cache.
+
+`import driftjax` calls `setup()`. JAX need not be imported for it, so that `driftjax --help` stays fast.
+"""
+
+import os
+import sys
+import warnings
+from pathlib import Path
+
+# XLA's flag for programs that round alike on any number of threads: loops cut into parts for them round otherwise.
+WHOLE_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
+CACHE = "~/.cache/driftjax"
+
+
+def setup(*, cache: str | Path | None = None, threads: int | None = None) -> None:
+    """Set up JAX for this package: float64, compiled programs kept on disk, `threads` per program.
+
+    `cache` is the folder of compiled programs; left out, it is `JAX_COMPILATION_CACHE_DIR` or ~/.cache/driftjax.
+    `threads` is the number of threads of XLA's CPU client; left out, it is `NPROC` or 1: with two or more, LAPACK
+    calls in one program can deadlock (seen with jaxlib 0.10.2), and batches of laps are as fast with one.
+
+    JAX reads the number of threads once, when it starts its CPU client. Raises `RuntimeError` where `threads` is
+    given after that, and warns where the client was started before this package was imported.
+    """
+    values = {
+        "jax_enable_x64": True,
+        "jax_persistent_cache_min_compile_time_secs": 0.0,  # hundreds of small programs add up
+        "jax_compilation_cache_dir": _cache_folder(cache),
+    }
+    _set_threads(threads)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
+    os.environ |= {name.upper(): str(value) for name, value in values.items()}  # for this JAX and those of workers
+    if "jax" in sys.modules:  # it has read its environment already
+        import jax
+
+        for name, value in values.items():
+            jax.config.update(name, value)
+
+
+def dispatch_inline() -> None:
+    """Let the calling thread compute, as several threads beside each other need it; JAX reads no variable for this."""
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def require_float64() -> None:
+    """Raise `RuntimeError` where JAX computes in single precision, in which equilibria and GPs are not solved."""
+    import jax
+
+    if not jax.config.values["jax_enable_x64"]:
+        raise RuntimeError("JAX computes in float32 here; call driftjax.setup(), or leave jax_enable_x64 on.")
+
+
+def _cache_folder(cache: str | Path | None) -> str:
+    return os.path.expanduser(str(cache or os.environ.get("JAX_COMPILATION_CACHE_DIR") or CACHE))
+
+
+def _set_threads(threads: int | None) -> None:
+    started = _client_started()
+    if threads is not None:
+        if started and os.environ.get("NPROC") != str(threads):
+            raise RuntimeError("JAX has started already; call driftjax.setup(threads=...) before anything computes.")
+        os.environ["NPROC"] = str(threads)
+    elif started and "NPROC" not in os.environ:
+        warnings.warn(
+            "JAX computed before driftjax was imported and may use several threads, with which LAPACK calls can "
+            "deadlock; import driftjax first, or set NPROC=1.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return
+    flags = os.environ.get("XLA_FLAGS", "")
+    if os.environ.setdefault("NPROC", "1") == "1" and WHOLE_LOOPS not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {WHOLE_LOOPS}".strip()
+
+
+def _client_started() -> bool:
+    """Whether JAX has a backend in this process; reads no attribute of JAX where it has not been imported."""
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    return bool(bridge and bridge.backends_are_initialized())

@@ -1,0 +1,89 @@
+"""truth.yaml: what a simulated log does not say about its car: effects, noise and what was driven."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
+from driftjax.core.config import to_dict
+from driftjax.logs import write_log
+from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
+from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle.effect import EFFECTS, effects_named
+
+
+def effect_strengths(vehicle: VehicleConfig, words: tuple[str, ...]) -> Float[np.ndarray, "K"]:
+    """Parse `name.parameter=value` (SI) and `name=sizes` into all parameters of the catalogue, in typical sizes.
+
+    Raises `BadInput` for an unknown effect or parameter, and for a value outside its bounds.
+    """
+    parameters = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in effect.parameters]
+    theta = np.zeros(len(parameters))
+    for word in words:
+        target, _, number = word.partition("=")
+        name, _, which = target.partition(".")
+        (effect,) = effects_named((name,))
+        known = ", ".join(one.name for one in effect.parameters)
+        if which and which not in known.split(", "):
+            raise BadInput(f"effect '{word}': {name} has no parameter '{which}'; it has {known}.")
+        value = _number(number, word)
+        for i, (owner, parameter) in enumerate(parameters):
+            if owner == name and (not which or parameter.name == which):
+                scale = parameter.scale(vehicle) if which else 1.0
+                lower, upper = parameter.bounds(vehicle) if which else (parameter.lower, parameter.upper)
+                if not lower <= value <= upper:
+                    unit = parameter.suffix if which else " typical sizes"
+                    raise BadInput(f"effect '{word}': the value lies in {lower:.4g}..{upper:.4g}{unit}.")
+                theta[i] = value / scale
+    return theta
+
+
+def _number(text: str, word: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInput(f"effect '{word}': there is no number; write name.parameter=value in SI, or name=typical sizes.")
+    return value
+
+
+def write_truth(path: Path, truth: Truth, vehicle: str, combined_slip: float, campaign: Campaign) -> None:
+    """Write `truth` of the base car `vehicle` (a name or a file), SI, as `read_truth` reads it."""
+    content: dict[str, Any] = {
+        "vehicle": vehicle, "combined_slip": combined_slip, "effects": truth.effects, "noise": truth.noise,
+        "process_noise": truth.process_noise, "seed": campaign.seed, "campaign": to_dict(campaign),
+        "left_out": list(truth.left_out),
+    }  # fmt: skip
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def read_truth(path: Path) -> tuple[VehicleConfig, Float[np.ndarray, "K"], Campaign]:
+    """Read the car without its effects, their strengths (whole catalogue, in typical sizes), and the campaign."""
+    content = read_yaml(path)
+    missing = [key for key in ("vehicle", "combined_slip", "effects", "campaign") if key not in content]
+    if missing:
+        raise BadInput(f"{path}: key '{missing[0]}' is missing; give the truth.yaml that `driftjax simulate` wrote.")
+    effects = content["effects"]
+    if not (isinstance(effects, dict) and all(isinstance(values, dict) for values in effects.values())):
+        raise BadInput(f"{path}: key 'effects' is {effects!r}; it needs effects with their parameters.")
+    vehicle = load_vehicle(content["vehicle"]).with_slip(content["combined_slip"])
+    vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # `effects` of the file holds theirs too
+    words = [f"{name}.{key}={value!r}" for name, values in effects.items() for key, value in values.items()]
+    return vehicle, effect_strengths(vehicle, tuple(words)), from_dict(Campaign, content["campaign"], str(path))
+
+
+def drive_again(truth: Path, manoeuvre: str, log: Path) -> None:
+    """Drive one more run of `manoeuvre` on the car that `truth` describes, with a new seed, and write it to `log`."""
+    vehicle, theta, before = read_truth(truth)
+    campaign = dataclasses.replace(before, manoeuvres=(manoeuvre,), seed=before.seed + LATER)
+    runs, _ = record_runs(vehicle, theta, campaign)
+    if not runs:
+        raise BadInput(f"{truth}: the car spun or came to a stop in every draw of '{manoeuvre}'.")
+    write_log(log, runs)

@@ -1,0 +1,1 @@
+"""Studies that compare: methods of the paper, hidden effects, closed loop, speed against peers."""
