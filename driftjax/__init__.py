@@ -1,7 +1,94 @@
-"""driftjax: a differentiable, jit-compiled car in JAX that learns to drift."""
+"""driftjax: a differentiable, jit-compiled car in JAX that learns to drift, and that explains measured logs.
+
+What follows is the public interface; everything is imported when it is first used. Units are SI and radians, left
+is positive (ISO 8855). Importing the package sets up JAX (float64, compilation cache, threads): see `setup`.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
 
 from driftjax.environment import setup as setup
 
+if TYPE_CHECKING:
+    from driftjax.control.drift_mpc import DriftMPC as DriftMPC
+    from driftjax.control.drift_mpc import MPCState as MPCState
+    from driftjax.control.drift_mpc import mpc_state as mpc_state
+    from driftjax.control.drift_mpc import steady_reference as steady_reference
+    from driftjax.control.mpc import MPCConfig as MPCConfig
+    from driftjax.control.mpc import Reference as Reference
+    from driftjax.control.mpc import Weights as Weights
+    from driftjax.core import RESULTS as RESULTS
+    from driftjax.core import BadInput as BadInput
+    from driftjax.core import Control as Control
+    from driftjax.core import State as State
+    from driftjax.diagnosis.calibrate import calibrate as calibrate
+    from driftjax.diagnosis.diagnose import DiagnoseConfig as DiagnoseConfig
+    from driftjax.diagnosis.diagnose import Diagnosis as Diagnosis
+    from driftjax.diagnosis.diagnose import diagnose as diagnose
+    from driftjax.equilibrium.branch import Branch as Branch
+    from driftjax.equilibrium.map import equilibria as equilibria
+    from driftjax.gp import GP as GP
+    from driftjax.gp import fit_gp as fit_gp
+    from driftjax.learning.config import LearnConfig as LearnConfig
+    from driftjax.learning.config import load_learn_config as load_learn_config
+    from driftjax.learning.run import learn as learn
+    from driftjax.logs import Log as Log
+    from driftjax.logs import Run as Run
+    from driftjax.logs import inspect as inspect
+    from driftjax.logs import read_log as read_log
+    from driftjax.logs import write_log as write_log
+    from driftjax.manoeuvres.campaign import Campaign as Campaign
+    from driftjax.manoeuvres.campaign import record_runs as record_runs
+    from driftjax.planner import PlanConfig as PlanConfig
+    from driftjax.planner import load_plan_config as load_plan_config
+    from driftjax.planner import plan as plan
+    from driftjax.sim import simulate as simulate
+    from driftjax.store import RunFolder as RunFolder
+    from driftjax.track import Track as Track
+    from driftjax.track import load_track as load_track
+    from driftjax.vehicle import PlantConfig as PlantConfig
+    from driftjax.vehicle import Residual as Residual
+    from driftjax.vehicle import VehicleConfig as VehicleConfig
+    from driftjax.vehicle import build_car as build_car
+    from driftjax.vehicle import draw_plants as draw_plants
+    from driftjax.vehicle import load_plant as load_plant
+    from driftjax.vehicle import load_vehicle as load_vehicle
+
 __version__ = "0.1.0"
 
+MODULES = {
+    "control.drift_mpc": ("DriftMPC", "MPCState", "mpc_state", "steady_reference"),
+    "control.mpc": ("MPCConfig", "Reference", "Weights"),
+    "core": ("RESULTS", "BadInput", "Control", "State"),
+    "diagnosis.calibrate": ("calibrate",),
+    "diagnosis.diagnose": ("DiagnoseConfig", "Diagnosis", "diagnose"),
+    "equilibrium.branch": ("Branch",),
+    "equilibrium.map": ("equilibria",),
+    "gp": ("GP", "fit_gp"),
+    "learning.config": ("LearnConfig", "load_learn_config"),
+    "learning.run": ("learn",),
+    "logs": ("Log", "Run", "inspect", "read_log", "write_log"),
+    "manoeuvres.campaign": ("Campaign", "record_runs"),
+    "planner": ("PlanConfig", "load_plan_config", "plan"),
+    "sim": ("simulate",),
+    "store": ("RunFolder",),
+    "track": ("Track", "load_track"),
+    "vehicle": ("PlantConfig", "Residual", "VehicleConfig", "build_car", "draw_plants", "load_plant", "load_vehicle"),
+}
+PUBLIC = {name: f"driftjax.{module}" for module, names in MODULES.items() for name in names}
+__all__ = ["setup", *PUBLIC]  # pyright: ignore[reportUnsupportedDunderAll]
+
 setup()
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used, so that `driftjax --help` need not wait for JAX."""
+    if name not in PUBLIC:
+        raise AttributeError(f"module 'driftjax' has no attribute '{name}'; it has {', '.join(__all__)}.")
+    value = getattr(importlib.import_module(PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *PUBLIC])

@@ -8,16 +8,12 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, tell, typed, within
-from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
+from driftjax.core import BadInput, from_dict, merged, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.planner import load_plan_config
-from driftjax.sim import load_plants
-from driftjax.sim.sensors import load_sensors
+from driftjax.learning.run import check_files, learn
 from driftjax.store import RunFolder
-from driftjax.track import check_width, load_track
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.plants import load_distribution
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,11 +40,11 @@ def run(argv: list[str]) -> int:
             raise BadInput("--resume goes on with the run's own config; leave out every flag but --workers.")
         folder = RunFolder.open(early["resume"])
         config = from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml"))
-        check(config)
+        check_files(config)
     else:
         options = typed(Learn, argv, "driftjax learn", Learn(defaults(early["car"], early["config"])))
         config = options.options
-        check(config)
+        check_files(config)
         folder = RunFolder.create(options.out or default_out("learn", config.car), to_dict(config))
     resume = f"driftjax learn --resume {shlex.quote(str(folder.path))}"
     return within(folder, lambda: work(config, folder, num), resume)
@@ -67,27 +63,14 @@ def defaults(car: str | None, file: str | None) -> LearnConfig:
     return from_dict(LearnConfig, merged(base, written), file or "defaults")
 
 
-def check(config: LearnConfig) -> None:
-    """Read every file that `config` names, so that bad ones are told at once and nothing is left behind."""
-    vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
-    check_width(track, vehicle.width, str(config.track))
-    load_plan_config(config.plan)
-    load_sensors(config.sensors)
-    load_plants(config.plant)
-    if not config.plant:
-        load_distribution(config.car)
-
-
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     """Run, or go on; then write and print what came out."""
-    from driftjax.learning.run import run as learn
     from driftjax.report import table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
     tell(load_vehicle(config.vehicle))
     with progress() as report:
-        num = num_workers(config.num_lanes) if workers is None else workers
-        results = learn(config, folder, report, num if num > 1 else 0)
+        results = learn(config, folder.path, workers=workers, report=report).results
     page = write_report(folder)
     print(table(results))
     print(f"report: {page}")

@@ -7,10 +7,10 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, typed, within
-from driftjax.cli.learn import check
 from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
+from driftjax.learning.run import check_files
 from driftjax.store import RunFolder
 from driftjax.tune.config import TuneConfig
 
@@ -44,7 +44,7 @@ def run(argv: list[str]) -> int:
     default = Tune(defaults(early["car"], early["config"], "--quick" in argv))
     asked = typed(Tune, argv, "driftjax tune", default)
     config = asked.options
-    check(config.learn)
+    check_files(config.learn)
     folder = RunFolder.create(asked.out or default_out("tune", config.learn.car), to_dict(config), "tune")
     return within(folder, lambda: work(config, folder, asked.workers))
 

@@ -15,12 +15,16 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
 from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from driftjax.core import RESULTS, Control, State, require
+from driftjax.environment import require_float64
 from driftjax.equilibrium import Branch, Equilibrium, decoupled_roots, preference, solve_at
-from driftjax.vehicle import AnyCar, Extended, SingleTrack, build_car, load_vehicle
+from driftjax.vehicle import AnyCar, Extended, SingleTrack, VehicleConfig, build_car, load_vehicle
 from driftjax.vehicle.single_track import G
 
 NEAR = (1.0, 0.8, 0.9, 1.1, 1.2)  # yaw rates whose nominal states are guesses for an extended car, over its own [-]
@@ -57,6 +61,33 @@ class Config:
         require(0 < self.ratio_min < self.ratio_max, "key 'ratio_max' must exceed 'ratio_min', both positive.")
         require(self.V_min >= 0 and self.V_max >= 0, "keys 'V_min' and 'V_max' are speeds; give 0 or more m/s.")
         require(not 0 < self.V_max <= self.V_min, "key 'V_max' must exceed 'V_min'.")
+
+
+def equilibria(vehicle: VehicleConfig, V: Float[ArrayLike, " n"], r: Float[ArrayLike, " n"]) -> xr.Dataset:
+    """Solve for every steady state of a car at speeds `V` [m/s] and yaw rates `r` [rad/s], both of n points.
+
+    Damped Gauss-Newton from every root of the decoupled problem, each confirmed on the full car, named effects
+    included. Dimensions (point, root); entries without a state are NaN and have branch -1 (see `Branch`).
+    """
+    require_float64()
+    V, r = np.atleast_1d(np.asarray(V, float)), np.atleast_1d(np.asarray(r, float))
+    require(V.ndim == 1 and V.shape == r.shape, f"V has shape {V.shape} and r {r.shape}; give one row of each.")
+    points = solve_map(build_car(vehicle), jnp.asarray(V), jnp.asarray(r))
+    good = np.asarray(points.result == RESULTS.successful)
+    columns = {
+        "beta": (points.x.beta, "rad", "sideslip, left positive"),
+        "delta": (points.u.delta, "rad", "steering angle, left positive"),
+        "Fxr": (points.u.Fxr, "N", "longitudinal force of the rear axle"),
+        "residual": (points.residual, "1", "largest scaled rate left"),
+    }
+    data = {
+        name: (("point", "root"), np.where(good, np.asarray(values), np.nan), {"units": units, "long_name": words})
+        for name, (values, units, words) in columns.items()
+    }
+    flags = {"flag_values": [int(b) for b in Branch], "flag_meanings": " ".join(b.name.lower() for b in Branch)}
+    data["branch"] = (("point", "root"), np.where(good, np.asarray(points.kind), -1), flags)
+    coords = {"V": ("point", V, {"units": "m/s"}), "r": ("point", r, {"units": "rad/s"})}
+    return xr.Dataset(data, coords, {"vehicle": vehicle.name})
 
 
 @eqx.filter_jit

@@ -5,9 +5,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
 
-from driftjax.core import RESULTS
+from driftjax.core import RESULTS, require
+from driftjax.environment import require_float64
+from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, scales, squares
 from driftjax.gp.optimise import Minimum, minimise
@@ -87,6 +92,26 @@ def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **option
         return jax.tree.map(lambda leaf: leaf[best], ends)
 
     return jax.lax.map(output, (starts, T.T, *held))
+
+
+def fit_gp(
+    Z: Float[ArrayLike, "M nf"], Y: Float[ArrayLike, "M D"], *, kernel: str = "se", num_restarts: int = 4, seed: int = 0
+) -> FitResult:
+    """Fit an exact GP to `M` rows of inputs and targets by maximum marginal likelihood on all of them.
+
+    Raw units in and out; zero prior mean; one length scale per input (`kernel`: se or matern52, see `KERNELS`).
+    `result.gp` has `mean`, `variance` and `gradient` at one input (nf,): `vmap` them for many. Raises `BadInput`
+    for shapes that do not fit and values that are not finite; `result.result` says how each output's fit ended.
+    """
+    require_float64()
+    Z, Y = np.asarray(Z, float), np.asarray(Y, float)
+    Y = Y[:, None] if Y.ndim == 1 else Y
+    fits = Z.ndim == 2 and Y.ndim == 2 and len(Z) == len(Y)
+    require(fits, f"Z has shape {Z.shape} and Y {Y.shape}; give (rows, inputs) and (rows, outputs).")
+    require(bool(np.isfinite(Z).all() and np.isfinite(Y).all()), "Z or Y holds values that are not finite; drop them.")
+    require(kernel in KERNELS, f"kernel is '{kernel}'; choose one of {', '.join(KERNELS)}.")
+    rows, key = jnp.ones(len(Z), bool), jax.random.key(seed)
+    return fit(jnp.asarray(Z), jnp.asarray(Y), rows, num_restarts=num_restarts, num_fit=len(Z), kernel=kernel, key=key)
 
 
 @eqx.filter_jit

@@ -93,6 +93,10 @@ class GP(eqx.Module):
         """(D,): posterior mean at one input `z` (nf,); O(D M nf), no solves."""
         return self._mean(self.correlations(z))
 
+    def gradient(self, z: Array) -> Array:
+        """(D, nf): derivative of the posterior mean by the input `z` (nf,)."""
+        return jax.jacfwd(self.mean)(z)
+
     def _nearness(self, z: Array) -> Array:
         """(M,): nearness of each data point, 1 at distance zero."""
         offset = (z - self.Z) / (FADE_LENGTH * self.scale)

@@ -2,22 +2,69 @@
 
 import io
 from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import xarray as xr
 
 from driftjax.core import BadInput, workers
+from driftjax.core import num_workers as useful_workers
+from driftjax.core.config import to_dict
+from driftjax.environment import require_float64
 from driftjax.learning.compile_ahead import rehearse
-from driftjax.learning.config import LearnConfig
+from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.loop import Progress
 from driftjax.learning.results import results
 from driftjax.learning.scenario import Scenario, build
 from driftjax.learning.stages import drive_stage, first_progress, stage_names
+from driftjax.planner import load_plan_config
 from driftjax.planner.dataset import plan_dataset
+from driftjax.sim import load_plants
+from driftjax.sim.sensors import load_sensors
 from driftjax.store.folder import RunFolder
+from driftjax.track import check_width, load_track
+from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.plants import load_distribution
 
 Report = Callable[[str, int, int], None]
+
+
+def learn(
+    config: LearnConfig | str = "sedan",
+    out: str | Path = "runs/learn",
+    *,
+    workers: int | None = None,
+    report: Report = lambda text, done, total: None,
+) -> RunFolder:
+    """Run the paper's experiment: plan, nominal laps, GP laps and active exploration, on a batch of plants.
+
+    `config` may be the name of a shipped car (sedan, rc). What `out` holds already is not driven again, so that a
+    stopped run goes on; `workers` processes drive side by side, one per core where left out, none on a GPU.
+    `report(text, done, total)` hears of every stage. Returns the run folder, with `.results` and `.laps`. Raises
+    `BadInput` for files that do not fit, and where `out` holds a run with another config.
+    """
+    require_float64()
+    config = load_learn_config(config) if isinstance(config, str) else config
+    check_files(config)
+    there = (Path(out) / "config.yaml").is_file()
+    folder = RunFolder.open(out) if there else RunFolder.create(out, to_dict(config))
+    if folder.config != to_dict(config):
+        raise BadInput(f"{out}: holds a run with another config; give another folder.")
+    num = useful_workers(config.num_lanes) if workers is None else workers
+    run(config, folder, report, num if num > 1 else 0)
+    return folder
+
+
+def check_files(config: LearnConfig) -> None:
+    """Read every file that `config` names; raises `BadInput` before anything is written."""
+    vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
+    check_width(track, vehicle.width, str(config.track))
+    load_plan_config(config.plan)
+    load_sensors(config.sensors)
+    load_plants(config.plant)
+    if not config.plant:
+        load_distribution(config.car)
 
 
 def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:

@@ -27,9 +27,9 @@ from driftjax.vehicle import (
     Residual,
     VehicleConfig,
     build_car,
+    draw_plants,
     load_vehicle,
     named_lags,
-    sample_plants,
 )
 from driftjax.vehicle.single_track import G
 
@@ -137,7 +137,7 @@ def lay_out(
     `lap` is the length of the track [m].
     """
     drawn = (config.car, config.plants, config.seed, config.first_plant)
-    plants = [] if on else load_plants(config.plant) or sample_plants(*drawn)
+    plants = [] if on else load_plants(config.plant) or draw_plants(*drawn)
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
         (Lane(name, controller, seed), index)

@@ -10,7 +10,8 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from driftjax.core import RESULTS, Control, State, as_float, call
-from driftjax.planner.config import PlanConfig
+from driftjax.environment import require_float64
+from driftjax.planner.config import PlanConfig, load_plan_config
 from driftjax.planner.filter_solver import solve
 from driftjax.planner.nodes import nodes
 from driftjax.planner.problem import Limits, MinimumTime, Stage
@@ -155,16 +156,20 @@ def _path_length(t: Array, V: Array, dV: Array) -> Array:
 def plan(
     track: Track,
     vehicle: VehicleConfig,
-    config: PlanConfig,
+    config: PlanConfig | None = None,
     model: Callable[[State, Control], State] | None = None,
 ) -> Plan:
-    """Minimum-time plan of a car along a track (Wu et al. 2025, Eq. 8).
+    """Solve the minimum-time problem of a car along a track (Wu et al. 2025, Eq. 8).
+
+    `config` is that of the shipped car with the vehicle's name (`configs/plan`) where it is left out.
 
     Starts rolling straight on the centre line with the entry speed; a closed track is planned with a run-up and a
     run-out, which are cut off. Corners tighter than `drift_radius` are taken sideways where `config.drift`.
     `model` replaces the vehicle's own, for instance by a corrected one. `result` says whether the plan
     may be trusted; raises `BadInput` where the car does not fit the track.
     """
+    require_float64()
+    config = load_plan_config(vehicle.name) if config is None else config
     check_width(track, vehicle.width, "track")
     vehicle = config.planned(vehicle)
     at = nodes(track, vehicle.a + vehicle.b, config)

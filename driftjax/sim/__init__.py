@@ -11,6 +11,7 @@ from driftjax.sim.lap import wrap as wrap
 from driftjax.sim.plant_files import batch_of as batch_of
 from driftjax.sim.plant_files import load_any_plant as load_any_plant
 from driftjax.sim.plant_files import load_plants as load_plants
+from driftjax.sim.simulate import simulate as simulate
 from driftjax.sim.universal_plant import AnyPlant as AnyPlant
 from driftjax.sim.universal_plant import UniversalPlant as UniversalPlant
 from driftjax.sim.universal_plant import plant_of as plant_of

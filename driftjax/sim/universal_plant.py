@@ -38,11 +38,14 @@ class UniversalPlant(eqx.Module):
         """The whole pipeline of this car."""
         return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
 
-    def rolling(self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0) -> Travel:
-        """Straight ahead at speed `V` [m/s] with actuators at rest, at the begin of a lap."""
+    def rolling(
+        self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0, beta: ArrayLike = 0.0,
+        r: ArrayLike = 0.0,
+    ) -> Travel:  # fmt: skip
+        """State at speed `V` [m/s] with actuators at rest, at the begin of a lap; straight unless `beta`, `r`."""
         model, V = self.universal, as_float(V)
         zero = jnp.zeros_like(V)
-        state, idle = State(V, zero, zero), Control(zero, zero)
+        state, idle = State(V, zero + beta, zero + r), Control(zero, zero)
         place = Place(zero, as_float(psi), zero, zero)
         felt = settled(model, state, idle, place)
         position = jnp.stack([as_float(x), as_float(y)])

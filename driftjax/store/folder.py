@@ -141,6 +141,16 @@ class RunFolder:
         """Whether the run holds the file `name`."""
         return (self.path / name).is_file()
 
+    @property
+    def results(self) -> dict[str, Any]:
+        """What the run found: results.json."""
+        return self.read_json("results")
+
+    @property
+    def laps(self) -> xr.Dataset:
+        """The laps of all stages, of a run that has ended: laps.nc, dimensions stage, lane, step."""
+        return self.read_dataset("laps.nc")
+
     def collect(self) -> xr.Dataset:
         """Write and return laps.nc: the laps of all finished stages along a new dimension `stage`."""
         names = self.finished()

@@ -15,7 +15,7 @@ from driftjax.vehicle.extended import notes as notes
 from driftjax.vehicle.load import load_vehicle as load_vehicle
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
 from driftjax.vehicle.plant_config import PlantConfig as PlantConfig
+from driftjax.vehicle.plants import draw_plants as draw_plants
 from driftjax.vehicle.plants import load_plant as load_plant
-from driftjax.vehicle.plants import sample_plants as sample_plants
 from driftjax.vehicle.plants import stack_plants as stack_plants
 from driftjax.vehicle.single_track import SingleTrack as SingleTrack

@@ -78,12 +78,16 @@ class DoubleTrack(eqx.Module):
     wheels: Wheels
     actuators: Actuators
 
-    def rolling(self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0) -> PlantState:
-        """State of straight free rolling at speed `V` [m/s] without drive."""
-        V, x, y, psi = as_float(V), as_float(x), as_float(y), as_float(psi)
+    def rolling(
+        self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0, beta: ArrayLike = 0.0,
+        r: ArrayLike = 0.0,
+    ) -> PlantState:  # fmt: skip
+        """State of free rolling at speed `V` [m/s] without drive, straight ahead unless `beta` [rad], `r` [rad/s]."""
+        V, x, y, psi, beta, r = map(as_float, (V, x, y, psi, beta, r))
         zero, none = jnp.zeros_like(V), jnp.zeros(4, V.dtype)
-        omega = V / self.wheels.radius * jnp.ones(4, V.dtype)
-        return PlantState(x, y, psi, V, zero, zero, zero, zero, zero, zero, omega, none, none)
+        sin, cos = sincos(beta)
+        omega = V * cos / self.wheels.radius * jnp.ones(4, V.dtype)
+        return PlantState(x, y, psi, V * cos, V * sin, r + zero, zero, zero, zero, zero, omega, none, none)
 
     def forces(self, state: PlantState) -> Forces:
         """Forces in `state`: slip and load at each wheel, tyre forces, their sum on the body with drag."""

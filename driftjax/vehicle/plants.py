@@ -85,7 +85,7 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
     return base, spreads
 
 
-def sample_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
+def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
     """`num` plants of `car` from number `first` on; plant i depends on `seed` and i only.
 
     `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.

@@ -14,7 +14,7 @@ from report.synthetic import synthetic_plan, synthetic_results, synthetic_stage
 from driftjax.cli import main
 from driftjax.store import RunFolder
 
-CONFIGS = Path(__file__).parent.parent / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 STAGES = ("nominal", "gpr-1", "explore-1")
 
 

@@ -13,7 +13,7 @@ from driftjax.vehicle.effect import effects_named
 from experiments import real_logs
 from experiments.real_logs import QUESTIONS, Config, answer, driven_on, main, nominal, picture, told
 
-SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
+SHARED = Path(__file__).parents[2] / ".." / "shared" / "data"
 LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
 
 

@@ -11,7 +11,7 @@ from drift_state import drift_state
 from plant_runs import drive, energy, last, run
 
 from driftjax.core import Control
-from driftjax.vehicle import DoubleTrack, load_plant, load_vehicle, sample_plants, stack_plants
+from driftjax.vehicle import DoubleTrack, draw_plants, load_plant, load_vehicle, stack_plants
 
 CARS = ["sedan", "rc"]
 SPEED = {"sedan": 12.0, "rc": 2.5}
@@ -218,7 +218,7 @@ def test_steady_drift_is_within_reach_of_the_commands(name):
     limits = load_vehicle(name)
     radius = {"sedan": 15.0, "rc": 1.0}[name]
     presets = {"sedan": ["sedan", "sedan_mu12", "sedan_front_bias"], "rc": ["rc", "rc_mu085", "rc_mu110"]}[name]
-    for config in [load_plant(preset) for preset in presets] + sample_plants(name, 4, seed=0):
+    for config in [load_plant(preset) for preset in presets] + draw_plants(name, 4, seed=0):
         car = config.build()
         state, left = drift_state(car, np.deg2rad(-25.0), radius)
         assert left < 1e-6
@@ -284,7 +284,7 @@ def test_no_command_breaks_a_sampled_plant(name, fastest):
     """Full throttle, full brake and full-range commands, from rest and from high speed, spins included."""
     limits = load_vehicle(name)
     delta, Fxr = commands(name, seed=4)
-    for config in sample_plants(name, 3, seed=2):
+    for config in draw_plants(name, 3, seed=2):
         car = config.build()
         for V in (0.0, fastest):
             for force in (np.full(NUM, limits.Fxr_max), np.full(NUM, limits.Fxr_min), Fxr):
@@ -295,7 +295,7 @@ def test_no_command_breaks_a_sampled_plant(name, fastest):
 
 
 def test_batch_of_plants_equals_single_runs_with_one_trace():
-    plants = sample_plants("sedan", 3, seed=1)
+    plants = draw_plants("sedan", 3, seed=1)
     batch = stack_plants(plants)
     counted = eqx.filter_jit(eqx.debug.assert_max_traces(drive, max_traces=1))
     delta, Fxr = commands("sedan")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.vehicle import load_plant, load_vehicle, sample_plants, stack_plants
+from driftjax.vehicle import draw_plants, load_plant, load_vehicle, stack_plants
 from driftjax.vehicle.plants import Spread, load_distribution
 
 CARS = ["sedan", "rc"]
@@ -35,7 +35,7 @@ def test_plant_agrees_with_the_nominal_car_where_that_speaks(car):
 @pytest.mark.parametrize("car", CARS)
 def test_samples_lie_in_the_documented_ranges_and_fill_them(car):
     base, spreads = load_distribution(car)
-    plants = sample_plants(car, 100, seed=3)
+    plants = draw_plants(car, 100, seed=3)
     for key, spread in spreads.items():
         if key.startswith("mu"):
             continue
@@ -52,10 +52,10 @@ def test_samples_lie_in_the_documented_ranges_and_fill_them(car):
 
 
 def test_plant_depends_on_seed_and_index_only():
-    few, many = sample_plants("sedan", 3, seed=5), sample_plants("sedan", 6, seed=5)
+    few, many = draw_plants("sedan", 3, seed=5), draw_plants("sedan", 6, seed=5)
     assert few == many[:3]
-    assert sample_plants("sedan", 2, seed=5, first=4) == many[4:]
-    assert len({plant.mur for plant in many + sample_plants("sedan", 6, seed=6)}) == 12
+    assert draw_plants("sedan", 2, seed=5, first=4) == many[4:]
+    assert len({plant.mur for plant in many + draw_plants("sedan", 6, seed=6)}) == 12
 
 
 def test_normal_spread_has_the_moments_of_the_truncated_normal():
@@ -73,7 +73,7 @@ def test_spreads_that_make_no_sense_are_refused():
     with pytest.raises(BadInput, match="at least one"):
         stack_plants([])
     with pytest.raises(BadInput, match="truck_distribution"):
-        sample_plants("truck", 1, seed=0)
+        draw_plants("truck", 1, seed=0)
 
 
 def test_base_that_leads_back_is_refused(tmp_path):
@@ -85,7 +85,7 @@ def test_base_that_leads_back_is_refused(tmp_path):
 
 
 def test_stack_has_lanes_first_and_keeps_the_order():
-    configs = sample_plants("rc", 3, seed=0)
+    configs = draw_plants("rc", 3, seed=0)
     stack = stack_plants(configs)
     assert all(leaf.shape[0] == 3 for leaf in jax.tree.leaves(stack))
     np.testing.assert_allclose(stack.chassis.m, [config.m for config in configs])

@@ -86,6 +86,4 @@ def follow(
 
 def sliding(plant: DoubleTrack, x: Float[Array, "3"], u: Float[Array, "2"]) -> PlantState:
     """At V, beta, r with commands reached and free rolling wheels; tyres and loads settle within `SETTLE`."""
-    V, beta, r = x
-    rolling = plant.rolling(V * jnp.cos(beta))
-    return rolling._replace(vy=V * jnp.sin(beta), r=r, delta=u[0], drive=u[1])
+    return plant.rolling(x[0], beta=x[1], r=x[2])._replace(delta=u[0], drive=u[1])

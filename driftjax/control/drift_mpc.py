@@ -1,0 +1,107 @@
+"""The drift MPC as one object: build it once, solve it for one state or a batch, differentiate through it."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from driftjax.control.mpc import DriftOCP, MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
+from driftjax.core import State, require
+from driftjax.environment import require_float64
+from driftjax.gp import zero_gp
+from driftjax.solve import Options, shift
+from driftjax.vehicle import Residual, VehicleConfig, no_residual
+
+BARRIER = 3.0  # first barrier parameter of a cold start
+WARM_BARRIER = 0.1  # of a warm start, which lies near the optimum
+
+
+class MPCState(NamedTuple):
+    """What the car does now; a leading axis is a batch."""
+
+    x: Float[Array, "*batch 5"]  # V [m/s], beta [rad], r [rad/s], offset e [m], heading error theta [rad]
+    command: Float[Array, "*batch 2"]  # last command: delta [rad], Fxr [N]
+    reached: Float[Array, "*batch 2"]  # what steering and drive have made of the commands; `command` without lags
+
+
+def mpc_state(x: Float[ArrayLike, "*batch 5"], command: Float[ArrayLike, "*batch 2"]) -> MPCState:
+    """Build the state of a car whose actuators have reached the last `command` (delta [rad], Fxr [N])."""
+    x, command = jnp.asarray(x, float), jnp.asarray(command, float)
+    require(x.shape[-1:] == (5,), f"x has shape {x.shape}; give V, beta, r, e, theta in the last axis.")
+    require(command.shape[-1:] == (2,), f"command has shape {command.shape}; give delta, Fxr in the last axis.")
+    return MPCState(x, jnp.broadcast_to(command, (*x.shape[:-1], 2)), jnp.broadcast_to(command, (*x.shape[:-1], 2)))
+
+
+def steady_reference(x: State, horizon: int) -> Reference:
+    """Build the reference of a steady drift `x` along a circle of its own radius, for `horizon` steps."""
+    over = lambda value: jnp.full(horizon + 1, value)
+    zero = jnp.zeros(horizon + 1)
+    return Reference(over(x.V), over(x.beta), over(x.r), zero, -over(x.beta), over(x.r / x.V))
+
+
+class DriftMPC(eqx.Module):
+    """Drift MPC of one car (Wu et al. 2025, Eq. 10): nominal car, named effects and learnt residual.
+
+    >>> mpc = DriftMPC(load_vehicle("sedan"))
+    >>> solution = mpc.solve(state, reference)
+    >>> solution = mpc.solve(next_state, reference, solution)  # warm start
+    """
+
+    ocp: DriftOCP
+    options: Options
+
+    def __init__(
+        self,
+        vehicle: VehicleConfig,
+        config: MPCConfig | None = None,
+        weights: Weights | None = None,
+        residual: Residual | None = None,
+    ):
+        """`residual` is the learnt rate d(x, u) of (V, beta, r), none where left out; see `fit_gp` and `Residual`."""
+        require_float64()
+        config = MPCConfig() if config is None else config
+        residual = no_residual(zero_gp(1, 5, 3)) if residual is None else residual
+        self.ocp = drift_ocp(config, Weights() if weights is None else weights, vehicle, residual)
+        self.options = Options(config.tolerance, BARRIER, config.max_steps)
+
+    @property
+    def horizon(self) -> int:
+        """Number of steps looked ahead."""
+        return self.ocp.horizon
+
+    @eqx.filter_jit
+    def solve(
+        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Float[Array, "*batch N 2"] | None = None
+    ) -> MPCSolution:
+        """Solve from `state` along `reference`.
+
+        `warm_start` is the solution one step ago, which is shifted, or a guess of the inputs (delta [rad], Fxr [N]),
+        best those that go with the reference; left out, the last command held. The guess decides which optimum is
+        found: beside a drift there is often one with saturated front and falling speed.
+
+        A leading axis of `state.x` is a batch; `reference` is shared by it or has the same leading axis, and so has
+        `warm_start`. `plan.result` of the solution says how each solve ended (`RESULTS`), `plan.kkt` and
+        `plan.violation` how near to optimal it is; nothing raises on a failed solve, and its neighbours are not
+        touched. Differentiable in everything by the implicit function theorem, forward and reverse, where the solve
+        converged; derivatives are NaN elsewhere.
+        """
+        if state.x.ndim == 1:
+            return self._solve(state, reference, warm_start)
+        shared = reference.V.ndim == 1
+        one_guess = warm_start is None or (isinstance(warm_start, jax.Array) and warm_start.ndim == 2)
+        axes = (0, None if shared else 0, None if one_guess else 0)
+        return eqx.filter_vmap(self._solve, in_axes=axes)(state, reference, warm_start)
+
+    def _solve(self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | None) -> MPCSolution:
+        X, U, options = reference.states(), jnp.broadcast_to(state.command, (self.horizon, 2)), self.options
+        if isinstance(warm_start, MPCSolution):
+            X, U = shift(warm_start.X), shift(warm_start.U)
+            options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.full_like(self.options.barrier, WARM_BARRIER))
+        elif warm_start is not None:
+            U = warm_start
+        start = (state.x, state.command, state.reached)
+        return solve_mpc(self.ocp, *start, reference, X.at[0].set(state.x), U, options)

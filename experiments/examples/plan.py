@@ -1,0 +1,9 @@
+"""Plan the fastest way through a hairpin: where does the car drift?"""
+
+import driftjax as dj
+
+car, track = dj.load_vehicle("sedan", combined_slip=1.0), dj.load_track("sedan_corner")
+plan = dj.plan(track, car)
+
+print(dj.RESULTS[plan.result] or "solved", f"lap time {float(plan.lap_time):.2f} s")
+print("drifts from and to [m]:", plan.drift_intervals())
