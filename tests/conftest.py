@@ -14,7 +14,6 @@ os.environ.setdefault("XLA_FLAGS", WHOLE_LOOPS)
 
 import jax
 import pytest
-
 from driftjax.core.programs import let_go
 
 jax.config.update("jax_enable_x64", True)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from driftjax.core.programs import call
 from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import require
-from driftjax.core.programs import call
 from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
 from driftjax.sim.logged import Flaws, logged

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from driftjax.core.blocks import workers
+
 from driftjax.core.config import to_dict
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.trial import run_case

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import yaml
+from driftjax.core.programs import call
 from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Blocks, Control, write_atomically
-from driftjax.core.programs import call
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
 from driftjax.diagnosis.serialise import extended, to_json
 from driftjax.logs import Log, Run, write_log

@@ -7,10 +7,9 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
-
 from driftjax.core.blocks import Blocks, end_to_end
 from driftjax.core.each import each, num_lanes
+from jaxtyping import PyTree
 
 T = TypeVar("T")
 

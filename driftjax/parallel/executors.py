@@ -15,10 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
-
 from driftjax.core.each import num_lanes
 from driftjax.core.programs import call, prepare
+from jaxtyping import PyTree
 
 T = TypeVar("T")
 SETTINGS = (

@@ -8,13 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as Spec
-from jaxtyping import PyTree
-
 from driftjax.core.blocks import Blocks, end_to_end
 from driftjax.core.each import num_lanes
 from driftjax.core.programs import call
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as Spec
+from jaxtyping import PyTree
 
 AXIS = "lanes"
 

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from driftjax.core import Blocks
 from driftjax.core.joined import Joined
 from driftjax.core.sharded import Sharded
+
+from driftjax.core import Blocks
 
 
 def settled(lanes, rate, label):

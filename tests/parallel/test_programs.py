@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from driftjax.core.programs import call, let_go, prepare
 
 from driftjax.core import programs
-from driftjax.core.programs import call, let_go, prepare
 
 traced: list[int] = []
 
