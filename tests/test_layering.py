@@ -7,8 +7,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parent.parent / "driftjax"
 ROWS = (
-    "core | tyre gp solve track data | vehicle | sim equilibrium | control plan | explore | learn diagnose | tune"
-    " | report | sweep | cli"
+    "core | parallel | tyre gp solve track data | vehicle | sim equilibrium | control plan | explore | learn diagnose"
+    " | tune | report | sweep | cli"
 )
 RANK = {name: rank for rank, row in enumerate(ROWS.split("|")) for name in row.split()}
 FILES = sorted(PACKAGE.rglob("*.py"))

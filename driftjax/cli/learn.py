@@ -8,9 +8,10 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, tell, typed, within
-from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
+from driftjax.core import BadInput, from_dict, merged, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, load_learn_config
+from driftjax.parallel import num_workers
 from driftjax.planner import load_plan_config
 from driftjax.sim import load_plants
 from driftjax.sim.sensors import load_sensors

@@ -8,9 +8,10 @@ import tyro
 
 from driftjax.cli.console import default_out, peek, progress, typed, within
 from driftjax.cli.learn import check
-from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
+from driftjax.core import BadInput, from_dict, merged, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
+from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
 from driftjax.tune.config import TuneConfig
 

@@ -1,4 +1,4 @@
-"""Lanes computed in blocks beside each other: in worker processes or threads on a CPU, in one call on a GPU."""
+"""Executors of batched functions: in this process, in threads or in worker processes."""
 
 import multiprocessing
 import os
@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from driftjax.core.each import num_lanes
-from driftjax.core.programs import call, prepare
 from jaxtyping import PyTree
+
+from driftjax.parallel.batch import batch_size, concatenate
+from driftjax.parallel.programs import call, compile_ahead
 
 T = TypeVar("T")
 SETTINGS = (
@@ -28,126 +29,120 @@ SETTINGS = (
 )
 
 
-class Blocks:
-    """How a function of a batch of lanes is computed: blocks of `size` lanes, one after the other or in workers.
+class BatchExecutor:
+    """Compute a function of a batch in calls of `chunk` entries, one after the other or on the workers of `pool`.
 
-    A CPU gains nothing from more than one lane per call: it takes as long per lane, and all lanes of a call iterate
-    until the slowest has converged. Blocks of one also give the same bits in every batch and on any number of
-    workers, and compile one shape only. Long elementwise programs of thousands of lanes are the exception: see
-    `threads`. A GPU wants all lanes in one call: `size` None.
+    The whole batch is one call where `chunk` is None, which is what a GPU needs. On a CPU a call of many entries takes
+    as long per entry as a call of one, and iterates until the slowest entry has converged. Calls of one entry also
+    give the same bits for every batch and number of workers, and compile for one shape only. Long elementwise programs
+    of thousands of entries are the exception: see `thread_executor`.
     """
 
-    def __init__(self, size: int | None = 1, pool: Executor | None = None):
-        self.size, self.pool = size, pool
+    def __init__(self, chunk: int | None = 1, pool: Executor | None = None):
+        self.chunk, self.pool = chunk, pool
 
-    def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
-        """`function(lanes, *shared)`, whose arrays all have a leading axis of lanes, in and out.
+    def map(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        """Return `function(batch, *shared)`; all arrays of `batch` and of the result have a leading batch axis.
 
-        `function` must be a module's own, so that it can be imported and kept (see `call`).
+        `function` must be defined at the top level of a module, so that workers can import it (see `call`).
         """
-        num = num_lanes(lanes)
-        size = num if self.size is None else self.size
-        if size >= num and self.pool is None:
-            return call(function, lanes, *shared)
-        arrays = jax.tree.map(_plain, lanes)
-        cut = [jax.tree.map(lambda a, i=i: a[i : i + size] if eqx.is_array(a) else a, arrays)
-               for i in range(0, num, size)]  # fmt: skip
+        num = batch_size(batch)
+        chunk = num if self.chunk is None else self.chunk
+        if chunk >= num and self.pool is None:
+            return call(function, batch, *shared)
+        arrays = jax.tree.map(_to_numpy, batch)
+        chunks = [jax.tree.map(lambda a, i=i: a[i : i + chunk] if eqx.is_array(a) else a, arrays)
+                  for i in range(0, num, chunk)]  # fmt: skip
         if self.pool is None:
-            found = [_call(function, block, *shared) for block in cut]
-        else:
-            others = jax.tree.map(_plain, shared)
-            each = self.pool.map(_call, *zip(*((function, block, *others) for block in cut), strict=True))
-            found = _arrived(lambda: list(each))
-        return jax.tree.map(end_to_end, *found)
+            return concatenate(*(_call(function, one, *shared) for one in chunks))
+        shared = jax.tree.map(_to_numpy, shared)
+        results = self.pool.map(_call, *zip(*((function, one, *shared) for one in chunks), strict=True))
+        return concatenate(*_result(lambda: list(results)))
 
-    def begin(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
-        """`function(*args)` begun in a worker; without one, put off until the result is asked for."""
+    def submit(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
+        """Start `function(*args)` in a worker and return a function that waits for its result.
+
+        Without workers the call is made when the result is asked for.
+        """
         if self.pool is None:
             return lambda: function(*args)
         future = self.pool.submit(function, *args)
-        return lambda: _arrived(future.result)
+        return lambda: _result(future.result)
 
 
-class Rehearsal(Blocks):
-    """Lanes that are not computed: one worker compiles what `map` would call, and zeros come back."""
+class CompileAheadExecutor(BatchExecutor):
+    """Compile in the workers what `BatchExecutor.map` would call, each program once, and return zeros."""
 
     def __init__(self, pool: Executor):
         super().__init__()
         self._workers = pool
-        self._begun: dict[str, Future] = {}
+        self._compiled: dict[str, Future] = {}
         self._lock = threading.Lock()
 
-    def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
-        """Zeros in the shapes of `Blocks.map`."""
-        num, args = num_lanes(lanes), (jax.tree.map(_first, lanes), *jax.tree.map(_plain, shared))
+    def map(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        """Return zeros of the shapes that `BatchExecutor.map` returns."""
+        num, args = batch_size(batch), (jax.tree.map(_first, batch), *jax.tree.map(_to_numpy, shared))
         name = repr((function.__qualname__, jax.tree.structure(args)))
         with self._lock:
-            if name not in self._begun:
-                self._begun[name] = self._workers.submit(_prepare, function, *args)
+            if name not in self._compiled:
+                self._compiled[name] = self._workers.submit(_compile_ahead, function, *args)
         return jax.tree.map(lambda a: jnp.zeros((num, *a.shape[1:]), a.dtype) if eqx.is_array(a) else a,
-                            self._begun[name].result())  # fmt: skip
+                            self._compiled[name].result())  # fmt: skip
 
 
-def _arrived(result: Callable[[], T]) -> T:
+def _result(wait_for: Callable[[], T]) -> T:
     try:
-        return result()
+        return wait_for()
     except BrokenProcessPool:
         raise RuntimeError(
             "a worker process died, perhaps for want of memory; free some or give fewer --workers"
         ) from None
 
 
-def end_to_end(*parts: Any) -> Any:
-    """Arrays end to end; what is no array is the same in all."""
-    if not eqx.is_array(parts[0]):
-        return parts[0]
-    return jnp.asarray(np.concatenate(parts)) if isinstance(parts[0], np.ndarray) else jnp.concatenate(parts)
-
-
 def _first(leaf: Any) -> Any:
-    return _plain(leaf)[:1] if eqx.is_array(leaf) else leaf
+    return _to_numpy(leaf)[:1] if eqx.is_array(leaf) else leaf
 
 
-def _plain(leaf: Any) -> Any:
-    """Arrays in NumPy's own type, so that cutting them compiles nothing; random keys have none."""
-    whole = eqx.is_array(leaf) and not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-    return np.asarray(leaf) if whole else leaf
+def _to_numpy(leaf: Any) -> Any:
+    """Return arrays as NumPy's, whose slices compile nothing; random keys have no such form."""
+    plain = eqx.is_array(leaf) and not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(leaf) if plain else leaf
 
 
 def _call(function: Callable[..., PyTree], *args: Any) -> PyTree:
-    return jax.tree.map(_plain, call(function, *args))
+    return jax.tree.map(_to_numpy, call(function, *args))
 
 
-def _prepare(function: Callable[..., PyTree], *args: Any) -> PyTree:
-    return jax.tree.map(_plain, prepare(function, *args))
+def _compile_ahead(function: Callable[..., PyTree], *args: Any) -> PyTree:
+    return jax.tree.map(_to_numpy, compile_ahead(function, *args))
 
 
 def num_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def num_workers(lanes: int) -> int:
-    """Worker processes that pay for `lanes` lanes: none on a GPU or a single core."""
-    useful = min(num_cores(), lanes)
+def num_workers(entries: int) -> int:
+    """Return how many worker processes pay for a batch of `entries`: none on a GPU or a single core."""
+    useful = min(num_cores(), entries)
     return useful if jax.default_backend() == "cpu" and useful > 1 else 0
 
 
 @contextmanager
-def workers(num: int) -> Iterator[Blocks]:
-    """Blocks computed by `num` processes, which end with the context however it is left; 0 stays in this process."""
+def process_executor(num: int) -> Iterator[BatchExecutor]:
+    """Compute batches in `num` worker processes, which end with the context; with 0, in this process."""
     if num == 0:
-        yield Blocks(1 if jax.default_backend() == "cpu" else None)
+        yield BatchExecutor(1 if jax.default_backend() == "cpu" else None)
         return
     with process_pool(num) as pool:
-        yield Blocks(1, pool)
+        yield BatchExecutor(1, pool)
 
 
 @contextmanager
 def process_pool(num: int) -> Iterator[ProcessPoolExecutor]:
-    """`num` processes with this one's settings, which end with the context however it is left."""
+    """Start `num` processes with the settings of this one; they are terminated when the context ends."""
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(num, multiprocessing.get_context("spawn"), _begin, (settings(),))
+    pool = ProcessPoolExecutor(num, multiprocessing.get_context("spawn"), _start_worker, (settings(),))
     for _ in range(num):
         pool.submit(os.getpid)  # the pool starts its processes on demand: let them load now
     try:
@@ -158,32 +153,36 @@ def process_pool(num: int) -> Iterator[ProcessPoolExecutor]:
             process.terminate()
 
 
-def threads(lanes: int, num: int) -> Blocks:
-    """Blocks of `lanes` lanes in as many equal parts as there are threads of this process.
+@contextmanager
+def thread_executor(entries: int, num: int) -> Iterator[BatchExecutor]:
+    """Compute batches of `entries` in `num` equal parts, one per thread; the threads end with the context.
 
-    For programs without LAPACK calls, elementwise over so many lanes that one call keeps a core busy for longer than
-    it takes to begin. A thread computes its own part only where JAX does not dispatch in the background
-    (`jax_cpu_enable_async_dispatch` false, as the command line has it). On a GPU all lanes are one block.
+    For programs without LAPACK calls, elementwise over so many entries that one call keeps a core busy for longer than
+    it takes to start. A thread computes its own part only where JAX does not dispatch in the background
+    (`jax_cpu_enable_async_dispatch` false, as the command line sets it). On a GPU the batch is one call.
     """
-    alone = num == 1 or jax.default_backend() != "cpu"
-    return Blocks(None) if alone else Blocks(-(-lanes // num), ThreadPoolExecutor(num))
+    if num == 1 or jax.default_backend() != "cpu":
+        yield BatchExecutor(None)
+        return
+    with ThreadPoolExecutor(num) as pool:
+        yield BatchExecutor(-(-entries // num), pool)
 
 
 def settings() -> dict[str, Any]:
-    """What a worker must have as this process has it."""
+    """Return the JAX settings that a worker must share with this process."""
     return {name: jax.config.values[name] for name in SETTINGS}
 
 
-def set_up(known: dict[str, Any]) -> None:
-    """Another process's `settings` in this one."""
-    for name, value in known.items():
+def apply_settings(values: dict[str, Any]) -> None:
+    """Apply the `settings` of another process."""
+    for name, value in values.items():
         jax.config.update(name, value)
 
 
-def _begin(known: dict[str, Any]) -> None:
-    """First thing in a worker: the parent's settings; Ctrl-C is the parent's to handle; end when it is gone."""
+def _start_worker(values: dict[str, Any]) -> None:
+    """Apply the parent's settings, leave Ctrl-C to the parent, and end when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    set_up(known)
+    apply_settings(values)
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

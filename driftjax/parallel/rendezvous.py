@@ -1,138 +1,128 @@
-"""Several tasks whose batches of lanes are computed as one: wherever all of them wait for lanes, they are joined."""
+"""Tasks in threads whose batches are computed together."""
 
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from concurrent.futures import Future, wait
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from driftjax.core.blocks import Blocks, end_to_end
-from driftjax.core.each import each, num_lanes
 from jaxtyping import PyTree
+
+from driftjax.parallel.batch import batch_size, concatenate, vmap_batch
+from driftjax.parallel.executors import BatchExecutor
 
 T = TypeVar("T")
 
 
-class _Request:
-    """What one task waits for."""
+def run_together(executor: BatchExecutor, tasks: Sequence[Callable[[BatchExecutor], T]]) -> list[T]:
+    """Run each task in a thread of its own and return the results; raises the first error once all have ended.
 
-    def __init__(self, function: Callable[..., PyTree], lanes: PyTree, shared: tuple):
-        self.function, self.lanes, self.shared = function, lanes, shared
-        self.num = num_lanes(lanes)
-        self.found: PyTree = None
-        self.error: BaseException | None = None
+    A task gets an executor whose `map` waits until all tasks that still run wait in it. Then calls of the same program
+    (function, shapes and static values) are computed as one call of `executor`, on their concatenated batches.
+    """
+    meeting, futures = _Rendezvous(executor, len(tasks)), [Future() for _ in tasks]
+
+    def run(task: Callable[[BatchExecutor], T], future: Future) -> None:
+        try:
+            future.set_result(task(meeting))
+        except BaseException as error:  # raised by `run_together`
+            future.set_exception(error)
+        finally:
+            meeting.arrive(None)
+
+    for pair in zip(tasks, futures, strict=True):
+        threading.Thread(target=run, args=pair, daemon=True).start()  # a pool would hold up Ctrl-C
+    wait(futures)
+    return [future.result() for future in futures]
+
+
+class _Call(NamedTuple):
+    """A call that a task waits for."""
+
+    function: Callable[..., PyTree]
+    batch: PyTree
+    shared: tuple
+    result: Future
 
     @property
-    def kind(self) -> tuple:
-        """Equal where requests can be one batch: the same program."""
-        arrays, static = eqx.partition((self.lanes, self.shared), eqx.is_array)
-        shapes = (
-            [jnp.shape(leaf)[1:] for leaf in jax.tree.leaves(arrays[0])],
-            list(map(jnp.shape, jax.tree.leaves(arrays[1]))),
-        )
+    def program(self) -> tuple:
+        """Return what is equal for calls that can be concatenated."""
+        (batch, shared), static = eqx.partition((self.batch, self.shared), eqx.is_array)
+        entry = [(a.dtype, a.shape[1:]) for a in jax.tree.leaves(batch)]
+        shapes = [(a.dtype, a.shape) for a in jax.tree.leaves(shared)]
         leaves, structure = jax.tree.flatten(static)
-        return self.function, structure, repr(shapes), repr(leaves)
+        return self.function, structure, repr((entry, shapes, leaves))
 
 
-class Joined:
-    """`tasks` that each get `Blocks` of their own, side by side in threads; what they map runs joined on `blocks`.
+class _Rendezvous(BatchExecutor):
+    """The executor of the tasks; the thread that arrives last computes for all."""
 
-    What differs between tasks, numbers among it, stands in the lanes then: they share one program.
-    """
-
-    def __init__(self, blocks: Blocks):
-        self.blocks = blocks
-        self._waiting: list[_Request] = []
-        self._busy = 0
-        self._changed = threading.Condition()
-
-    def run(self, tasks: Sequence[Callable[[Blocks], T]]) -> list[T]:
-        """What the tasks return; the first error of any of them is raised once all have ended."""
-        found: list[Any] = [None] * len(tasks)
-        errors: list[BaseException] = []
-        self._busy = len(tasks)
-
-        def one(i: int) -> None:
-            try:
-                found[i] = tasks[i](_Seat(self))
-            except BaseException as error:  # of a thread: raised by `run`
-                errors.append(error)
-            finally:
-                with self._changed:
-                    self._busy -= 1
-                    self._serve()
-
-        threads = [threading.Thread(target=one, args=(i,), daemon=True) for i in range(len(tasks))]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        if errors:
-            raise errors[0]
-        return found
-
-    def ask(self, request: _Request) -> PyTree:
-        """What `request` is for, once all tasks that go on have asked."""
-        with self._changed:
-            self._waiting.append(request)
-            self._busy -= 1
-            self._serve()
-            while request.found is None and request.error is None:
-                self._changed.wait()
-        if request.error is not None:
-            raise request.error
-        return request.found
-
-    def _serve(self) -> None:
-        """Compute what all wait for; whoever comes last does it."""
-        if self._busy or not self._waiting:
-            return
-        kinds: dict[tuple, list[_Request]] = {}
-        for request in self._waiting:
-            kinds.setdefault(request.kind, []).append(request)
-        for requests in kinds.values():
-            try:
-                _compute(self.blocks, requests)
-            except Exception as error:  # told to every task that asked
-                for request in requests:
-                    request.error = error
-        self._busy += len(self._waiting)
-        self._waiting = []
-        self._changed.notify_all()
-
-
-class _Seat(Blocks):
-    def __init__(self, joined: Joined):
+    def __init__(self, executor: BatchExecutor, tasks: int):
         super().__init__(None)
-        self._joined = joined
+        self._executor, self._tasks = executor, tasks
+        self._waiting: list[_Call] = []
+        self._lock = threading.Lock()
 
-    def map(self, function: Callable[..., PyTree], lanes: PyTree, *shared: Any) -> PyTree:
-        return self._joined.ask(_Request(function, lanes, shared))
+    def map(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        """Return `function(batch, *shared)` once all other tasks wait or have ended."""
+        self.arrive(call := _Call(function, batch, shared, Future()))
+        return call.result.result()
+
+    def arrive(self, call: _Call | None) -> None:
+        """Add the call of one task, or None where the task has ended; compute all calls where no task is missing."""
+        with self._lock:
+            self._tasks -= call is None
+            self._waiting += [call] if call else []
+            if len(self._waiting) < self._tasks:
+                return
+            calls, self._waiting = self._waiting, []
+        groups: dict[tuple, list[_Call]] = {}
+        for call in calls:
+            groups.setdefault(call.program, []).append(call)
+        # no result is set before all are computed: a task that has its own would go on beside the computation
+        results = [(group, _attempt(self._executor, group)) for group in groups.values()]
+        for group, (parts, error) in results:
+            for i, call in enumerate(group):
+                call.result.set_exception(error) if error else call.result.set_result(parts[i])
 
 
-def _compute(blocks: Blocks, requests: list[_Request]) -> None:
-    """All requests, which share a program, as one batch of lanes, each with what its task shares among its own."""
-    wholes = []
-    for request in requests:
-        arrays = eqx.filter(request.shared, eqx.is_array)
-        spread = jax.tree.map(lambda a, num=request.num: jnp.broadcast_to(a, (num, *jnp.shape(a))), arrays)
-        wholes.append((request.lanes, spread))
-    lanes = jax.tree.map(end_to_end, *wholes)
-    static = eqx.filter(requests[0].shared, eqx.is_array, inverse=True)
-    found, begin = blocks.map(in_lanes, lanes, requests[0].function, static), 0
-    for request in requests:
-        part = slice(begin, begin + request.num)
-        request.found = jax.tree.map(lambda a, part=part: a[part] if eqx.is_array(a) else a, found)
-        begin += request.num
+def _attempt(executor: BatchExecutor, calls: list[_Call]) -> tuple[list[PyTree], Exception | None]:
+    try:
+        return _compute(executor, calls), None
+    except Exception as error:  # raised in every task that waits for it
+        return [], error
 
 
-def in_lanes(lanes: tuple[PyTree, PyTree], function: Callable[..., PyTree], static: PyTree) -> PyTree:
-    """`function` of lanes given as (its lanes, the arrays that it shares, once per lane)."""
+def _compute(executor: BatchExecutor, calls: list[_Call]) -> list[PyTree]:
+    """Compute calls of one program as one call, and return the part of each.
 
-    def one(lane: PyTree, arrays: PyTree) -> PyTree:
-        alone = jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, lane)
-        found = function(alone, *eqx.combine(arrays, static))
-        return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, found)
+    Where shared arrays differ between calls, every entry gets a copy of its own and is mapped alone.
+    """
+    function, _, shared, _ = calls[0]
+    sizes = [batch_size(call.batch) for call in calls]
+    arrays = [eqx.filter(call.shared, eqx.is_array) for call in calls]
+    if eqx.tree_equal(*arrays):
+        result = executor.map(function, concatenate(*(call.batch for call in calls)), *shared)
+    else:
+        copies = [jax.tree.map(lambda a, n=n: jnp.broadcast_to(a, (n, *jnp.shape(a))), tree)
+                  for tree, n in zip(arrays, sizes, strict=True)]  # fmt: skip
+        entries = concatenate(*((call.batch, tree) for call, tree in zip(calls, copies, strict=True)))
+        result = executor.map(_entry_alone, entries, function, eqx.filter(shared, eqx.is_array, inverse=True))
+    parts, start = [], 0
+    for size in sizes:
+        part = slice(start, start := start + size)
+        parts.append(jax.tree.map(lambda a, part=part: a[part] if eqx.is_array(a) else a, result))
+    return parts
 
-    return each(one)(*lanes)
+
+def _entry_alone(batch: tuple[PyTree, PyTree], function: Callable[..., PyTree], static: PyTree) -> PyTree:
+    """Map `function` over entries (entry, its shared arrays), each as a batch of one."""
+
+    def one(entry: PyTree, arrays: PyTree) -> PyTree:
+        alone = jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, entry)
+        result = function(alone, *eqx.combine(arrays, static))
+        return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, result)
+
+    return vmap_batch(one)(*batch)
