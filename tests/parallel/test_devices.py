@@ -1,19 +1,17 @@
-"""Lanes over eight forced devices: the bits of one device, nothing passed between devices, cut to the memory."""
+"""Batches over eight forced devices: the bits of one device, nothing passed between devices, cut to the memory."""
 
 import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
-from driftjax.core.joined import Joined
-from driftjax.core.sharded import Sharded
 
-from driftjax.core import Blocks
+from driftjax.parallel import BatchExecutor, DeviceExecutor
 
 
 def settled(lanes, rate, label):
@@ -32,9 +30,9 @@ def some(num):
     return jnp.linspace(2.0, 50.0, num), jax.random.split(jax.random.key(0), num)
 
 
-def test_one_device_gives_what_blocks_give():
-    found = Sharded(None).map(settled, some(5), jnp.asarray(0.1), "run")
-    whole = Blocks(None).map(settled, some(5), jnp.asarray(0.1), "run")
+def test_one_device_gives_what_executor_give():
+    found = DeviceExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
+    whole = BatchExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
     np.testing.assert_array_equal(found["left"], whole["left"])
     np.testing.assert_array_equal(found["steps"], whole["steps"])
     assert found["label"] == "run"
@@ -44,16 +42,15 @@ CHILD = """
 import json, jax
 from driftjax.cli.front import set_up_jax
 set_up_jax()
-from driftjax.core import Blocks, programs
-from driftjax.core.sharded import Sharded
-from tests.core.test_sharded import settled, some
+from driftjax.parallel import BatchExecutor, DeviceExecutor, programs
+from tests.parallel.test_devices import settled, some
 import jax.numpy as jnp
 rate, out = jnp.asarray(0.1), {"devices": len(jax.devices())}
 for size in (None, 1):
-    found = Sharded(size).map(settled, some(19), rate, "run")
+    found = DeviceExecutor(size).map(settled, some(19), rate, "run")
     out[str(size)] = [found["left"].tolist(), found["steps"].tolist()]
 texts = {key[-1]: program[0].as_text() for key, program in programs._programs.items()}
-one = Blocks(1).map(settled, some(19), rate, "run")
+one = BatchExecutor(1).map(settled, some(19), rate, "run")
 out["one"] = [one["left"].tolist(), one["steps"].tolist()]
 out["where"], out["text"] = sorted(str(*devices) for devices in texts), " ".join(texts.values())
 print(json.dumps(out))
@@ -72,10 +69,16 @@ def test_eight_devices_give_the_same_bits_and_pass_nothing(tmp_path):
         assert passing not in found["text"]
 
 
+def test_device_threads_end_with_each_call():
+    before = threading.active_count()
+    DeviceExecutor(None).map(settled, some(3), jnp.asarray(0.1), "run")
+    assert threading.active_count() == before
+
+
 def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
-    blocks, calls = Sharded(None), []
-    whole = blocks.map(settled, some(8), jnp.asarray(0.1), "run")
-    call = blocks._call
+    executor, calls = DeviceExecutor(None), []
+    whole = executor.map(settled, some(8), jnp.asarray(0.1), "run")
+    call = executor._call
 
     def short_of_memory(function, num, lanes, shared):
         calls.append(num)
@@ -83,52 +86,10 @@ def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")
         return call(function, num, lanes, shared)
 
-    monkeypatch.setattr(blocks, "_call", short_of_memory)
-    found = blocks.map(settled, some(8), jnp.asarray(0.1), "run")
+    monkeypatch.setattr(executor, "_call", short_of_memory)
+    found = executor.map(settled, some(8), jnp.asarray(0.1), "run")
     np.testing.assert_array_equal(found["left"], whole["left"])
     assert calls == [8, 4, 2, 2, 2, 2]
     calls.clear()
-    blocks.map(settled, some(4), jnp.asarray(0.1), "run")
+    executor.map(settled, some(4), jnp.asarray(0.1), "run")
     assert calls == [2, 2]  # it is remembered
-
-
-def test_tasks_are_joined_in_one_batch_each_with_its_own_numbers():
-    calls = []
-
-    class Counted(Blocks):
-        def map(self, function, lanes, *shared):
-            calls.append(len(lanes[0][0]))
-            return super().map(function, lanes, *shared)
-
-    def task(rate, num, again):
-        def run(blocks):
-            found = blocks.map(settled, some(num), jnp.asarray(rate), "run")
-            return [found] + ([blocks.map(settled, some(num), jnp.asarray(2 * rate), "run")] if again else [])
-
-        return run
-
-    rates = (0.1, 0.2, 0.3)
-    found = Joined(Counted(None)).run([task(rate, n, n > 2) for rate, n in zip(rates, (2, 3, 4), strict=True)])
-    assert calls == [9, 7]
-    for one, rate, n in zip(found, rates, (2, 3, 4), strict=True):
-        alone = Blocks(None).map(settled, some(n), jnp.asarray(rate), "run")
-        np.testing.assert_array_equal(one[0]["steps"], alone["steps"])
-        np.testing.assert_allclose(one[0]["left"], alone["left"], rtol=1e-12)
-        assert one[0]["label"] == "run"
-
-
-def test_an_error_of_a_task_or_of_a_batch_is_raised_and_holds_nobody_up():
-    def fails(blocks):
-        raise ValueError("no such lane")
-
-    def asks(blocks):
-        return blocks.map(settled, some(2), jnp.asarray(0.1), "run")["steps"].shape
-
-    with pytest.raises(ValueError, match="no such lane"):
-        Joined(Blocks(None)).run([asks, fails, asks])
-    with pytest.raises(ZeroDivisionError):
-        Joined(Blocks(None)).run([lambda blocks: blocks.map(divided, some(2)), asks])
-
-
-def divided(lanes):
-    return lanes[0] * (1 / 0)
