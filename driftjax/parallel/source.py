@@ -56,7 +56,8 @@ def _closure(modules: tuple[str, ...]) -> tuple[dict[str, Path], set[str]]:
             raise LookupError(f"module {name} has no source file")
     own = ("driftjax", modules[0].split(".")[0])
     files: dict[str, Path] = {}
-    libraries, queue = set(LIBRARIES), list(modules)
+    libraries: set[str] = set(LIBRARIES)
+    queue = list(modules)
     while queue:
         name = queue.pop()
         root, file = name.split(".")[0], _file(name)
