@@ -89,7 +89,8 @@ def stored(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize("content", [b"", b"no pickle", b"\x80\x04N."])
 def test_a_damaged_program_is_compiled_anew_with_one_warning(folder, monkeypatch, content):
-    call(scaled, jnp.arange(3.0), 2), call(scaled, jnp.arange(4.0), 2)
+    call(scaled, jnp.arange(3.0), 2)
+    call(scaled, jnp.arange(4.0), 2)
     for path in stored(folder):
         path.write_bytes(content)
     forget(monkeypatch)
@@ -134,7 +135,7 @@ def test_programs_used_least_recently_are_deleted_beyond_the_limit(folder, monke
     call(scaled, jnp.arange(3.0), 3)
     [second] = set(stored(folder)) - {first}
     for path, age in ((first, 200), (second, 100)):
-        os.utime(path, (time.time() - age,) * 2)
+        os.utime(path, (time.time() - age, time.time() - age))
     forget(monkeypatch)
     call(scaled, jnp.arange(3.0), 2)  # used again: the second is the older one now
     monkeypatch.setenv(programs.LIMIT, str(int(2.5 * first.stat().st_size)))
