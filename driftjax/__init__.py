@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from driftjax.logs import write_log as write_log
     from driftjax.manoeuvres.campaign import Campaign as Campaign
     from driftjax.manoeuvres.campaign import record_runs as record_runs
+    from driftjax.manoeuvres.truth import effect_strengths as effect_strengths
     from driftjax.planner import PlanConfig as PlanConfig
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
@@ -69,6 +70,7 @@ MODULES = {
     "learning.run": ("learn",),
     "logs": ("Log", "Run", "inspect", "read_log", "write_log"),
     "manoeuvres.campaign": ("Campaign", "record_runs"),
+    "manoeuvres.truth": ("effect_strengths",),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
     "sim": ("simulate",),
     "store": ("RunFolder",),

@@ -11,15 +11,16 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir(
 import jax
 import pytest
 
-from driftjax.core.programs import let_go
+from driftjax.parallel import clear_program_cache
 
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
-MAPS = 40000  # memory maps from which programs are given up
+
+MAPS = 40000  # memory maps above which programs are forgotten
 
 
 @pytest.fixture(autouse=True, scope="module")
-def programs_let_go():
-    """Programs of earlier modules are given up where they have become many."""
+def program_cache_cleared():
+    """Forget the programs of earlier modules where they have become many."""
     yield
-    let_go(MAPS)
+    clear_program_cache(MAPS)

@@ -8,13 +8,14 @@ import tyro
 import yaml
 
 from driftjax.cli.console import default_out, progress, tell, typed, within
-from driftjax.core import num_workers, require, workers, write_atomically
+from driftjax.core import require, write_atomically
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
 from driftjax.diagnosis.figure_data import stored
 from driftjax.diagnosis.serialise import bare_json, extended, to_json
 from driftjax.diagnosis.verdict import Judgement
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
+from driftjax.parallel import num_workers, process_executor
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import Course, closed_loop, load_course
@@ -88,7 +89,7 @@ def work(
         print(f"note: {note}")
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
-        with workers(min(num_workers(2), 1)) as blocks:
+        with process_executor(min(num_workers(2), 1)) as blocks:
             found = diagnose(vehicle, log, config, step, blocks=blocks)
         step("show")
         if isinstance(found, Judgement):

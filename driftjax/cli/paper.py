@@ -8,8 +8,9 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, typed, within
-from driftjax.core import BadInput, from_dict, num_workers
+from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
+from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
 from driftjax.studies.paper.config import Config
 

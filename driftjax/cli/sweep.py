@@ -11,8 +11,9 @@ import jax
 import tyro
 
 from driftjax.cli.console import default_out, progress, typed, within
-from driftjax.core import BadInput, num_cores, require
+from driftjax.core import BadInput, require
 from driftjax.core.config import to_dict
+from driftjax.parallel import num_cores
 from driftjax.report.table import aligned
 from driftjax.store import RunFolder
 from driftjax.studies.sweepable_verbs import WORKS

@@ -7,10 +7,11 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, typed, within
-from driftjax.core import BadInput, from_dict, merged, num_workers, read_yaml
+from driftjax.core import BadInput, from_dict, merged, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.run import check_files
+from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
 from driftjax.tune.config import TuneConfig
 

@@ -5,12 +5,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
-from driftjax.core import State, require
+from driftjax.core import require
 from driftjax.environment import require_float64
 from driftjax.gp import zero_gp
 from driftjax.solve import Options, shift
@@ -28,19 +29,25 @@ class MPCState(NamedTuple):
     reached: Float[Array, "*batch 2"]  # what steering and drive have made of the commands; `command` without lags
 
 
-def mpc_state(x: Float[ArrayLike, "*batch 5"], command: Float[ArrayLike, "*batch 2"]) -> MPCState:
-    """Build the state of a car whose actuators have reached the last `command` (delta [rad], Fxr [N])."""
+def mpc_state(x: ArrayLike, command: ArrayLike) -> MPCState:
+    """Build the state of a car whose actuators have reached the last `command`.
+
+    `x` (5,) or (batch, 5) is V [m/s], beta [rad], r [rad/s] and the offset e [m] and heading error theta [rad] from
+    the path; `command` (2,) or (batch, 2) is delta [rad], Fxr [N].
+    """
     x, command = jnp.asarray(x, float), jnp.asarray(command, float)
     require(x.shape[-1:] == (5,), f"x has shape {x.shape}; give V, beta, r, e, theta in the last axis.")
     require(command.shape[-1:] == (2,), f"command has shape {command.shape}; give delta, Fxr in the last axis.")
     return MPCState(x, jnp.broadcast_to(command, (*x.shape[:-1], 2)), jnp.broadcast_to(command, (*x.shape[:-1], 2)))
 
 
-def steady_reference(x: State, horizon: int) -> Reference:
-    """Build the reference of a steady drift `x` along a circle of its own radius, for `horizon` steps."""
-    over = lambda value: jnp.full(horizon + 1, value)
-    zero = jnp.zeros(horizon + 1)
-    return Reference(over(x.V), over(x.beta), over(x.r), zero, -over(x.beta), over(x.r / x.V))
+def steady_reference(V: float, beta: float, r: float, horizon: int) -> Reference:
+    """Build the reference of a steady drift along a circle of its own radius, for `horizon` steps.
+
+    Speed `V` [m/s], sideslip `beta` [rad] and yaw rate `r` [rad/s], left positive.
+    """
+    columns = (V, beta, r, 0.0, -beta, r / V)
+    return Reference(*(jnp.full(horizon + 1, value) for value in columns))
 
 
 class DriftMPC(eqx.Module):
@@ -75,13 +82,13 @@ class DriftMPC(eqx.Module):
 
     @eqx.filter_jit
     def solve(
-        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Float[Array, "*batch N 2"] | None = None
+        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | np.ndarray | None = None
     ) -> MPCSolution:
         """Solve from `state` along `reference`.
 
-        `warm_start` is the solution one step ago, which is shifted, or a guess of the inputs (delta [rad], Fxr [N]),
-        best those that go with the reference; left out, the last command held. The guess decides which optimum is
-        found: beside a drift there is often one with saturated front and falling speed.
+        `warm_start` is the solution one step ago, which is shifted, or a guess of the inputs (horizon, 2), delta [rad]
+        and Fxr [N], best those that go with the reference; left out, the last command held. The guess decides which
+        optimum is found: beside a drift there is often one with saturated front and falling speed.
 
         A leading axis of `state.x` is a batch; `reference` is shared by it or has the same leading axis, and so has
         `warm_start`. `plan.result` of the solution says how each solve ended (`RESULTS`), `plan.kkt` and
@@ -89,6 +96,7 @@ class DriftMPC(eqx.Module):
         touched. Differentiable in everything by the implicit function theorem, forward and reverse, where the solve
         converged; derivatives are NaN elsewhere.
         """
+        warm_start = jnp.asarray(warm_start) if isinstance(warm_start, np.ndarray) else warm_start
         if state.x.ndim == 1:
             return self._solve(state, reference, warm_start)
         shared = reference.V.ndim == 1

@@ -14,7 +14,8 @@ from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
-from driftjax.core import Control, State, as_float, each, lag_step, require
+from driftjax.core import Control, State, as_float, lag_step, require
+from driftjax.parallel import vmap_batch
 from driftjax.sim import Sensed, keep_where
 from driftjax.solve import Options, shift
 from driftjax.track import Track
@@ -135,8 +136,8 @@ class Driver(eqx.Module):
 
 def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
     """One step of all lanes (leading axis); the MPC runs only while some lane that is `alive` needs it."""
-    engaged = each(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
-    pursued = each(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
+    engaged = vmap_batch(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
+    pursued = vmap_batch(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
     idle = Decision(
         Control(pursued[:, 0], pursued[:, 1]),
         jnp.zeros_like(engaged),
@@ -151,13 +152,13 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
 
     def drift():
         if drivers.kind == "mpc":
-            posed = each(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
+            posed = vmap_batch(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
             found = answers(drivers.ocp, posed, engaged)
-            return each(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
-        u = each(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
+            return vmap_batch(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
+        u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))
 
     drifted = jax.lax.cond(jnp.any(engaged), drift, lambda: (idle, resting))
     decision, memory = keep_where(engaged, drifted, (idle, resting))
-    return decision.command, each(lambda d, m: d.after(m))(drivers, memory), decision
+    return decision.command, vmap_batch(lambda d, m: d.after(m))(drivers, memory), decision

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from driftjax.control.lanes import lanes_of
 from driftjax.control.mpc import DriftOCP, Reference, along, solve_mpc, within_limits
-from driftjax.core import each
+from driftjax.parallel import vmap_batch
 from driftjax.solve import LanePlans, Options, solve_lanes
 from driftjax.vehicle import SingleTrack
 
@@ -71,7 +71,7 @@ def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"]) -> Answe
     other. Lanes not `needed` cost nothing and come back unsolved.
     """
     if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
-        return each(safeguarded)(ocp, posed)
+        return vmap_batch(safeguarded)(ocp, posed)
     found = _batched(ocp, posed, needed)
     left = needed & ~acceptable(found, posed.options)
 
@@ -96,7 +96,7 @@ def _batched(ocp: DriftOCP, posed: Posed, needed: Array) -> Answer:
         jax.tree.map(lambda a: a.T, posed.reference),
         last(guess),
         last(U / scale[:, None]),
-        Options(options.tolerance[0], options.barrier, jnp.max(options.max_steps)),
+        Options(options.tolerance, options.barrier, options.max_steps),
         needed,
     )
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away

@@ -1,12 +1,6 @@
 """Records, results, integrators and config files; knows nothing above it."""
 
 from driftjax.core.atomic import write_atomically as write_atomically
-from driftjax.core.blocks import Blocks as Blocks
-from driftjax.core.blocks import Rehearsal as Rehearsal
-from driftjax.core.blocks import num_cores as num_cores
-from driftjax.core.blocks import num_workers as num_workers
-from driftjax.core.blocks import threads as threads
-from driftjax.core.blocks import workers as workers
 from driftjax.core.config import find_config as find_config
 from driftjax.core.config import flat as flat
 from driftjax.core.config import from_dict as from_dict
@@ -14,12 +8,10 @@ from driftjax.core.config import merged as merged
 from driftjax.core.config import put as put
 from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
-from driftjax.core.each import each as each
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
 from driftjax.core.integrate import rk4_loop as rk4_loop
 from driftjax.core.integrate import rk4_step as rk4_step
-from driftjax.core.programs import call as call
 from driftjax.core.records import Control as Control
 from driftjax.core.records import Scalar as Scalar
 from driftjax.core.records import State as State

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from driftjax.core import Blocks, require
+from driftjax.core import require
 from driftjax.diagnosis.evidence import Cause, causes
 from driftjax.diagnosis.fit import Problem, observed, problem, settle
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
@@ -18,6 +18,7 @@ from driftjax.diagnosis.show import Judged, Show, show
 from driftjax.diagnosis.unknown import Unexplained, unexplained
 from driftjax.diagnosis.verdict import SHORTEST, Judgement, Verdict, judge
 from driftjax.logs import Log, Run
+from driftjax.parallel import BatchExecutor
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
 
@@ -94,7 +95,7 @@ def diagnose(
     config: DiagnoseConfig,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
-    blocks: Blocks | None = None,
+    blocks: BatchExecutor | None = None,
 ) -> Diagnosis | Judgement:
     """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
 
@@ -107,7 +108,7 @@ def diagnose(
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
         return Judgement(Verdict.DATA_INSUFFICIENT, text)
     report("noise and nominal car")
-    beside = blocks.begin(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
+    beside = blocks.submit(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
     task = problem(vehicle, effects, log.runs, config.without)
     report("naming")
     task, found = approach(task, config.seed, config.most)

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import State, call, features
+from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import Track
 from driftjax.diagnosis.runs import each_piece, follow, spans
 from driftjax.gp import GP
+from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, told
 from driftjax.sim.step import acts_of
 from driftjax.vehicle.universal import Universal

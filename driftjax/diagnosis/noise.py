@@ -13,8 +13,8 @@ import numpy as np
 from jax import Array
 from scipy.optimize import minimize
 
-from driftjax.core import call
 from driftjax.diagnosis.observer import Gains, Steps, chain, deviate, riccati
+from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST = 0.5  # disturbance assumed before any is known, in measurement noise per second

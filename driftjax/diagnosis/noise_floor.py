@@ -10,11 +10,12 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import State, call
+from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Ahead
 from driftjax.diagnosis.observer import Track, put
 from driftjax.diagnosis.runs import each_piece
+from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, told
 from driftjax.vehicle.universal import Universal
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import State, call
+from driftjax.core import State
 from driftjax.diagnosis.observer import (
     Gains,
     Local,
@@ -22,6 +22,7 @@ from driftjax.diagnosis.observer import (
     riccati,
 )
 from driftjax.logs import Run
+from driftjax.parallel import call
 from driftjax.sim.rollout import SETTLE
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Place

@@ -17,9 +17,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from jax import Array
-from jax.typing import ArrayLike
-from jaxtyping import Float
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from driftjax.core import RESULTS, Control, State, require
 from driftjax.environment import require_float64
@@ -63,8 +62,8 @@ class Config:
         require(not 0 < self.V_max <= self.V_min, "key 'V_max' must exceed 'V_min'.")
 
 
-def equilibria(vehicle: VehicleConfig, V: Float[ArrayLike, " n"], r: Float[ArrayLike, " n"]) -> xr.Dataset:
-    """Solve for every steady state of a car at speeds `V` [m/s] and yaw rates `r` [rad/s], both of n points.
+def equilibria(vehicle: VehicleConfig, V: ArrayLike, r: ArrayLike) -> xr.Dataset:
+    """Solve for every steady state of a car at speeds `V` (n,) [m/s] and yaw rates `r` (n,) [rad/s].
 
     Damped Gauss-Newton from every root of the decoupled problem, each confirmed on the full car, named effects
     included. Dimensions (point, root); entries without a state are NaN and have branch -1 (see `Branch`).

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import each
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.model import FADE_LENGTH, GP
+from driftjax.parallel import vmap_batch
 
 PROPORTIONAL = {"se": -0.5}  # kernels whose derivative in q is so many times themselves: one product instead of three
 
@@ -62,7 +62,7 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Se
     points = jnp.stack(z).reshape(nf, -1, lanes).T  # (lanes, P, nf)
     back = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:-1], *shape)
     along = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:], *[1] * (len(shape) - 1), lanes)
-    sums = each(functools.partial(_sums, kernel))
+    sums = vmap_batch(functools.partial(_sums, kernel))
     found = [jax.tree.map(back, sums(Z, centre, inverse[:, k], amounts[:, k], points)) for k in range(inverse.shape[1])]
     value, S, R = (jnp.stack(parts) for parts in zip(*found, strict=True))
     over = [along(inverse[:, :, i]) for i in range(nf)]

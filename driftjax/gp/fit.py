@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from driftjax.core import RESULTS, require
 from driftjax.environment import require_float64
@@ -94,10 +93,8 @@ def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **option
     return jax.lax.map(output, (starts, T.T, *held))
 
 
-def fit_gp(
-    Z: Float[ArrayLike, "M nf"], Y: Float[ArrayLike, "M D"], *, kernel: str = "se", num_restarts: int = 4, seed: int = 0
-) -> FitResult:
-    """Fit an exact GP to `M` rows of inputs and targets by maximum marginal likelihood on all of them.
+def fit_gp(Z: ArrayLike, Y: ArrayLike, *, kernel: str = "se", num_restarts: int = 4, seed: int = 0) -> FitResult:
+    """Fit an exact GP to inputs `Z` (M, nf) and targets `Y` (M,) or (M, D) by maximum marginal likelihood.
 
     Raw units in and out; zero prior mean; one length scale per input (`kernel`: se or matern52, see `KERNELS`).
     `result.gp` has `mean`, `variance` and `gradient` at one input (nf,): `vmap` them for many. Raises `BadInput`

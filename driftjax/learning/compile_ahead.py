@@ -1,21 +1,21 @@
-"""The loop driven dry, so that every program it needs is compiled, by one worker each and side by side."""
+"""Ahead-of-time compilation: the loop without its computations, each program compiled by one worker."""
 
 import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 
-from driftjax.core import Rehearsal
 from driftjax.learning.scenario import Scenario
 from driftjax.learning.stages import drive_stage, first_progress
+from driftjax.parallel import CompileAheadExecutor
 
 # Stages that between them need every program, in two rows of about equal work.
 ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 
-def rehearse(scenario: Scenario, names: list[str]) -> None:
-    """Have the workers compile what the stages `names` need; without workers there is nothing to gain."""
+def compile_ahead(scenario: Scenario, names: list[str]) -> None:
+    """Compile in the workers what the stages `names` need; without workers there is nothing to gain."""
     if scenario.blocks.pool is None:
         return
-    dry = dataclasses.replace(scenario, blocks=Rehearsal(scenario.blocks.pool))
+    dry = dataclasses.replace(scenario, blocks=CompileAheadExecutor(scenario.blocks.pool))
 
     def row(stages: tuple[str, ...]) -> None:
         progress = first_progress(dry)

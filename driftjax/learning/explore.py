@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import RESULTS, Control, State, each, features
+from driftjax.core import RESULTS, Control, State, features
 from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
 from driftjax.learning.config import ExploreConfig
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.scenario import Scenario
+from driftjax.parallel import vmap_batch
 from driftjax.sim import Trace, keep_where
 from driftjax.vehicle import AnyCar, Residual
 
@@ -137,7 +138,7 @@ def speed_lanes(
                       V_max=3 * V_b)  # fmt: skip
         return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
 
-    return each(one)(*lanes)
+    return vmap_batch(one)(*lanes)
 
 
 def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array, Array]:
@@ -148,7 +149,7 @@ def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array,
 
 def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
     """Drift states of lanes given as (speeds, residual)."""
-    return each(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
+    return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
 
 
 def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
@@ -167,4 +168,4 @@ def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Arr
         choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
-    return each(one)(*lanes)
+    return vmap_batch(one)(*lanes)

@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
-from driftjax.core import RESULTS, as_float, each
+from driftjax.core import RESULTS, as_float
 from driftjax.equilibrium import SlipRadius, continuation
 from driftjax.learning.arrival import Approach, planned_approach, seen
 from driftjax.learning.config import GPConfig
@@ -17,6 +17,7 @@ from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_
 from driftjax.learning.residual import claims, estimate_lags, rows, samples
 from driftjax.learning.scenario import Scenario, entry_problems
 from driftjax.learning.stage import Stage
+from driftjax.parallel import vmap_batch
 from driftjax.sim import Trace, keep_where
 from driftjax.solve import Options
 from driftjax.vehicle import AnyCar, Residual
@@ -72,7 +73,7 @@ def learn_lanes(
         memory = learn(memory, *rows(nominal, lap, dt, lags), lags, config, key, claim, shortest)
         return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, dt)
 
-    return each(one)(*lanes)
+    return vmap_batch(one)(*lanes)
 
 
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
@@ -116,7 +117,7 @@ def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, a
 def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: Array, tolerance: Array) -> Planned:
     """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return each(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*lanes)
+    return vmap_batch(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*lanes)
 
 
 @eqx.filter_jit
@@ -129,4 +130,4 @@ def _steps(
         step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
         return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)
 
-    return each(one)(residual, V_shift)
+    return vmap_batch(one)(residual, V_shift)

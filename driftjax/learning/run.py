@@ -8,16 +8,17 @@ from typing import Any
 import equinox as eqx
 import xarray as xr
 
-from driftjax.core import BadInput, workers
-from driftjax.core import num_workers as useful_workers
+from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.environment import require_float64
-from driftjax.learning.compile_ahead import rehearse
+from driftjax.learning.compile_ahead import compile_ahead
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.loop import Progress
 from driftjax.learning.results import results
 from driftjax.learning.scenario import Scenario, build
 from driftjax.learning.stages import drive_stage, first_progress, stage_names
+from driftjax.parallel import num_workers as useful_workers
+from driftjax.parallel import process_executor
 from driftjax.planner import load_plan_config
 from driftjax.planner.dataset import plan_dataset
 from driftjax.sim import load_plants
@@ -74,13 +75,13 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     """
     names = stage_names(config)
     report("plan", 0, len(names) + 1)
-    with workers(num_workers) as blocks:
+    with process_executor(num_workers) as blocks:
         scenario = build(config, blocks)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
         report("compile", 0, len(names) + 1)
-        rehearse(scenario, [name for name in names if name not in done])
+        compile_ahead(scenario, [name for name in names if name not in done])
         tell = lambda name: report(name, names.index(name) + 1, len(names) + 1)
         for name, data, after in drive_stages(scenario, progress, done, tell):
             folder.write_stage(name, data, _dump(after))

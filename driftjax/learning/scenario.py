@@ -13,10 +13,11 @@ from driftjax.control.lqr import lqr
 from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
-from driftjax.core import RESULTS, BadInput, Blocks, Control, State
+from driftjax.core import RESULTS, BadInput, Control, State
 from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_steady
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.reference import Corner, corner, entry_horizon, plan_table
+from driftjax.parallel import BatchExecutor
 from driftjax.planner import Plan, load_plan_config, plan
 from driftjax.sim import AnyPlant, batch_of, load_plants
 from driftjax.sim.sensors import SensorConfig, load_sensors
@@ -63,7 +64,7 @@ class Scenario:
     keys: Array  # noise key of each lane
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
-    blocks: Blocks  # how lanes are computed
+    blocks: BatchExecutor  # how lanes are computed
 
     @property
     def num_lanes(self) -> int:
@@ -114,7 +115,7 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
 
 
 def build(
-    config: LearnConfig, blocks: Blocks, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
+    config: LearnConfig, blocks: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
 ) -> Scenario:
     """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
 

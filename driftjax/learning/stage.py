@@ -8,9 +8,9 @@ from jax import Array
 
 from driftjax.control.driver import Driver, decide
 from driftjax.control.table import ReferenceTable
-from driftjax.core import each
 from driftjax.learning.metrics import LapFigures, lap_figures
 from driftjax.learning.scenario import Scenario
+from driftjax.parallel import vmap_batch
 from driftjax.sim import AnyPlant, LapCode, LapConfig, Laps, Trace, drive
 from driftjax.sim.sensors import SensorConfig
 
@@ -31,13 +31,13 @@ def drive_lanes(
 ) -> tuple[Trace, Array, Array, LapFigures]:
     """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
     drivers, plants, speed, keys = lanes
-    memory = each(lambda d: d.start())(drivers)
+    memory = vmap_batch(lambda d: d.start())(drivers)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
     laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
     table = drivers.table
-    V_ref = each(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
+    V_ref = vmap_batch(lambda t, s: jax.vmap(lambda one: t.row(t.V, one))(s))(table, laps.trace.s)
     judged = lambda trace, code, table, V: lap_figures(trace, code, table, V, lap.lost_error)
-    figures = each(judged)(laps.trace, laps.code, table, V_ref)
+    figures = vmap_batch(judged)(laps.trace, laps.code, table, V_ref)
     return laps.trace, laps.code, V_ref, figures
 
 

@@ -49,10 +49,10 @@ class Log:
     """Runs of one or several files."""
 
     runs: tuple[Run, ...]
-    sha256: str
+    sha256: str = ""
     """Of the bytes of all files, in order, those of a folder by name."""
-    paths: tuple[Path, ...]
-    notes: tuple[str, ...]
+    paths: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
     """Sentences about what was repaired or left out."""
 
     @property

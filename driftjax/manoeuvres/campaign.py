@@ -9,9 +9,9 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import require
-from driftjax.core.programs import call
 from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.parallel import call
 from driftjax.sim.logged import Flaws, logged
 from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
 from driftjax.vehicle import VehicleConfig

@@ -9,8 +9,8 @@ from jax import Array
 
 from driftjax.control.lqr import lqr
 from driftjax.core import RESULTS, BadInput
-from driftjax.core.programs import call
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal
+from driftjax.parallel import call
 from driftjax.sim.record import Manoeuvre
 from driftjax.vehicle.effect import reference
 from driftjax.vehicle.parameters import VehicleConfig

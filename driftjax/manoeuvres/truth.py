@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS, effects_named
 
 
-def effect_strengths(vehicle: VehicleConfig, words: tuple[str, ...]) -> Float[np.ndarray, "K"]:
-    """Parse `name.parameter=value` (SI) and `name=sizes` into all parameters of the catalogue, in typical sizes.
+def effect_strengths(vehicle: VehicleConfig, words: Sequence[str] = ()) -> Float[np.ndarray, "K"]:
+    """Parse `name.parameter=value` (SI) and `name=sizes`, such as `yaw_inertia=2`, into all parameters of the catalogue, in typical sizes.
 
     Raises `BadInput` for an unknown effect or parameter, and for a value outside its bounds.
     """

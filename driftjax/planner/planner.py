@@ -9,8 +9,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from driftjax.core import RESULTS, Control, State, as_float, call
+from driftjax.core import RESULTS, Control, State, as_float
 from driftjax.environment import require_float64
+from driftjax.parallel import call
 from driftjax.planner.config import PlanConfig, load_plan_config
 from driftjax.planner.filter_solver import solve
 from driftjax.planner.nodes import nodes

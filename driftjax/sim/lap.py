@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import Control, as_float, each, require
+from driftjax.core import Control, as_float, require
+from driftjax.parallel import vmap_batch
 from driftjax.sim.sensors import SensorConfig, measure
 from driftjax.sim.travel import Travel
 from driftjax.sim.universal_plant import AnyPlant
@@ -146,8 +147,8 @@ def drive(
     code; the others go on. Seed k of a lane's noise depends on its own key only, so batches equal single laps.
     """
     step_time = as_float(dt)
-    x0, y0, psi0, _ = each(lambda p: p.pose(0.0))(paths)
-    state = each(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
+    x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
+    state = vmap_batch(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
     zero = jnp.zeros_like(speed)
     carry = _Carry(state, Control(zero, zero), zero, zero, jnp.full(speed.shape, int(LapCode.RUNNING)), memory)
 
@@ -160,13 +161,13 @@ def drive(
     @jax.jit  # traced once for its shapes and for the scan
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
-        key = each(lambda one: jax.random.fold_in(one, k))(keys)
-        found: tuple[Motion, Sensed] = each(sense)(plants, carry.plant, carry.command, paths, carry.s, key)
+        key = vmap_batch(lambda one: jax.random.fold_in(one, k))(keys)
+        found: tuple[Motion, Sensed] = vmap_batch(sense)(plants, carry.plant, carry.command, paths, carry.s, key)
         motion, sensed = found
         command, memory, decision = policy(sensed, carry.memory, alive)
-        advance = each(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
+        advance = vmap_batch(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
         after = advance(plants, carry.plant, command)
-        judged = each(lambda p, x, u, path, s: _judge(p, x, u, path, s, config))
+        judged = vmap_batch(lambda p, x, u, path, s: _judge(p, x, u, path, s, config))
         true_s, _, _, code = judged(plants, after, command, paths, carry.true_s)
         now_s, now_e, _, _ = judged(plants, carry.plant, command, paths, carry.true_s)
         new = keep_where(alive, _Carry(after, command, sensed.s, true_s, code, memory), carry)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import Array
-from jax.typing import ArrayLike
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from driftjax.core import BadInput, Control, call, require
+from driftjax.core import BadInput, Control, require
 from driftjax.environment import require_float64
+from driftjax.parallel import call
 from driftjax.sim.plant_files import batch_of
 from driftjax.sim.universal_plant import AnyPlant
 from driftjax.vehicle import Motion, PlantConfig, VehicleConfig
@@ -33,18 +33,20 @@ CHANNELS = {
 
 def simulate(
     cars: Car | Sequence[Car],
-    commands: Float[ArrayLike, "*batch time 2"],
+    commands: ArrayLike,
     dt: float,
     *,
-    start: Float[ArrayLike, "*batch 3"] | Sequence[float] = (10.0, 0.0, 0.0),
+    start: ArrayLike = (10.0, 0.0, 0.0),
     substeps: int = 10,
     lap: float = 1000.0,
 ) -> xr.Dataset:
-    """Simulate a batch of cars under held commands (delta [rad], Fxr [N]); row k is the state before command k acts.
+    """Simulate a batch of cars under held commands; row k is the state before command k acts.
 
-    One car or one row of commands serves a whole batch of the other. `cars` are vehicles (single track with all
-    their effects) or plants (double track), not both; `start` is (V [m/s], beta [rad], r [rad/s]); `dt` is the
-    sample time [s], each of `substeps` integration steps; `lap` [m] closes the road of effects that depend on place.
+    `cars` are vehicles (single track with all their effects) or plants (double track), not both. `commands` (time, 2)
+    or (car, time, 2) are delta [rad] and Fxr [N]; `start` (3,) or (car, 3) is V [m/s], beta [rad], r [rad/s]. One car,
+    one row of commands or one start serves a whole batch of the others. `dt` is the sample time [s], of `substeps`
+    integration steps; `lap` [m] is the length of the road on which effects that depend on place repeat.
+
     Variables have the dimensions (car, time), units and names; a car whose numbers overflow holds NaN from there on
     and leaves the others alone. Raises `BadInput` for shapes that do not fit.
     """

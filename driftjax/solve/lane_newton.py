@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
-from driftjax.core.materialise import materialised
 from driftjax.solve.interior_point import BOUNDARY_FRACTION
 from driftjax.solve.lane_ocp import AbstractLanes, Components
+from driftjax.solve.materialise import materialised
 from driftjax.solve.sparse import Entry, Matrix, column, dot, hessian, total
 from driftjax.solve.stage import Local, Policy, Value, backward, forward
 

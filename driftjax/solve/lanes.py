@@ -18,7 +18,6 @@ from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
-from driftjax.core.materialise import materialised
 from driftjax.solve.interior_point import SLACK_FLOOR, split
 from driftjax.solve.lane_newton import (
     Error,
@@ -31,6 +30,7 @@ from driftjax.solve.lane_newton import (
     newton_system,
 )
 from driftjax.solve.lane_ocp import AbstractLanes, Components
+from driftjax.solve.materialise import materialised
 from driftjax.solve.ocp import Options
 
 MANY, SHARE = 64, 8  # of so many lanes the last eighth goes on by itself
@@ -58,12 +58,6 @@ class _Loop(NamedTuple):
     num_steps: Array
 
 
-def _open(error: Error, tolerance: Array, needed: Array) -> Array:
-    """Lanes still to be solved; one that is not a number any more holds up none."""
-    worst = jnp.maximum(error.kkt, error.violation)
-    return needed & ~(worst <= tolerance) & ~jnp.isnan(worst)
-
-
 class _Batch(NamedTuple):
     """What does not change between iterations."""
 
@@ -72,13 +66,20 @@ class _Batch(NamedTuple):
     last: PyTree  # those of the end (batch,) or (1,)
     u_before: Components
     needed: Array  # lanes to be solved
+    tolerance: Array  # of each lane
+    max_steps: Array
 
     def of(self, lanes: Array) -> "_Batch":
         """Of some lanes."""
         num = len(self.needed)
         wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
-        stages, last, u_before, needed = _of_lanes(wide, lanes)
-        return _Batch(self.ocp.of(lanes), stages, last, u_before, needed)
+        return _Batch(self.ocp.of(lanes), *_of_lanes(wide, lanes))
+
+
+def _open(batch: _Batch, error: Error, num_steps: Array) -> Array:
+    """Lanes still to be solved; one that is not a number any more holds up none."""
+    worst = jnp.maximum(error.kkt, error.violation)
+    return batch.needed & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (num_steps < batch.max_steps)
 
 
 def _rows(tree: PyTree) -> Array:
@@ -100,28 +101,27 @@ def _of_lanes(tree: PyTree, lanes: Array) -> PyTree:
     return _unrowed(_rows(tree)[:, lanes], tree)
 
 
-def _solved(batch: _Batch, loop: _Loop, tolerance: Array, max_steps: Array | int) -> _Loop:
+def _solved(batch: _Batch, loop: _Loop) -> _Loop:
     """Iterates until all are solved; the last of many lanes go on among themselves, so that few hold up few."""
     num = len(batch.needed)
     few = num // SHARE if num >= MANY else 0
-    still = lambda s: _open(s.error, tolerance, batch.needed)
-    more = lambda s: (jnp.sum(still(s)) > few) & (s.num_steps < max_steps)
-    loop = jax.lax.while_loop(more, lambda s: _iterate(batch, tolerance, s), loop)
+    still = lambda s: _open(batch, s.error, s.num_steps)
+    loop = jax.lax.while_loop(lambda s: jnp.sum(still(s)) > few, lambda s: _iterate(batch, s), loop)
     if not few:
         return loop
     lanes = jnp.argsort(~still(loop))[:few]
     state = loop[:-1]
     it, barrier, error = _of_lanes(state, lanes)
-    rest = _solved(batch.of(lanes), _Loop(it, barrier, error, loop.num_steps), tolerance, max_steps)
+    rest = _solved(batch.of(lanes), _Loop(it, barrier, error, loop.num_steps))
     it, barrier, error = _unrowed(_rows(state).at[:, lanes].set(_rows(rest[:-1])), state)
     return _Loop(it, barrier, error, rest.num_steps)
 
 
-def _iterate(batch: _Batch, tolerance: Array, loop: _Loop) -> _Loop:
+def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     it, barrier = loop.lanes, loop.barrier
-    newton, error = materialised(lambda it, barrier: newton_system(*batch[:-1], it, barrier))(it, barrier)
+    newton, error = materialised(lambda it, barrier: newton_system(*batch[:4], it, barrier))(it, barrier)
     d = materialised(lambda it, newton, barrier: newton_step(batch.ocp, it, newton, barrier))(it, newton, barrier)
-    open_ = _open(error, tolerance, batch.needed)
+    open_ = _open(batch, error, loop.num_steps)
     step, dual = longest(it.slack, d.d_slack, open_), longest(it.dual, d.d_dual, open_)
     move = lambda values, steps, length: [v + length * d for v, d in zip(values, steps, strict=True)]
     slack = move(it.slack, d.d_slack, step)
@@ -132,7 +132,7 @@ def _iterate(batch: _Batch, tolerance: Array, loop: _Loop) -> _Loop:
         slack,
         [_central(z, s, barrier, open_) for z, s in zip(move(it.dual, d.d_dual, dual), slack, strict=True)],
     )
-    return _Loop(new, _next_barrier(new, barrier, jnp.minimum(step, dual), tolerance), error, loop.num_steps + 1)
+    return _Loop(new, _next_barrier(new, barrier, jnp.minimum(step, dual), batch.tolerance), error, loop.num_steps + 1)
 
 
 def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:
@@ -174,7 +174,7 @@ def solve_lanes(
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
     A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance. Lanes that are
-    not `needed` stay at their guess and hold up none; the first barrier may be one of each lane (batch,).
+    not `needed` stay at their guess and hold up none; all options may be of each lane (batch,).
     """
     dtype = U[0].dtype
     tolerance, barrier = options.tolerance.astype(dtype), options.barrier.astype(dtype)
@@ -183,7 +183,8 @@ def solve_lanes(
     large = jnp.full_like(U[0][0], jnp.inf)
     loop = _Loop(lanes, jnp.full_like(large, barrier), Error(large, large), jnp.zeros((), jnp.int32))
     needed = jnp.full_like(large, True, bool) if needed is None else needed
-    end = _solved(_Batch(ocp, stages, last, before, needed), loop, tolerance, options.max_steps)
+    tolerance, max_steps = (jnp.broadcast_to(a, large.shape) for a in (tolerance, options.max_steps))
+    end = _solved(_Batch(ocp, stages, last, before, needed, tolerance, max_steps), loop)
     done = jnp.maximum(end.error.kkt, end.error.violation) <= tolerance
     finite = jnp.isfinite(end.error.kkt) & jnp.isfinite(end.error.violation)
     result = jax.vmap(_result)(done, finite)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PyTree
 
-from driftjax.core.materialise import materialised
 from driftjax.solve.interior_point import split
 from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
 from driftjax.solve.lanes import LanePlans, solve_lanes
+from driftjax.solve.materialise import materialised
 from driftjax.solve.ocp import Options
 from driftjax.solve.sparse import Entry, Matrix, dot, hessian, times, total
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core.integrate import RK4_INTO, RK4_WEIGHTS
-from driftjax.core.materialise import bind, materialised
+from driftjax.solve.materialise import bind, materialised
 
 Entry = Any  # an array, or None for zero
 Matrix = list[list[Entry]]

@@ -7,13 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from driftjax.core import BadInput, num_workers, read_yaml, workers
+from driftjax.core import BadInput, read_yaml
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
 from driftjax.learning.scenario import build, route_of
 from driftjax.learning.stage import Stage
 from driftjax.learning.stages import drive_nominal
 from driftjax.manoeuvres.truth import read_truth
+from driftjax.parallel import num_workers, process_executor
 from driftjax.report import CLOSED_LOOP
 from driftjax.sim import AnyPlant, LapCode, batch_of, load_any_plant, plant_of
 from driftjax.track import load_track
@@ -66,7 +67,7 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
         models |= {"extended": extended}
     laps: dict[str, Stage] = {}
     told: dict[str, Any] = {}
-    with workers(num_workers(SEEDS)) as blocks:
+    with process_executor(num_workers(SEEDS)) as blocks:
         for name, vehicle in models.items():
             try:
                 scenario = build(course.config, blocks, route_of(course.config, vehicle), (course.name, course.plant))

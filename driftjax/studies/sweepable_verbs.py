@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import Blocks, from_dict, merged
+from driftjax.core import find_config, from_dict, merged
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
 from driftjax.diagnosis.serialise import to_json
@@ -17,6 +17,7 @@ from driftjax.learning.run import drive_stages
 from driftjax.learning.scenario import Route, build, route_of
 from driftjax.learning.stages import first_progress
 from driftjax.logs import read_log
+from driftjax.parallel import BatchExecutor
 from driftjax.store import RunFolder
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.studies.paper.config import Config as PaperConfig
@@ -47,7 +48,7 @@ _routes: dict[str, Route] = {}  # of this process, by what they were made from: 
 ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
 
 
-def learn_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+def learn_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """Laps of every stage."""
     options = from_dict(LearnConfig, config, "a trial")
     made_from = json.dumps([config[name] for name in ROUTE])
@@ -77,12 +78,12 @@ def whole_diagnose(options: Options) -> Options:
 
 
 def diagnose_files(config: Options) -> list[Path]:
-    """The logs, and the car where it is a file."""
-    vehicle = Path(config["vehicle"])
-    return [*map(Path, config["logs"]), *([vehicle] if vehicle.is_file() else [])]
+    """Return the logs, the vehicle's YAML and, where one is given, the column map's; shipped ones among them."""
+    columns = [find_config("columns", config["columns"])] if config["columns"] else []
+    return [*map(Path, config["logs"]), find_config("vehicle", config["vehicle"]), *columns]
 
 
-def diagnose_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+def diagnose_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """The verdict, and the gain on runs held out."""
     asked = from_dict(LogConfig, config, "a trial")
     log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
@@ -108,7 +109,7 @@ def paper_files(config: Options) -> list[Path]:
     return [path for car in config["cars"] for path in files_of(load_learn_config(car)).values()]
 
 
-def paper_rows(config: Options, blocks: Blocks, folder: Path) -> Iterator[list[Row]]:
+def paper_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """Means of every method of the comparison, whose runs lie in `folder` until it is done."""
     from driftjax.studies.paper.run import main
 

@@ -11,10 +11,7 @@ from pathlib import Path
 
 import jax
 
-from driftjax.core import Blocks
-from driftjax.core.joined import Joined
-from driftjax.core.programs import let_go
-from driftjax.core.sharded import Sharded
+from driftjax.parallel import BatchExecutor, DeviceExecutor, clear_program_cache, run_together
 from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.executors import Executor
 from driftjax.sweep.source import Source
@@ -118,17 +115,17 @@ def run_chunk(
 ) -> list[Outcome]:
     """Outcomes of the trials in the process that is asked: one after the other, or as one batch on its `devices`."""
 
-    def task(trial: Trial) -> Callable[[Blocks], Outcome]:
+    def task(trial: Trial) -> Callable[[BatchExecutor], Outcome]:
         watch = watches(trial, config) if watches else None
         return lambda blocks: drive(work, trial, blocks, folder / "work", config, watch)
 
-    let_go()
+    clear_program_cache()
     tasks, batch = [task(trial) for trial in trials], devices()
-    return [one(Blocks(1)) for one in tasks] if batch is None else Joined(batch).run(tasks)
+    return [one(BatchExecutor(1)) for one in tasks] if batch is None else run_together(batch, tasks)
 
 
 @cache
-def devices() -> Sharded | None:
+def devices() -> DeviceExecutor | None:
     """All devices of this process, for a batch of trials; None of a single CPU, which gains nothing from batches."""
     cpu = jax.default_backend() == "cpu"
-    return None if cpu and len(jax.local_devices()) == 1 else Sharded(1 if cpu else None)
+    return None if cpu and len(jax.local_devices()) == 1 else DeviceExecutor(1 if cpu else None)

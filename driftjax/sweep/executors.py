@@ -7,8 +7,8 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Protocol
 
 from driftjax.core import BadInput
-from driftjax.core.blocks import process_pool, set_up, settings
 from driftjax.logs.extras import import_extra
+from driftjax.parallel import apply_settings, process_pool, settings
 
 # What a process must find before JAX is imported, so that it computes as this one does.
 ENVIRONMENT = ("NPROC", "OPENBLAS_NUM_THREADS", "JAX_PLATFORMS", "XLA_FLAGS", "PYTHONPATH")
@@ -107,7 +107,7 @@ class OnRay:
 
 
 def _in_worker(known: dict[str, Any], function: Callable, args: tuple) -> Any:
-    set_up(known)
+    apply_settings(known)
     return function(*args)
 
 

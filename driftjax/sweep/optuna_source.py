@@ -63,7 +63,7 @@ class Chosen:
         states = self._optuna.trial.TrialState
         stopped = [frozen for frozen in self._study.get_trials(deepcopy=False) if frozen.state == states.RUNNING]
         for frozen in stopped:
-            yield from self._of(self._optuna.trial.Trial(self._study, frozen._trial_id), dict(frozen.params))
+            yield from self._of(_trial(self._study, self._url, frozen.number), dict(frozen.params))
         while self._finished() + len(self._asked) < self.total:
             asked = self._study.ask()
             yield from self._of(asked, self._point(asked))
@@ -119,13 +119,21 @@ def _named(module: Any, kind: str, name: str) -> Any:
     return getattr(module, name)
 
 
+def _trial(study: Any, url: str, number: int) -> Any:
+    """Return trial `number` of the study with methods that write to its database."""
+    import optuna
+
+    storage = optuna.storages.get_storage(url)
+    study_id = storage.get_study_id_from_name(NAME)
+    return optuna.trial.Trial(study, storage.get_trial_id_from_study_id_trial_number(study_id, number))
+
+
 def watched(url: str, trial: Trial, config: SweepConfig) -> Watch:
     """In the process that runs `trial`: tells the study of each step, and asks it whether to go on."""
     import optuna
 
     study = optuna.load_study(study_name=NAME, storage=url, pruner=_named(optuna.pruners, "pruners", config.pruner)())
-    frozen = study.get_trials(deepcopy=False)[trial.number]
-    asked = optuna.trial.Trial(study, frozen._trial_id)
+    asked = _trial(study, url, trial.number)
 
     def watch(step: int, value: float) -> bool:
         if not math.isfinite(value):

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from driftjax.core import BadInput, Blocks, put
-from driftjax.core.programs import fingerprint
+from driftjax.core import BadInput, put
+from driftjax.parallel import BatchExecutor, source_hash
 from driftjax.sweep.config import SweepConfig, Value
 from driftjax.sweep.design import Point
 
@@ -26,8 +26,8 @@ class Work:
     complete: Callable[[dict[str, Any]], dict[str, Any]]
     """All options from those that differ, checked; raises `BadInput`."""
     files: Callable[[dict[str, Any]], list[Path]]
-    """Files that it reads, whose contents are part of what a trial is."""
-    rows: Callable[[dict[str, Any], Blocks, Path], Iterator[list[Row]]]
+    """Files and folders that it reads, whose contents are part of what a trial is."""
+    rows: Callable[[dict[str, Any], BatchExecutor, Path], Iterator[list[Row]]]
     """Rows of every step as it ends, with a folder that the trial may use."""
     columns: dict[str, type]
     """Of its rows."""
@@ -37,7 +37,7 @@ class Work:
 class Trial:
     """One combination, with all options of the verb."""
 
-    id: str  # of options, contents of files, and code
+    id: str  # of options, contents of files, and the source that the work's functions depend on
     number: int  # in the design
     point: Point
     config: dict[str, Any]
@@ -69,17 +69,21 @@ def trial_of(work: Work, config: SweepConfig, number: int, point: Point) -> Tria
 
 
 def _id(work: Work, verb: str, config: dict[str, Any]) -> str:
-    digest = hashlib.sha256(fingerprint())
+    digest = hashlib.sha256(source_hash(*(f.__module__ for f in (work.rows, work.complete, work.files))))
     digest.update(json.dumps([verb, config], sort_keys=True).encode())
     for path in work.files(config):
+        inside = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else []
         try:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
+            for file in inside or [path]:  # a ROS 2 bag is a folder
+                digest.update(str(file.relative_to(path)).encode() + hashlib.sha256(file.read_bytes()).digest())
         except OSError as error:
             raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path.") from None
     return digest.hexdigest()[:16]
 
 
-def drive(work: Work, trial: Trial, blocks: Blocks, folder: Path, config: SweepConfig, watch: Watch | None) -> Outcome:
+def drive(
+    work: Work, trial: Trial, blocks: BatchExecutor, folder: Path, config: SweepConfig, watch: Watch | None
+) -> Outcome:
     """Run the trial. What goes wrong in it is part of its outcome and ends no other."""
     begun, rows = time.monotonic(), []
     try:

@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from driftjax.control.driver import Driver
 from driftjax.control.table import ReferenceTable
-from driftjax.core.blocks import end_to_end
 from driftjax.gp import zero_gp
 from driftjax.learning.metrics import LapFigures
 from driftjax.learning.scenario import Scenario, drivers
 from driftjax.learning.stage import drive_lanes
+from driftjax.parallel import concatenate
 from driftjax.sim import LapCode, Trace
 from driftjax.tune.config import Scales, TuneConfig
 from driftjax.tune.loss import Slopes, lap_errors, lap_loss, slope_lanes
@@ -63,7 +63,7 @@ class Course:
         """A lap of each plant `which` at each of `points`."""
         learn = self.scenario.config
         each = [self.lanes(p, which) for p in points]
-        lanes = jax.tree.map(end_to_end, *each)
+        lanes = concatenate(*each)
         trace, code, _, figures = self.scenario.blocks.map(
             drive_lanes, lanes, self.scenario.sensors, learn.lap, learn.mpc.dt
         )

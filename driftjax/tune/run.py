@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from driftjax.core import workers
 from driftjax.learning.metrics import interval
 from driftjax.learning.scenario import build
+from driftjax.parallel import process_executor
 from driftjax.store.folder import RunFolder
 from driftjax.tune.config import TuneConfig
 from driftjax.tune.laps import Course, Driven, ending
@@ -26,7 +26,7 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
     report("plan", 0, 4)
     num = config.training + config.held_out
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
-    with workers(num_workers) as blocks:
+    with process_executor(num_workers) as blocks:
         course = Course(config, build(learn, blocks))
         found = searched(course, report)
         report("laps of held-out plants", 3, 4)

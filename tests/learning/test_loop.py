@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Blocks, workers
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
@@ -15,6 +14,7 @@ from driftjax.learning.run import run
 from driftjax.learning.scenario import build, drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal
+from driftjax.parallel import BatchExecutor, process_executor
 from driftjax.store import RunFolder
 
 SEDAN = load_learn_config("sedan")
@@ -54,7 +54,7 @@ def test_what_was_learnt_is_in_the_laps(finished):
 def test_the_papers_cost_drives_the_corner_sideways(finished):
     """It does so only where every solve starts from the reference: else the front saturates and the speed falls."""
     config = dataclasses.replace(CONFIG, controllers=("paper",))
-    with workers(2) as blocks:
+    with process_executor(2) as blocks:
         stage, planned = drive_nominal(build(config, blocks), 0)
     assert bool(jnp.all(planned.found)) and bool(jnp.all(stage.figures.completed))
     assert float(jnp.min(stage.figures.drift_share)) >= 0.5
@@ -88,11 +88,11 @@ def test_a_killed_run_goes_on_without_workers_to_the_same_bits(finished, tmp_pat
 def test_a_batch_equals_its_single_laps(lanes):
     lap = dataclasses.replace(SEDAN.lap, time_limit=4.0)  # into the corner: pursuit, switch, drift MPC
     config = dataclasses.replace(SEDAN, plants=lanes, lap=lap)
-    scenario = build(config, Blocks(None))
+    scenario = build(config, BatchExecutor(None))
     untaught = scenario.over_lanes(empty(config.gp).residual)
     everyone = drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught)
     drive = lambda blocks: run_stage(dataclasses.replace(scenario, blocks=blocks), everyone, 0).laps.trace
-    batch, singles = drive(Blocks(None)), drive(Blocks(1))
+    batch, singles = drive(BatchExecutor(None)), drive(BatchExecutor(1))
     assert int(jnp.sum(batch.decision.drifting[:, -1])) == lanes
     for name in ("V", "beta", "r", "x", "y", "delta"):
         np.testing.assert_allclose(getattr(singles, name), getattr(batch, name), rtol=1e-6, atol=1e-6)

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Blocks
 from driftjax.learning.config import ExploreConfig, load_learn_config
 from driftjax.learning.explore import candidates, offset, remaining
 from driftjax.learning.model import empty
@@ -15,6 +14,7 @@ from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.scenario import build, drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import _layers, first_progress, stage_names
+from driftjax.parallel import BatchExecutor
 from driftjax.vehicle import Residual
 
 SEDAN = load_learn_config("sedan")
@@ -23,7 +23,7 @@ SHORT = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return build(SHORT, Blocks())
+    return build(SHORT, BatchExecutor())
 
 
 def exploring(scenario, **changes):
@@ -39,7 +39,7 @@ def test_there_are_as_many_exploration_laps_as_asked_for_and_none_without_sets()
 
 
 def test_plants_are_numbered_on_and_keep_their_noise(scenario):
-    later = build(dataclasses.replace(SHORT, first_plant=1, plants=1), Blocks())
+    later = build(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
     assert later.lanes[0] == scenario.lanes[1]
     assert bool(jnp.all(later.keys[0] == scenario.keys[1]))
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import Array
 from scipy.optimize import minimize
 
@@ -109,6 +110,21 @@ def test_a_lane_that_fails_says_so_and_leaves_the_others_alone():
         np.testing.assert_array_equal(broken.U[..., lane], alone.U[..., lane])
     few = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8, max_steps=2))
     assert bool(jnp.all(few.result == RESULTS.not_converged))
+
+
+@pytest.mark.parametrize("copies", [1, 16])  # of 64 lanes and more, the last go on by themselves
+def test_every_lane_has_its_own_tolerance_and_steps(copies):
+    """No lane depends on the options of another: a batch of laps may hold laps of other settings."""
+    args = tuple(jnp.tile(a, copies) for a in problem())
+    options = Options(jnp.tile(jnp.array([1e-8, 1e-2, 1e-8, 1e-2]), copies), 0.1,
+                      jnp.tile(jnp.array([60, 60, 3, 60]), copies))  # fmt: skip
+    mixed = solved(Pendulum(), args, options)
+    for lane, (tolerance, steps) in enumerate([(1e-8, 60), (1e-2, 60), (1e-8, 3), (1e-2, 60)]):
+        alone = solved(Pendulum(), problem(), Options(tolerance, 0.1, steps))
+        here = mixed.U[..., lane::4]
+        np.testing.assert_allclose(here, alone.U[..., lane : lane + 1] + jnp.zeros_like(here), rtol=1e-9, atol=1e-12)
+        assert bool(jnp.all((mixed.result == RESULTS.successful)[lane::4])) == (steps == 60)
+    assert float(mixed.kkt[1]) > 1e-6  # else its tolerance would not have been its own
 
 
 def test_real_time_iterations_lead_to_the_solution():

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.core import Control, State, rk4_step
-from driftjax.core.materialise import materialised
+from driftjax.solve.materialise import materialised
 from driftjax.solve.sparse import jacobian, midpoint_curvature, runge_kutta
 from driftjax.vehicle import load_vehicle
 

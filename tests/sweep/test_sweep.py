@@ -17,7 +17,7 @@ from driftjax.sweep import Laid, Store, SweepConfig, check, executor, sweep
 from driftjax.sweep.design import num_points, points
 from driftjax.sweep.engine import CHUNK_SECONDS
 from driftjax.sweep.executors import Here
-from driftjax.sweep.trial import objective, trial_of
+from driftjax.sweep.trial import objective
 from tests.sweep.toy import TOY
 
 GRID = {"x": [0.0, 1.0, 2.0, 3.0], "gp.P.0": [1.0, 3.0]}
@@ -77,11 +77,47 @@ def test_equal_combinations_are_one_trial(tmp_path):
     assert counts == {"done": 2} and source.total == 2
 
 
-def test_another_code_is_another_trial(monkeypatch):
-    config = config_of()
-    first = trial_of(TOY, config, 0, {"x": 1.0, "gp.P.0": 1.0})
-    monkeypatch.setattr("driftjax.sweep.trial.fingerprint", lambda: b"other")
-    assert trial_of(TOY, config, 0, {"x": 1.0, "gp.P.0": 1.0}).id != first.id
+OWN = """
+from pathlib import Path
+from driftjax.sweep import Work
+from own_helper import COLUMNS
+def complete(options):
+    return {"x": 1.0} | options
+def files(config):
+    return [Path(__file__).with_name("bag")]
+def rows(config, blocks, folder):
+    return iter([])
+WORK = Work(complete, files, rows, COLUMNS)
+"""
+ID = """
+from own_work import WORK
+from driftjax.sweep import SweepConfig
+from driftjax.sweep.trial import trial_of
+print(trial_of(WORK, SweepConfig({"x": [1.0]}), 0, {"x": 1.0}).id)
+"""
+
+
+def test_other_source_or_another_file_of_a_folder_is_another_trial(tmp_path):
+    """The work's source may lie outside of the package; a ROS 2 bag is a folder."""
+    env = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{Path(__file__).parents[2]}"}
+    (tmp_path / "bag" / "parts").mkdir(parents=True)
+
+    def written(**texts: str) -> str:
+        """The trial's id after these files were written."""
+        for name, text in texts.items():
+            (tmp_path / NAMES[name]).write_text(text)
+        done = subprocess.run([sys.executable, "-c", ID], env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    ids = [written(work=OWN, helper="COLUMNS = {}", part="a"), written(helper="COLUMNS = {'a': float}")]
+    ids += [written(work=OWN + "# an edit"), written(part="b"), written(more="")]
+    assert len(set(ids)) == len(ids)
+    assert written(unused="") == ids[-1]
+
+
+NAMES = {"work": "own_work.py", "helper": "own_helper.py", "part": "bag/parts/0.db3", "more": "bag/1.db3",
+         "unused": "unused.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("design", ["random", "lhs"])

@@ -12,6 +12,8 @@ import pytest
 import yaml
 
 from driftjax.cli import main
+from driftjax.core import find_config
+from driftjax.studies.sweepable_verbs import diagnose_files
 
 SMALL = {
     "base": {"plants": 1, "seed": 3, "compare": False, "gpr_laps": 0},
@@ -91,6 +93,8 @@ FULL = """
 import resource, sys
 import driftjax.cli.sweep
 from driftjax.cli import main
+from driftjax.studies.sweepable_verbs import diagnose_files
+from driftjax.core import find_config
 from tests.sweep.toy import TOY
 driftjax.cli.sweep.WORKS["learn"] = TOY  # what a verb computes does not matter here
 codes = [main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"])]
@@ -120,6 +124,8 @@ SLOW = """
 import sys
 import driftjax.cli.sweep
 from driftjax.cli import main
+from driftjax.studies.sweepable_verbs import diagnose_files
+from driftjax.core import find_config
 from tests.sweep.toy import TOY
 driftjax.cli.sweep.WORKS["learn"] = TOY
 sys.exit(main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"]))
@@ -145,3 +151,14 @@ def test_a_stopped_sweep_says_how_to_go_on_and_does(here, number, code):
     done = subprocess.run(command, env=env, capture_output=True, text=True)
     kept, ran = map(int, re.findall(r"(\d+) trials were kept from before, (\d+) ran", done.stdout)[0])
     assert done.returncode == 0 and kept > 0 and ran > 0 and kept + ran == 40
+
+
+def test_a_diagnosis_in_a_sweep_is_known_by_all_its_files(tmp_path):
+    """The column map and the vehicle count by their contents, shipped ones too, and a ROS 2 bag is a folder."""
+    (tmp_path / "map.yaml").write_text("columns: {}")
+    (tmp_path / "bag").mkdir()
+    known = lambda **options: diagnose_files({"columns": None, "vehicle": "sedan", "logs": ["a.csv"]} | options)
+    assert known() == [Path("a.csv"), find_config("vehicle", "sedan")]
+    own = known(columns=str(tmp_path / "map.yaml"), logs=[str(tmp_path / "bag")])
+    assert own == [tmp_path / "bag", find_config("vehicle", "sedan"), tmp_path / "map.yaml"]
+    assert known(columns="genesis_g80")[-1] == find_config("columns", "genesis_g80")

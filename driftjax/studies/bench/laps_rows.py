@@ -9,12 +9,12 @@ import jax
 import numpy as np
 
 from driftjax.control.driver import Driver
-from driftjax.core import Blocks, workers
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.loop import remember
 from driftjax.learning.scenario import Scenario, build, drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal, first_progress
+from driftjax.parallel import BatchExecutor, process_executor
 from driftjax.sim import LapCode
 from driftjax.studies.bench.config import Config
 from driftjax.studies.bench.rows import Measured, Row, Timing
@@ -37,7 +37,7 @@ def settings(num: int) -> LearnConfig:
 
 def taught() -> Residual:
     """What one plant's nominal lap teaches."""
-    with workers(0) as blocks:
+    with process_executor(0) as blocks:
         scenario = build(settings(1), blocks)
         stage, _ = drive_nominal(scenario, 0)
         progress = remember(scenario, first_progress(scenario), stage, None, 0)
@@ -46,7 +46,7 @@ def taught() -> Residual:
 
 def drive(num: int, num_workers: int, residual: Residual) -> Driven:
     """A GP lap of `num` plants at once, with every worker's programs compiled before."""
-    with workers(num_workers) as blocks:
+    with process_executor(num_workers) as blocks:
         warm_up(blocks, max(1, num_workers), residual)
         scenario, lanes = laid_out(blocks, num, residual)
         start = time.perf_counter()
@@ -56,13 +56,13 @@ def drive(num: int, num_workers: int, residual: Residual) -> Driven:
     return Driven(seconds, float(np.mean(np.asarray(stage.laps.code) == int(LapCode.COMPLETED))))
 
 
-def warm_up(blocks: Blocks, num: int, residual: Residual) -> None:
+def warm_up(blocks: BatchExecutor, num: int, residual: Residual) -> None:
     """A lap of `num` plants, one per worker."""
     scenario, lanes = laid_out(blocks, num, residual)
     run_stage(scenario, lanes, 0)
 
 
-def laid_out(blocks: Blocks, num: int, residual: Residual) -> tuple[Scenario, Driver]:
+def laid_out(blocks: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
     """`num` plants, all driven with the same residual."""
     scenario = build(settings(num), blocks)
     return scenario, drivers(scenario, "mpc", *scenario.over_lanes((scenario.table, residual)))

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import Control, State, call, rk4_step, threads
+from driftjax.core import Control, State, rk4_step
+from driftjax.parallel import BatchExecutor, call
 from driftjax.studies.bench.config import Dtype
 from driftjax.studies.bench.drift import U_REF, U_SPREAD, X_REF, X_SPREAD
 from driftjax.vehicle import DoubleTrack, PlantState, SingleTrack, load_plant, load_vehicle
@@ -44,8 +45,8 @@ def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
     return lambda: call(step, lanes, car)
 
 
-def ours_plant(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], PlantState]:
-    """One step of `batch` double-track cars, with all that they have and the nominal car lacks, in `num` threads.
+def ours_plant(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:
+    """One step of `batch` double-track cars, with all that they have and the nominal car lacks, on `executor`.
 
     XLA does not share a program that long among its own threads.
     """
@@ -54,5 +55,4 @@ def ours_plant(dtype: Dtype, batch: int, num: int = 1) -> Callable[[], PlantStat
     state = jax.vmap(plant.rolling)(V)
     state = state._replace(vx=V * jnp.cos(beta), vy=V * jnp.sin(beta), r=r, delta=delta, drive=Fxr)
     state = jax.tree.map(lambda leaf: leaf.astype(dtype), state)
-    beside, lanes = threads(batch, num), (state, Control(delta, Fxr))
-    return lambda: beside.map(advance, lanes, plant)
+    return lambda: executor.map(advance, (state, Control(delta, Fxr)), plant)

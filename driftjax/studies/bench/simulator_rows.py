@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from driftjax.parallel import thread_executor
 from driftjax.studies.bench.config import Config, Dtype
 from driftjax.studies.bench.peers import missing
 from driftjax.studies.bench.rows import Curve, Measured, Row, Timing, alternate, timed
@@ -28,10 +29,11 @@ def measure(cfg: Config) -> Measured:
     told, vectorised = _peers()
     rows = []
     for dtype in cfg.dtype:
-        mine, plant = ours(dtype, cfg.cars), ours_plant(dtype, cfg.cars, cfg.threads)
+        mine = ours(dtype, cfg.cars)
         steps = {name: make(columns(cfg.cars, dtype)) for name, make in told.items()}
-        calls = {"ours": mine, "plant": plant} | steps
-        times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
+        with thread_executor(cfg.cars, cfg.threads) as threads:
+            calls = {"ours": mine, "plant": ours_plant(dtype, cfg.cars, threads)} | steps
+            times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
         found = tuple(map(np.asarray, mine()))
         for name, package in PACKAGES.items():
             facts = {"batch": cfg.cars, "dtype": dtype} | _facts(found, steps.get(name))

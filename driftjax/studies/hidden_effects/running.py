@@ -9,8 +9,8 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
-from driftjax.core.blocks import workers
 from driftjax.core.config import to_dict
+from driftjax.parallel import process_executor
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.trial import run_case
 
@@ -45,7 +45,7 @@ def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
 
 
 def _each(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
-    with workers(num if num > 1 else 0) as blocks:
+    with process_executor(num if num > 1 else 0) as blocks:
         if blocks.pool is None:
             yield from map(attempt, cases)
             return

@@ -9,13 +9,13 @@ import yaml
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Blocks, Control, write_atomically
-from driftjax.core.programs import call
+from driftjax.core import Control, write_atomically
 from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
 from driftjax.diagnosis.serialise import extended, to_json
 from driftjax.logs import Log, Run, write_log
 from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.parallel import BatchExecutor, call
 from driftjax.sim.record import FILTER, Manoeuvre
 from driftjax.store.files import write_json
 from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant
@@ -26,7 +26,7 @@ STEP = 5e-4  # of the plant [s]
 JSON, CAR = "diagnosis.json", "extended.yaml"
 
 
-def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: Blocks) -> None:
+def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: BatchExecutor) -> None:
     """log.csv, diagnosis.json and extended.yaml into `folder`: the central car of `car`'s plants, diagnosed."""
     runs = measured(load_plant(car).build(), vehicle, np.random.default_rng(0))
     folder.mkdir(parents=True, exist_ok=True)

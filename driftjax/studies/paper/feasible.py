@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.core import RESULTS, Blocks, Control, State, call, each, from_dict
+from driftjax.core import RESULTS, Control, State, from_dict
 from driftjax.equilibrium import SlipRadius, SpeedYaw, continuation
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.run import read_progress
 from driftjax.learning.scenario import build
+from driftjax.parallel import BatchExecutor, call, vmap_batch
 from driftjax.store import RunFolder
 from driftjax.vehicle import AnyCar, Residual
 
@@ -23,7 +24,7 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
     if STAGE not in run.finished():
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
-    scenario = build(config, Blocks(1))
+    scenario = build(config, BatchExecutor(1))
     residual = read_progress(scenario, run, STAGE).memory.residual
     corner = scenario.corner
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))
@@ -49,4 +50,4 @@ def on_learnt(
         free = continuation(nominal, d, SlipRadius(beta, R), guess, branch=branch)
         return fixed.result == RESULTS.successful, free.result == RESULTS.successful, free.x.V
 
-    return each(one)(residual)
+    return vmap_batch(one)(residual)

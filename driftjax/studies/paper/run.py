@@ -6,10 +6,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import BadInput, from_dict, workers
+from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.run import run as learn
+from driftjax.parallel import process_executor
 from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
@@ -79,7 +80,7 @@ def extended(arm: Arm, out: Path, num_workers: int) -> Path:
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
-        with workers(min(num_workers, 1)) as blocks:
+        with process_executor(min(num_workers, 1)) as blocks:
             extend(arm.car, nominal, folder, blocks)
     return (folder / CAR).resolve()
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.core import each
+from driftjax.parallel import vmap_batch
 
 
 def ran(lane: tuple, name: str) -> tuple:
@@ -15,7 +15,7 @@ def ran(lane: tuple, name: str) -> tuple:
 
 def test_one_lane_gives_what_it_gives_among_others():
     x, keys = jnp.asarray([0.5, -0.5]), jax.random.split(jax.random.key(1), 2)
-    run = each(lambda x, key: ran((x, key), "car"))
+    run = vmap_batch(lambda x, key: ran((x, key), "car"))
     both = run(x, keys)
     for i in range(2):
         one = run(x[i : i + 1], keys[i : i + 1])
@@ -24,5 +24,7 @@ def test_one_lane_gives_what_it_gives_among_others():
 
 
 def test_one_lane_keeps_its_branches():
-    program = lambda num: str(jax.make_jaxpr(each(lambda x: jax.lax.cond(x > 0, jnp.cosh, jnp.sinh, x)))(jnp.ones(num)))
+    program = lambda num: str(
+        jax.make_jaxpr(vmap_batch(lambda x: jax.lax.cond(x > 0, jnp.cosh, jnp.sinh, x)))(jnp.ones(num))
+    )
     assert " cond[" in program(1) and " cond[" not in program(2)

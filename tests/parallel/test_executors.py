@@ -1,0 +1,65 @@
+"""Executors: the same values in calls of any size and on any workers; zeros of the same shapes when compiled ahead."""
+
+import threading
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.parallel import BatchExecutor, CompileAheadExecutor, process_executor, thread_executor
+
+
+class Car(eqx.Module):
+    mass: jax.Array
+    name: str = eqx.field(static=True)
+
+
+def doubled(lanes, shift, label):
+    car, keys = lanes
+    return {"mass": 2 * car.mass + shift + jax.vmap(jax.random.normal)(keys), "car": car, "label": label}
+
+
+def fails(lanes):
+    raise ValueError("no such lane")
+
+
+def some(num: int):
+    return Car(jnp.arange(1.0, num + 1), "sedan"), jax.random.split(jax.random.key(0), num)
+
+
+def test_calls_of_any_size_and_workers_give_the_same_bits():
+    whole = BatchExecutor(None).map(doubled, some(5), jnp.asarray(0.5), "run")
+    assert whole["mass"].shape == (5,) and whole["label"] == "run" and whole["car"].name == "sedan"
+    with process_executor(2) as workers:
+        for executor in (BatchExecutor(1), BatchExecutor(2), workers):
+            found = executor.map(doubled, some(5), jnp.asarray(0.5), "run")
+            later = executor.submit(doubled, some(5), jnp.asarray(0.5), "run")
+            np.testing.assert_allclose(later()["mass"], whole["mass"], rtol=1e-15)  # not compiled
+            np.testing.assert_array_equal(found["mass"], whole["mass"])
+            assert found["car"].name == "sedan"
+        with pytest.raises(ValueError, match="no such lane"):
+            workers.map(fails, some(2))
+        with pytest.raises(ValueError, match="no such lane"):
+            workers.submit(fails, some(2))()
+        assert workers.pool is not None
+        dry = CompileAheadExecutor(workers.pool).map(doubled, some(3), jnp.asarray(0.5), "run")
+        np.testing.assert_array_equal(dry["mass"], np.zeros(3))
+
+
+@pytest.mark.parametrize("num", [1, 2, 3])
+def test_threads_share_a_batch_and_end_with_the_context(num):
+    whole = BatchExecutor(None).map(doubled, some(7), jnp.asarray(0.5), "run")
+    before = threading.active_count()
+    with thread_executor(7, num) as executor:
+        found = executor.map(doubled, some(7), jnp.asarray(0.5), "run")
+        with pytest.raises(ValueError, match="no such lane"):
+            executor.map(fails, some(7))
+    assert threading.active_count() == before
+    np.testing.assert_array_equal(found["mass"], whole["mass"])
+
+
+def test_without_workers_everything_stays_in_this_process():
+    with process_executor(0) as executor:
+        assert executor.pool is None and executor.chunk == 1
