@@ -23,7 +23,7 @@ from jaxtyping import PyTree
 
 from driftjax.core.atomic import write_atomically
 
-PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
+PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt", "numpy")
 
 # LAPACK's routines that JAX does not promise to keep from version to version; the key holds the version.
 UNCHECKED = [jax.export.DisabledSafetyCheck.custom_call(f"lapack_{name}_ffi") for name in ("dormqr", "sormqr")]

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import RESULTS
+from driftjax.core.bounded import Minimum
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, scales, squares
-from driftjax.gp.optimise import Minimum, minimise
+from driftjax.gp.optimise import minimise
 from driftjax.gp.orthogonal import directions, unclaimed
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
