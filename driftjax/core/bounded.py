@@ -53,13 +53,19 @@ def minimise_within(
     `stalled` where the line search fails and else `not_converged`.
     """
 
+    @jax.jit  # traced once, where the solver calls it in several places
     def evaluate(x: Array, *args: Any) -> tuple[Array, Array]:
         value, gradient = jax.value_and_grad(function)(x, *args)
         finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
         return jnp.where(finite, value, WORST), jnp.where(finite, gradient, 0.0)
 
     solver = _solver(evaluate, value_and_grad=True, maxiter=max_steps, tol=tolerance)
-    x, state = solver.run(jnp.clip(start, lower, upper), (lower, upper), *args)
+    x, bounds = jnp.clip(start, lower, upper), (lower, upper)
+    first = jax.tree.map(jnp.asarray, solver.init_state(x, bounds, *args))
+    running = lambda x, s: (s.error > tolerance) & (s.iter_num < max_steps) & ~s.failed_linesearch
+    # as `solver.run`, which has the step twice in its program and so takes half as long again to compile
+    step = lambda pair: tuple(solver.update(*pair, bounds, *args))
+    x, state = jax.lax.while_loop(lambda pair: running(*pair), step, (x, first))
     result = RESULTS.where(state.failed_linesearch, RESULTS.stalled, RESULTS.not_converged)  # pyright: ignore
     result = RESULTS.where(state.error <= tolerance, RESULTS.successful, result)  # pyright: ignore
     result = RESULTS.where(state.value < WORST, result, RESULTS.non_finite)  # pyright: ignore

@@ -49,15 +49,6 @@ def test_the_minimum_on_a_bound_is_found_from_a_start_outside():
     np.testing.assert_allclose(end.value, 0.25, rtol=1e-12)
 
 
-def test_the_minimum_has_a_gradient_by_the_arguments():
-    free = lambda target: (
-        minimise_within(
-            lambda x, t: jnp.sum((x - t) ** 2), jnp.zeros(2), LOW, HIGH, target, tolerance=1e-9, max_steps=50
-        ).x
-    )
-    np.testing.assert_allclose(jax.jacobian(free)(jnp.array([0.9, 1.0])), [[0.0, 0.0], [0.0, 1.0]], atol=1e-9)
-
-
 def test_failures_are_told():
     few = jax.jit(lambda x: minimise_within(valley, x, LOW, HIGH, 100.0, tolerance=1e-9, max_steps=3))
     assert few(jnp.array([-1.2, 1.0])).result == RESULTS.not_converged

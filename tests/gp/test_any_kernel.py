@@ -1,5 +1,6 @@
 """The fit of any kernel against the closed form, against scikit-learn's, and where it must fail."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -62,7 +63,7 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
 
     low, high = (jnp.log(jnp.array([BOUNDS["length"][i]] * 3 + [BOUNDS["amplitude"][i], NOISE[i]])) for i in (0, 1))
     start = jnp.log(jnp.array([1.0, 1.0, 1.0, 1.0, 0.1]))
-    other = minimise(closed, start, low, high, max_iterations=100, tolerance=1e-9)
+    other = minimise(closed, start, low, high, max_iterations=100, tolerance=1e-6)
     assert other.result == RESULTS.successful
     found = jnp.log(jnp.array([*ours.parameters["length"], ours.parameters["amplitude"], ours.noise]))
     np.testing.assert_allclose(found, other.x, atol=2e-4)
@@ -75,11 +76,8 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
         np.testing.assert_allclose(ours.variance(z), gp.variance(z)[0], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("kernel", "theirs"),
-    [(squared_exponential, RBF), (matern32, lambda *a: Matern(*a, nu=1.5))],
-    ids=["se", "matern32"],
-)
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+@pytest.mark.parametrize(("kernel", "theirs"), [(squared_exponential, RBF), (matern32, partial(Matern, nu=1.5))])
 def test_the_optimum_is_that_of_scikit_learn(kernel, theirs):
     Z, y = scaled(1, 0.2)
     ours = fitted(kernel, Z, y)
@@ -107,7 +105,7 @@ def test_the_posterior_mean_has_a_gradient_by_its_input():
     gp = fitted(matern32, Z, y)
     z, step = Z[0] + 0.2, 1e-5
     numbers = [(gp.mean(z + d) - gp.mean(z - d)) / (2 * step) for d in step * jnp.eye(3)]
-    np.testing.assert_allclose(jax.grad(gp.mean)(z), jnp.array(numbers), rtol=1e-6)
+    np.testing.assert_allclose(jax.grad(gp.mean)(z), jnp.array(numbers), rtol=1e-5, atol=1e-8)
 
 
 def test_a_kernel_that_is_not_positive_definite_is_told():
