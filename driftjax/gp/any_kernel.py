@@ -82,7 +82,8 @@ def fit_kernel(
     """
     low, unravel = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (lower, noise[0])))
     high, _ = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (upper, noise[1])))
-    covariance = lambda x, Z: _covariance(kernel, *jax.tree.map(jnp.exp, unravel(x)), Z)
+    natural = lambda x: jax.tree.map(jnp.exp, unravel(x))
+    covariance = lambda x, Z: _covariance(kernel, natural(x)[0], natural(x)[1], Z)
     cost = lambda x, Z, y: -_likelihood(covariance(x, Z), y)[0] / y.size
     shares = jax.random.uniform(key, (num_restarts, low.size), Z.dtype).at[0].set(0.5)
     search = lambda x: minimise_within(cost, x, low, high, Z, y, tolerance=tolerance, max_steps=max_steps)
@@ -93,5 +94,5 @@ def fit_kernel(
     finite = jnp.all(jnp.isfinite(K)) & jnp.all(jnp.isfinite(y))
     indefinite = finite & ~jnp.all(jnp.isfinite(L))
     result = RESULTS.where(indefinite, RESULTS.not_positive_definite, best.result)  # pyright: ignore[reportArgumentType]
-    return KernelGP(kernel, *jax.tree.map(jnp.exp, unravel(best.x)), Z, alpha, L, value, best.error, best.num_steps,
-                    result)  # fmt: skip
+    parameters, deviation = natural(best.x)
+    return KernelGP(kernel, parameters, deviation, Z, alpha, L, value, best.error, best.num_steps, result)

@@ -27,7 +27,7 @@ def found(start, bend=100.0, low=LOW, high=HIGH):
 
 def test_box_constrained_least_squares_are_scipys():
     rng = np.random.default_rng(0)
-    A, b, low, high = rng.normal(size=(30, 8)), rng.normal(size=30), np.full(8, -0.1), np.full(8, 0.1)
+    A, b, low, high = rng.normal(size=(30, 8)), rng.normal(size=30), jnp.full(8, -0.1), jnp.full(8, 0.1)
 
     @jax.jit
     @jax.vmap

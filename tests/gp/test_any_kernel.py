@@ -93,8 +93,8 @@ def test_the_optimum_is_that_of_scikit_learn(kernel, theirs):
     p = ours.parameters
     found = np.log([p["amplitude"] ** 2, *p["length"], ours.noise**2])
     np.testing.assert_allclose(found, other.kernel_.theta, atol=0.02)  # theirs stops earlier
-    points = np.asarray(Z[:5] + 0.4)
-    mean, std = other.predict(points, return_std=True)
+    points = Z[:5] + 0.4
+    mean, std = other.predict(np.asarray(points), return_std=True)
     np.testing.assert_allclose(jax.vmap(ours.mean)(points), mean, atol=2e-3)
     variance = std**2 - np.exp(other.kernel_.theta[-1])  # theirs counts the noise
     np.testing.assert_allclose(jax.vmap(ours.variance)(points), variance, atol=2e-3)
