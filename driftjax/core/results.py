@@ -12,3 +12,4 @@ class RESULTS(optx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     off_branch = "Converged to another branch than the one asked for; start nearer to it."
     no_root = "No equilibrium exists at this point of the model."
     infeasible = "No feasible point was found; loosen the limits."
+    not_positive_definite = "The covariance is not positive definite; check the kernel, or raise the least noise."

@@ -7,12 +7,14 @@ process noise as the measure of a model's defect).
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import minimize
+from jaxtyping import Float
 
+from driftjax.core.bounded import Minimum, minimise_within
 from driftjax.diagnosis.observer import Gains, Steps, chain, deviate, riccati
 from driftjax.parallel import call
 
@@ -21,7 +23,7 @@ FIRST = 0.5  # disturbance assumed before any is known, in measurement noise per
 CORRELATION = 0.3  # and its correlation time [s]
 ITERATIONS = 40  # of the search, at most
 STIFF = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2])  # how sharply data fix each log noise: nearly halves the search
-SETTLED = 1e-7  # share of the log-likelihood from which a step no longer counts: 0.01 of it
+SETTLED = 1e-4  # largest projected gradient left per measurement
 
 
 class Noise(NamedTuple):
@@ -44,45 +46,42 @@ def measurement_noise(y: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.maximum(1.4826 * np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
 
 
-def _restricted(logs: Array, steps: Steps, e: Array, L: Array, dt: float) -> tuple[Array, Array]:
-    """Minus twice the restricted log-likelihood for seven log noises, and its gradient; leading axis of pieces.
+def restricted(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float) -> Float[Array, ""]:
+    """Return minus twice the restricted log-likelihood for the logarithms of `Noise.row`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order.
     """
+    noise = jnp.exp(logs)
+    left = jnp.exp(-dt / noise[6])
 
-    def value(logs):
-        noise = jnp.exp(logs)
-        left = jnp.exp(-dt / noise[6])
+    def piece(steps, e, L):
+        gains = riccati(steps.A[:, :3, :3], steps.seen, noise[:3], noise[3:6], left, dt)
+        J = chain(steps, gains, dt)
+        e = deviate(steps, e, L, gains, dt)
+        return gains.log_det, jnp.einsum("tij,tj->ti", gains.white, e), jnp.einsum("tij,tjk->tik", gains.white, J)
 
-        def piece(steps, e, L):
-            gains = riccati(steps.A[:, :3, :3], steps.seen, noise[:3], noise[3:6], left, dt)
-            J = chain(steps, gains, dt)
-            e = deviate(steps, e, L, gains, dt)
-            return gains.log_det, jnp.einsum("tij,tj->ti", gains.white, e), jnp.einsum("tij,tjk->tik", gains.white, J)
+    log_det, e_w, J_w = jax.vmap(piece)(steps, e, L)
+    K = J_w.shape[-1]
+    H = jnp.einsum("ptik,ptil->kl", J_w, J_w) + jnp.eye(K) / PRIOR**2
+    factor = jnp.linalg.cholesky(H)
+    b = jax.scipy.linalg.solve_triangular(factor, jnp.einsum("ptik,pti->k", J_w, e_w), lower=True)
+    parameters = 2 * jnp.sum(jnp.log(jnp.diagonal(factor)))
+    return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters
 
-        log_det, e_w, J_w = jax.vmap(piece)(steps, e, L)
-        K = J_w.shape[-1]
-        H = jnp.einsum("ptik,ptil->kl", J_w, J_w) + jnp.eye(K) / PRIOR**2
-        factor = jnp.linalg.cholesky(H)
-        b = jax.scipy.linalg.solve_triangular(factor, jnp.einsum("ptik,pti->k", J_w, e_w), lower=True)
-        parameters = 2 * jnp.sum(jnp.log(jnp.diagonal(factor)))
-        return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters
 
-    return jax.value_and_grad(value)(logs)
+def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float) -> Minimum:
+    """Minimum of `restricted` per measurement within bounds, in units of the change that data resolve."""
+    rows, stiff = jnp.maximum(jnp.sum(steps.seen), 1.0), jnp.asarray(STIFF)
+    value = lambda x, first, *data: restricted(first + x / stiff, *data, dt) / rows
+    bounds = (low - first) * stiff, (high - first) * stiff
+    found = minimise_within(value, 0 * first, *bounds, first, steps, e, L, tolerance=SETTLED, max_steps=ITERATIONS)
+    return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 
 def estimate(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
     """Noise from innovations `e` (P, T, 3) under `gains`, searched from `start`."""
-    sigma, first = start.sigma, np.log(start.row())
-    low = np.concatenate([0.2 * sigma, 1e-3 * start.disturbance, [2 * dt]])
-    high = np.concatenate([5 * sigma, 1e3 * start.disturbance, [5.0]])
-
-    def value(scaled):
-        f, g = call(_restricted, jnp.asarray(first + scaled / STIFF), steps, e, gains.L, dt)
-        return float(f), np.asarray(g) / STIFF
-
-    bounds = list(zip((np.log(low) - first) * STIFF, (np.log(high) - first) * STIFF, strict=True))
-    options = {"maxiter": ITERATIONS, "ftol": SETTLED}
-    found = minimize(value, np.zeros(len(first)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    best = np.exp(first + found.x / STIFF)
+    low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
+    high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
+    logs = (jnp.asarray(np.log(row)) for row in (start.row(), low, high))
+    best = np.exp(call(_search, *logs, steps, e, gains.L, dt).x)
     return Noise(best[:3], best[3:6], float(best[6]))

@@ -1,5 +1,7 @@
 """Exact Gaussian processes of fixed, padded size: fit, predict, pick the points worth keeping. No cars."""
 
+from driftjax.gp.any_kernel import KernelGP as KernelGP
+from driftjax.gp.any_kernel import fit_kernel as fit_kernel
 from driftjax.gp.dictionary import select_dictionary as select_dictionary
 from driftjax.gp.fit import FitResult as FitResult
 from driftjax.gp.fit import fit as fit

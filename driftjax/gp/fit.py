@@ -10,11 +10,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from driftjax.core import RESULTS, require
+from driftjax.core.bounded import Minimum
 from driftjax.environment import require_float64
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, scales, squares
-from driftjax.gp.optimise import Minimum, minimise
+from driftjax.gp.optimise import minimise
 from driftjax.gp.orthogonal import directions, unclaimed
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.

@@ -3,28 +3,18 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.scipy.linalg import cho_solve
 
 from driftjax.core import RESULTS
+from driftjax.core.bounded import Minimum
 
 REACH = 1.0  # longest step of any variable
 DAMPING, FEEBLEST, STRONGEST = 0.05, 1e-6, 1e6  # the first, the least, and the one beyond which no step helps
 FALL, GROW, FAIL = 0.2, 4.0, 5.0  # factors of the damping: decrease as promised, much less, and none
 CLAMPS = 3  # solutions of one step, each with the variables held that went beyond their limits in the one before
-
-
-class Minimum(eqx.Module):
-    """Where a bounded minimisation ended."""
-
-    x: Array  # (n,)
-    value: Array
-    error: Array  # largest projected gradient
-    num_steps: Array  # evaluations after the first
-    result: RESULTS
 
 
 class _State(NamedTuple):

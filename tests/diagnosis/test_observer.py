@@ -5,12 +5,27 @@ import math
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, sedan, truth
+from scipy.optimize import minimize
 
-from driftjax.diagnosis.fit import problem
-from driftjax.diagnosis.runs import BLOCK, PIECE, SPAN, differentiate, follow, gains, held, pieces, spans, whiten
+from driftjax.diagnosis.fit import first_guess, problem
+from driftjax.diagnosis.noise import CORRELATION, STIFF, estimate, restricted
+from driftjax.diagnosis.runs import (
+    BLOCK,
+    PIECE,
+    SPAN,
+    derivatives,
+    differentiate,
+    follow,
+    gains,
+    held,
+    pieces,
+    spans,
+    whiten,
+)
 from driftjax.vehicle.effect import effects_named
 from driftjax.vehicle.universal import universal
 
@@ -138,6 +153,24 @@ def test_noise_is_found_from_the_data():
     np.testing.assert_allclose(found.sigma, truth().sigma, rtol=0.15)
     np.testing.assert_allclose(found.disturbance, truth().disturbance, rtol=0.5)
     assert 0.5 < found.correlation / truth().correlation < 2
+
+
+def test_noise_has_the_likelihood_that_scipy_finds():
+    data = pieces(sedan(), nominal_runs())
+    fixed, start = held(data), first_guess(data)
+    path = follow(catalogue(), data, NEUTRAL, fixed)
+    steps = derivatives(catalogue(), data, NEUTRAL, path, EVERY)
+    ours = estimate(steps, path.e, fixed, start, data.dt)
+    first = np.log(start.row())
+    cost = lambda x: restricted(first + x / STIFF, steps, path.e, fixed.L, data.dt)
+    slope = jax.jit(jax.value_and_grad(cost))
+    scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
+    box = np.log([[0.2, 5.0]] * 3 + [[1e-3, 1e3]] * 3 + [[2 * data.dt / CORRELATION, 5.0 / CORRELATION]])
+    options = {"ftol": 1e-12, "gtol": 1e-2}
+    other = minimize(scaled, np.zeros(7), jac=True, method="L-BFGS-B", bounds=box * STIFF[:, None], options=options)
+    at = (np.log(ours.row()) - first) * STIFF
+    assert abs(scaled(at)[0] - other.fun) < 0.01  # twice the log-likelihood, of 18000 measurements
+    np.testing.assert_allclose(at, other.x, atol=1e-2)
 
 
 def test_long_runs_are_cut_and_the_rest_is_padding():

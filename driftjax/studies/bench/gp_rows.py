@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.gp import FitResult, Hyper, fit, scales
+from driftjax.gp import FitResult, Hyper, KernelGP, fit, fit_kernel, scales
+from driftjax.gp.fit import FINE, LOWER, UPPER
 from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squares
 from driftjax.studies.bench.config import Config
@@ -16,6 +17,7 @@ from driftjax.studies.bench.peers import missing
 from driftjax.studies.bench.rows import Curve, Keeping, Measured, Row, alternate, timed
 
 TARGETS = {300: 8.0, 1000: 4.0}
+ANY_SIZES = (50, 200, 500)  # rows of the fit with automatic gradient
 SIZES = (50, 100, 200, 400, 1000)
 NOISE = 0.05  # of the targets, over their root mean square
 SAME = 1e-3  # by so much per data row our log likelihood may be below theirs and still count as the same
@@ -47,7 +49,8 @@ def ours(rows: Data) -> Callable[[], FitResult]:
 def measure(cfg: Config) -> Measured:
     """All rows; curves where asked for."""
     rows = [_row(cfg, num) for num in ((40,) if cfg.quick else TARGETS)]
-    return Measured(rows, _curves(cfg) if cfg.plots else [])
+    any_rows = [_any_row(cfg, num) for num in ((40,) if cfg.quick else ANY_SIZES)]
+    return Measured(rows + any_rows, _curves(cfg) if cfg.plots else [])
 
 
 def _row(cfg: Config, num: int) -> Row:
@@ -64,6 +67,31 @@ def _row(cfg: Config, num: int) -> Row:
         facts["remarks"] = f"{words}: ours less theirs per data row {', '.join(f'{a:.1e}' for a in ahead)}"
     return Row("gp", f"fit of 3 outputs, 5 inputs, {num} rows", "fit", times["ours"], "scikit-learn",
                times.get("theirs"), "faster", TARGETS.get(num), missing("scikit-learn"), facts)  # fmt: skip
+
+
+def squared_exponential(p: dict[str, jax.Array], a: jax.Array, b: jax.Array) -> jax.Array:
+    """The shipped kernel as a function of two points."""
+    return p["amplitude"] ** 2 * jnp.exp(-0.5 * jnp.sum(((a - b) / p["length"]) ** 2))
+
+
+def any_kernel(rows: Data) -> Callable[[], KernelGP]:
+    """The fit of the first output with automatic gradient from one start, within the same bounds."""
+    box = [{"amplitude": side[1], "length": np.full(rows.X.shape[1], side[0])} for side in (LOWER, UPPER)]
+    X, y = jnp.asarray(rows.X), jnp.asarray(rows.T[:, 0])
+    return lambda: fit_kernel(squared_exponential, X, y, *box, noise=(LOWER[2], UPPER[2]), num_restarts=1,
+                              tolerance=FINE, key=jax.random.key(0))  # fmt: skip
+
+
+def _any_row(cfg: Config, num: int) -> Row:
+    """One output: closed-form derivatives beside automatic ones."""
+    rows = data(num)
+    one = rows._replace(Y=rows.Y[:, :1])
+    mine, theirs = Keeping(ours(one)), Keeping(any_kernel(rows))
+    times = alternate(cfg.repeats, {"ours": timed(mine, 1), "theirs": timed(theirs, 1)})
+    ahead = (float(mine.last.log_marginal_likelihood[0]) - float(theirs.last.log_marginal_likelihood)) / num
+    facts = {"rows": num, "ahead": ahead, "remarks": f"likelihood of the closed form ahead per data row {ahead:.1e}"}
+    return Row("gp", f"closed-form fit of 1 output, 5 inputs, {num} rows", "fit", times["ours"],
+               "any kernel (automatic gradient)", times["theirs"], facts=facts)  # fmt: skip
 
 
 def _scikit_learn(rows: Data) -> Callable[[], np.ndarray]:
