@@ -30,7 +30,7 @@ def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
     cell = cell or {}
     mean = cell.get("mean", cell.get("value"))
     low, high = cell.get("ci95") or (None, None)
-    few = f" ({cell['plants']}/{cell['of']})" if 0 < cell.get("plants", 0) < cell["of"] else ""
+    few = f" ({cell['plants']}/{cell['all_plants']})" if 0 < cell.get("plants", 0) < cell["all_plants"] else ""
     if mean is None or low is None or high is None:
         return number(mean, form) + few
     return f"{number(mean, form)} [{number(low, form)}, {number(high, form)}]{few}"

@@ -80,10 +80,10 @@ def test_a_lap_that_does_not_reach_the_section_has_no_speed_error_and_does_not_l
     assert np.isnan(float(lost.velocity_rmse))
     good = figures(lap(S, 0.1, -0.5, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
     found = interval(np.array([float(good.velocity_rmse), float(lost.velocity_rmse)]))
-    assert found == {"mean": pytest.approx(0.5), "ci95": [None, None], "plants": 1, "of": 2}
-    assert interval(np.array([np.nan, np.nan])) == {"mean": None, "ci95": [None, None], "plants": 0, "of": 2}
+    assert found == {"mean": pytest.approx(0.5), "ci95": [None, None], "plants": 1, "all_plants": 2}
+    assert interval(np.array([np.nan, np.nan])) == {"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 2}
     gain = reduction(np.array([0.8, 0.6, np.nan]), np.array([0.4, np.nan, 0.1]))
-    assert gain == {"value": pytest.approx(50.0), "ci95": [None, None], "plants": 1, "of": 3}
+    assert gain == {"value": pytest.approx(50.0), "ci95": [None, None], "plants": 1, "all_plants": 3}
 
 
 def test_the_measured_error_is_of_measured_values_and_noise_drives_no_distance():
@@ -106,7 +106,7 @@ def test_the_interval_holds_the_mean_and_narrows_with_more_plants():
         low, high = found["ci95"]
         assert found["mean"] == pytest.approx(used.mean()) and low < used.mean() < high
         assert high - low == pytest.approx(2 * 1.96 * used.std() / np.sqrt(len(used)), rel=0.15)
-    assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None], "plants": 1, "of": 1}
+    assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None], "plants": 1, "all_plants": 1}
     assert interval(np.full(5, 3.0))["ci95"] == [3.0, 3.0]
 
 
@@ -139,7 +139,7 @@ def test_the_reduction_is_that_of_the_means_and_paired():
     assert mixed["value"] == pytest.approx(100 * (1 - 7.7 / 12.0)) and mixed["ci95"][0] < mixed["value"]
     assert mixed["ci95"][1] > mixed["value"]
     one = reduction(np.array([2.0]), np.array([1.0]))
-    assert one == {"value": 50.0, "ci95": [None, None], "plants": 1, "of": 1}
+    assert one == {"value": 50.0, "ci95": [None, None], "plants": 1, "all_plants": 1}
     assert reduction(before, np.array([0.0, 0.0, 0.0, 1.0]))["ci95"] == [None, None]  # no ratio without the last
     assert reduction(before, 2 * before)["value"] == pytest.approx(-100.0)
 

@@ -75,9 +75,9 @@ def test_missing_numbers_are_dashes_not_crashes():
     assert interval(None) == "-" and interval({"mean": None, "ci95": [None, None]}) == "-"
     assert interval({"mean": 1.234, "ci95": None}) == "1.23"
     cell = {"mean": 1.234, "ci95": [1.0, 2.0]}
-    assert interval(cell | {"plants": 3, "of": 4}) == "1.23 [1.00, 2.00] (3/4)"
-    assert interval(cell | {"plants": 4, "of": 4}) == "1.23 [1.00, 2.00]"
-    assert interval({"mean": None, "ci95": [None, None], "plants": 0, "of": 4}) == "-"
+    assert interval(cell | {"plants": 3, "all_plants": 4}) == "1.23 [1.00, 2.00] (3/4)"
+    assert interval(cell | {"plants": 4, "all_plants": 4}) == "1.23 [1.00, 2.00]"
+    assert interval({"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 4}) == "-"
     empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
              "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
     text = table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
