@@ -88,9 +88,11 @@ def interval(values: np.ndarray) -> dict[str, Any]:
     values = np.asarray(values, float)
     kept = values[np.isfinite(values)]
     count = {"plants": len(kept), "all_plants": len(values)}
-    if not len(kept):
-        return {"mean": None, "ci95": [None, None]} | count
-    return {"mean": float(kept.mean()), "ci95": _student(kept.mean(), kept)} | count
+    mean = float(kept.mean()) if len(kept) else None
+    if mean is None or len(kept) < 2:
+        return {"mean": mean, "ci95": [None, None]} | count
+    half = _half_width(kept)
+    return {"mean": mean, "ci95": [mean - half, mean + half]} | count
 
 
 def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
@@ -112,8 +114,9 @@ def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
         return {"value": float(value), "ci95": [None, None]} | count
     num = len(before)
     pseudo = -(num - 1) * np.log(without(after) / without(before))  # up to a constant, which has no spread
-    low, high = _student(np.log(after.mean() / before.mean()), pseudo)
-    return {"value": float(value), "ci95": [float(100 * (1 - np.exp(end))) for end in (high, low)]} | count
+    middle, half = np.log(after.mean() / before.mean()), _half_width(pseudo)
+    ends = [float(100 * (1 - np.exp(end))) for end in (middle + half, middle - half)]
+    return {"value": float(value), "ci95": ends} | count
 
 
 def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
@@ -122,10 +125,7 @@ def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     return {"mean": found["mean"], "ci95": found["ci95"], "pairs": found["plants"]}
 
 
-def _student(estimate: float, values: np.ndarray) -> list[float] | list[None]:
-    """95 % interval about `estimate` with the standard error of the mean of `values`; none of a single value."""
+def _half_width(values: np.ndarray) -> float:
+    """Half the width of the 95 % interval of the mean of two or more `values`, by Student's t."""
     num = len(values)
-    if num < 2:
-        return [None, None]
-    half = stdtrit(num - 1, 0.975) * values.std(ddof=1) / np.sqrt(num)
-    return [float(estimate - half), float(estimate + half)]
+    return float(stdtrit(num - 1, 0.975) * values.std(ddof=1) / np.sqrt(num))
