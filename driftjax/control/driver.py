@@ -81,7 +81,7 @@ class Driver(eqx.Module):
         return self.ocp.horizon
 
     def start(self) -> Memory:
-        """Memory of a driver that has not driven yet."""
+        """Memory of a driver that has not driven yet: commands, and what was made of them, are 0."""
         return Memory(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
 
     def engaged(self, sensed: Sensed, memory: Memory) -> Array:

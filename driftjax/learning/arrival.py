@@ -1,14 +1,12 @@
 """In what state the car arrives where the drift controller takes over: the corner is planned from there."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.table import ReferenceTable
-from driftjax.core import lag_step
-from driftjax.learning.residual import smooth
+from driftjax.learning.residual import lag_response, smooth
 from driftjax.sim import Trace
 
 
@@ -40,11 +38,7 @@ def seen(before: Approach, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt
     at = lambda values: values[n - 1] + share * (values[n] - values[n - 1])
     x = jnp.stack([at(smooth(values)) for values in (sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta)])
     commands = jnp.stack([trace.command.delta, trace.command.Fxr], axis=1)
-
-    def respond(y: Array, u: Array) -> tuple[Array, Array]:
-        return lag_step(y, u, lags, dt)[1], y
-
-    reached = jax.lax.scan(respond, jnp.zeros(2), commands)[1]
+    reached, _ = lag_response(commands, lags, dt)
     known = jnp.any(past) & jnp.all(jnp.isfinite(x))
     mean = lambda old, new: jnp.where(known, old + (new - old) / (before.laps + 1), old)
     return Approach(

@@ -10,7 +10,7 @@ from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
 from driftjax.learning.config import ExploreConfig
 from driftjax.learning.reference import AIM_POINTS
-from driftjax.learning.scenario import Scenario
+from driftjax.learning.scenario import SPEEDS, Scenario
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Trace, keep_where
 from driftjax.vehicle import AnyCar, Residual
@@ -107,7 +107,8 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
     """(lanes, K) of the speeds that the V-sets are compared with, over their widest bound."""
     K = config.num_sets
     if config.speeds == "random":
-        return jax.vmap(lambda key: jax.random.uniform(key, (K,), minval=-1.0, maxval=1.0))(keys)
+        draw = lambda key: jax.random.uniform(jax.random.fold_in(key, SPEEDS), (K,), minval=-1.0, maxval=1.0)
+        return jax.vmap(draw)(keys)
     even = jnp.linspace(-1.0, 1.0, K) if config.speeds == "uniform" else jnp.zeros(K)
     return jnp.broadcast_to(even, (len(keys), K))
 
@@ -129,8 +130,8 @@ def speed_lanes(
     """
 
     def one(trace: Trace, aimed: Array) -> Candidates:
-        at = jnp.where(trace.alive, trace.s, jnp.inf)
-        order = jnp.argsort(at)  # the true arc length may dip by rounding; interp needs it ascending
+        at = jnp.where(trace.alive, trace.sensed.s, jnp.inf)
+        order = jnp.argsort(at)  # the measured arc length may dip by its noise; interp needs it ascending
         e = jnp.interp(s, at[order], trace.sensed.e[order])
         widest = jnp.minimum(most, jnp.max(jnp.abs(r_b * e)))
         bounds = widest * jnp.stack([-shares, shares], axis=1)

@@ -15,7 +15,7 @@ from driftjax.learning.explore import Candidates
 from driftjax.learning.model import Memory, empty, learn
 from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_table
 from driftjax.learning.residual import claims, estimate_lags, rows, samples
-from driftjax.learning.scenario import Scenario, entry_problems
+from driftjax.learning.scenario import LEARNING, Scenario, entry_problems
 from driftjax.learning.stage import Stage
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Trace, keep_where
@@ -29,7 +29,7 @@ ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
 class Best(eqx.Module):
     """What drove each lane's best lap so far (leading axis of lanes)."""
 
-    error: Array  # mean lateral error, infinite before the first completed lap [m]
+    error: Array  # mean measured lateral error, infinite before the first completed lap [m]
     residual: Residual
     table: ReferenceTable
 
@@ -40,7 +40,7 @@ class Progress(eqx.Module):
     memory: Memory
     approach: Approach  # of each lane
     best: Best
-    last_error: Array  # of the stage before, per lane [m]
+    last_error: Array  # measured, of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
     found: Candidates
     explored: Array  # bool: at least one exploration lap was driven
@@ -77,17 +77,20 @@ def learn_lanes(
 
 
 def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
-    """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was."""
-    keys = jax.vmap(lambda key: jax.random.fold_in(key, 1000 + number))(scenario.keys)
+    """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was.
+
+    Laps are judged by their measured lateral error: a car has no other.
+    """
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, LEARNING + number))(scenario.keys)
     lanes = (progress.memory, progress.approach, stage.laps.trace, stage.table, keys)
     config = scenario.config
     numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
     memory, approach = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, *numbers, config.gp.program)
     best = progress.best
     if residual is not None:
-        error = jnp.where(stage.figures.completed, stage.figures.lateral_error, jnp.inf)
+        error = jnp.where(stage.figures.completed, stage.figures.lateral_error_measured, jnp.inf)
         best = keep_where(error < best.error, Best(error, residual, stage.table), best)
-    last = stage.figures.lateral_error
+    last = stage.figures.lateral_error_measured
     fields = lambda p: (p.memory, p.approach, p.best, p.last_error)
     return eqx.tree_at(fields, progress, (memory, approach, best, last))
 

@@ -2,79 +2,130 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from driftjax.control.table import ReferenceTable
 from driftjax.sim import LapCode, Trace
 
 DRIFT_BETA = np.deg2rad(20.0)  # sideslip from which a car counts as drifting
-RESAMPLES = 2000  # of the bootstrap
 
 
 class LapFigures(NamedTuple):
-    """One lap in numbers, over the planned drift section."""
+    """One lap in numbers, over the planned drift section; of true values, but for the measured error."""
 
     lateral_error: Array  # mean |e| against the planned path [m]
     lateral_error_max: Array  # [m]
-    velocity_rmse: Array  # against the reference speed [m/s]
+    velocity_rmse: Array  # against the reference speed; NaN of a lap that did not reach the section [m/s]
     drift_share: Array  # share with |beta| >= 20 deg, opposite in sign to the turn [-]
     completed: Array  # bool
+    lateral_error_measured: Array  # mean |e| by the measured e and s: what the learner judges its laps by [m]
 
 
-def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, lost_error: ArrayLike) -> LapFigures:
-    """Figures of one lap (time on the leading axis), from true values.
+class _Section(NamedTuple):
+    """What one lap drove of the planned drift section."""
 
-    Means are over distance. What a failed lap did not drive of the section counts with the error `lost_error` [m],
-    so that failing early never looks good.
-    """
-    inside = (trace.s >= table.drift_start) & (trace.s <= table.drift_end) & trace.alive
-    ds = jnp.diff(trace.s, append=trace.s[-1:])
+    inside: Bool[Array, " T"]
+    ds: Float[Array, " T"]  # distance that each row stands for, 0 outside [m]
+    driven: Array  # [m]
+    missing: Array  # [m]
+
+    def mean(self, values: Float[Array, " T"]) -> Array:
+        """Mean over the distance driven; 0 where there is none."""
+        total = jnp.sum(jnp.where(self.inside, values, 0.0) * self.ds)
+        return total / jnp.maximum(jnp.sum(self.ds), 1e-9)
+
+    def lateral_error(self, e: Float[Array, " T"], lost_error: ArrayLike) -> Array:
+        """Mean of |e|; what is missing counts with `lost_error` [m]."""
+        return (self.mean(jnp.abs(e)) * self.driven + lost_error * self.missing) / (self.driven + self.missing)
+
+
+def _section(s: Float[Array, " T"], alive: Bool[Array, " T"], completed: Array, table: ReferenceTable) -> _Section:
+    inside = (s >= table.drift_start) & (s <= table.drift_end) & alive
+    ds = jnp.diff(s, append=s[-1:])
     ds = jnp.where(inside & jnp.isfinite(ds), jnp.maximum(ds, 0.0), 0.0)  # a lap may end in numbers that are not
     length = table.drift_end - table.drift_start
     driven = jnp.minimum(jnp.sum(ds), length)
+    return _Section(inside, ds, driven, jnp.where(completed, 0.0, length - driven))
+
+
+def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, lost_error: ArrayLike) -> LapFigures:
+    """Figures of one lap (time on the leading axis).
+
+    Means are over distance. What a failed lap did not drive of the section counts with the error `lost_error` [m],
+    so that failing early never looks good; a speed that was never driven has no error, which is NaN and not 0.
+    The measured arc length counts as far as it has ever got: noise drives no distance back and forth.
+    """
     completed = code == int(LapCode.COMPLETED)
-    missing = jnp.where(completed, 0.0, length - driven)
-    mean = lambda values: jnp.sum(jnp.where(inside, values, 0.0) * ds) / jnp.maximum(jnp.sum(ds), 1e-9)
-    error = jnp.abs(trace.e)
-    weighted = (mean(error) * driven + lost_error * missing) / (driven + missing)
-    worst = jnp.max(jnp.where(inside, error, 0.0))
-    middle = jnp.sum(jnp.where(inside, trace.r, 0.0))
+    true = _section(trace.s, trace.alive, completed, table)
+    measured = _section(jax.lax.cummax(trace.sensed.s), trace.alive, completed, table)
+    worst = jnp.max(jnp.where(true.inside, jnp.abs(trace.e), 0.0))
+    middle = jnp.sum(jnp.where(true.inside, trace.r, 0.0))
     sideways = (jnp.abs(trace.beta) >= DRIFT_BETA) & (trace.beta * jnp.sign(middle) < 0)
-    share = mean(sideways.astype(float)) * driven / (driven + missing)
-    rmse = jnp.sqrt(mean((trace.V - V_ref) ** 2))
-    return LapFigures(weighted, jnp.where(missing > 0, jnp.maximum(worst, lost_error), worst), rmse, share, completed)
+    return LapFigures(
+        lateral_error=true.lateral_error(trace.e, lost_error),
+        lateral_error_max=jnp.where(true.missing > 0, jnp.maximum(worst, lost_error), worst),
+        velocity_rmse=jnp.where(true.driven > 0, jnp.sqrt(true.mean((trace.V - V_ref) ** 2)), jnp.nan),
+        drift_share=true.mean(sideways.astype(float)) * true.driven / (true.driven + true.missing),
+        completed=completed,
+        lateral_error_measured=measured.lateral_error(trace.sensed.e, lost_error),
+    )
 
 
-def interval(values: np.ndarray, seed: int = 0) -> dict[str, Any]:
-    """Mean over plants with its 95 % bootstrap interval (percentiles over resampled plants); none of a single plant."""
+def interval(values: np.ndarray) -> dict[str, Any]:
+    """Mean over plants with its 95 % interval by Student's t; no interval of a single plant.
+
+    Values that are not finite are left out: `plants` says how many enter, `all_plants` how many there are. Simulated
+    coverage over 2 to 16 plants: 0.95 of normal values, 0.92 to 0.94 of lognormal ones whose logarithms deviate by
+    0.5, but 0.82 to 0.90 where they deviate by 1. The bootstrap BCa covers less of the first two: 0.89 and 0.88 over
+    10 plants, 0.93 and 0.90 over 16.
+    """
     values = np.asarray(values, float)
-    if len(values) < 2:
-        return {"mean": float(values.mean()), "ci95": [None, None]}
-    draws = np.random.default_rng(seed).integers(0, len(values), (RESAMPLES, len(values)))
-    low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5])
-    return {"mean": float(values.mean()), "ci95": [float(low), float(high)]}
+    kept = values[np.isfinite(values)]
+    count = {"plants": len(kept), "all_plants": len(values)}
+    mean = float(kept.mean()) if len(kept) else None
+    if mean is None or len(kept) < 2:
+        return {"mean": mean, "ci95": [None, None]} | count
+    half = _half_width(kept)
+    return {"mean": mean, "ci95": [mean - half, mean + half]} | count
 
 
-def reduction(before: np.ndarray, after: np.ndarray, seed: int = 0) -> dict[str, Any]:
-    """By how many percent the mean falls from `before` to `after`, with a paired bootstrap interval over plants."""
+def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+    """By how many percent the mean falls from `before` to `after`, with a paired 95 % interval over plants.
+
+    Student's t on the jackknife of the logarithm of the ratio of means (Efron and Tibshirani 1993, chapter 11).
+    Plants that lack either value are left out, as in `interval`. Simulated coverage over 2 to 16 plants: 0.94 to 0.95
+    of lognormal values whose logarithms deviate by up to 0.5, 0.92 or more where they deviate by 1.
+    """
     before, after = np.asarray(before, float), np.asarray(after, float)
-    share = lambda b, a: 100 * (1 - a.mean(axis=-1) / b.mean(axis=-1))
-    if len(before) < 2:
-        return {"value": float(share(before, after)), "ci95": [None, None]}
-    draws = np.random.default_rng(seed).integers(0, len(before), (RESAMPLES, len(before)))
-    low, high = np.percentile(share(before[draws], after[draws]), [2.5, 97.5])
-    return {"value": float(share(before, after)), "ci95": [float(low), float(high)]}
+    both = np.isfinite(before) & np.isfinite(after)
+    count = {"plants": int(both.sum()), "all_plants": len(both)}
+    before, after = before[both], after[both]
+    if not len(before):
+        return {"value": None, "ci95": [None, None]} | count
+    value = 100 * (1 - after.mean() / before.mean())
+    without = lambda values: values.sum() - values  # the sum of all plants but one
+    if len(before) < 2 or not np.all((without(before) > 0) & (without(after) > 0)):  # no logarithm of no error
+        return {"value": float(value), "ci95": [None, None]} | count
+    num = len(before)
+    pseudo = -(num - 1) * np.log(without(after) / without(before))  # up to a constant, which has no spread
+    middle, half = np.log(after.mean() / before.mean()), _half_width(pseudo)
+    ends = [float(100 * (1 - np.exp(end))) for end in (middle + half, middle - half)]
+    return {"value": float(value), "ci95": ends} | count
 
 
 def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     """Mean of `after` less `before` over pairs, with its 95 % interval by Student's t; none of a single pair."""
-    apart = np.asarray(after, float) - np.asarray(before, float)
-    num = len(apart)
-    if num < 2:
-        return {"mean": float(apart.mean()) if num else None, "ci95": [None, None], "pairs": num}
-    half = float(stdtrit(num - 1, 0.975)) * apart.std(ddof=1) / np.sqrt(num)
-    return {"mean": float(apart.mean()), "ci95": [float(apart.mean() - half), float(apart.mean() + half)], "pairs": num}
+    found = interval(np.asarray(after, float) - np.asarray(before, float))
+    return {"mean": found["mean"], "ci95": found["ci95"], "pairs": found["plants"]}
+
+
+def _half_width(values: np.ndarray) -> float:
+    """Half the width of the 95 % interval of the mean of two or more `values`, by Student's t."""
+    num = len(values)
+    return float(stdtrit(num - 1, 0.975) * values.std(ddof=1) / np.sqrt(num))

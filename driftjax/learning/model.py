@@ -13,7 +13,8 @@ from driftjax.vehicle import Residual, no_residual
 
 Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
 
-BLOCK = 10  # rows that are held out together: neighbours in time share their noise after smoothing
+FOLDS = 4  # stretches of time that are held out one after the other
+GAP = 5  # rows next to a stretch that are left out: smoothing over so many samples makes them share its noise
 
 
 class Memory(eqx.Module):
@@ -22,6 +23,7 @@ class Memory(eqx.Module):
     Z: Array  # (M, 5)
     Y: Array  # (M, 3)
     mask: Array  # (M,)
+    order: Array  # (M,) when each row was driven: a number that grows by 1 per sample, and by more between laps
     residual: Residual
 
 
@@ -30,7 +32,7 @@ def empty(config: GPConfig, lags: Array | None = None) -> Memory:
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
     residual = no_residual(gp, lags, config.bounded)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), residual)
+    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
 
 def learn(
@@ -44,7 +46,8 @@ def learn(
     claim: Claim | None = None,
     shortest: Array | None = None,
 ) -> Memory:
-    """`memory` with a lap's rows added: new dictionary, new GP, new gate; `lags` (2,) are those of the lap.
+    """`memory` with a lap's rows, in the order driven, added: new dictionary, new GP, new gate; `lags` (2,) are those
+    of the lap.
 
     The gate of an output is the factor within 0..1 on the mean that leaves least of rows which the GP was not
     conditioned on (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, a mean that
@@ -53,33 +56,56 @@ def learn(
     """
     Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
     mask = jnp.concatenate([memory.mask, mask])
-    kept = select_dictionary(Z, Y, mask, config.size, kernel=config.kernel)
+    begun = jnp.max(jnp.where(memory.mask, memory.order, 0.0)) + 2 * GAP
+    order = jnp.concatenate([memory.order, begun + jnp.arange(len(mask) - len(memory.mask))])
+    # a column beside the targets, which the choice of rows does not look at
+    inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
+    kept = inputs, columns[:, :-1], valid
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
         basis=None if claim is None else claim(kept[0]), key=key,
     )  # fmt: skip
-    gate = trust(found.gp, Z, Y, mask, config, claim)
+    gate = trust(found.gp, Z, Y, mask, order, config, claim)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, memory.residual.lags)
     residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
-    return Memory(*kept, residual)
+    return Memory(*kept, columns[:, -1], residual)
 
 
-def trust(gp: GP, Z: Array, Y: Array, mask: Array, config: GPConfig, claim: Claim | None = None) -> Array:
-    """(3,) in 0..1: least-squares factor on the mean at every second block of rows of a GP conditioned on the other
-    blocks; of the targets there only what known causes leave, whose share the other blocks say."""
-    fold = (jnp.arange(len(mask)) // BLOCK) % 2 == 0
-    train = select_dictionary(Z, Y, mask & fold, config.size, kernel=config.kernel)
-    if claim is None:
-        half = condition(*train, gp.hyper, *scales(*train), config.kernel)
-    else:
-        inputs, targets, kept = train
-        basis = claim(inputs)
-        Y = Y - claimed(targets, basis, kept, claim(Z))
-        scale = scales(inputs, unclaimed(targets, basis, kept), kept)
-        half = condition(*train, gp.hyper, *scale, config.kernel, basis)
-    test = (mask & ~fold)[:, None]
-    mean, left = (jnp.where(test, values, 0.0) for values in (jax.vmap(half.bounded_mean)(Z), Y))
-    power = jnp.sum(mean**2, axis=0)
-    return jnp.clip(jnp.sum(mean * left, axis=0) / jnp.where(power > 0, power, jnp.inf), 0.0, 1.0)
+def trust(gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfig, claim: Claim | None = None) -> Array:
+    """Return the least-squares factors (3,) in 0..1 on means at held-out rows.
+
+    Rows are held out in `FOLDS` stretches of time (by `order`) of equally many rows, and the GP that predicts a
+    stretch is conditioned on the others, less the rows next to it. Rows chosen for being far apart are neighbours in
+    no other order, and a row's neighbour in time says what it says. Of the targets only what known causes leave
+    counts, whose share the other stretches say. The hyper-parameters are those of all rows, the same for every
+    stretch: some twenty numbers out of hundreds of rows, while a fit for each stretch would cost as much as `learn`
+    costs in all, four times.
+    """
+    last = jnp.where(mask, order, jnp.inf)
+    place = jnp.argsort(jnp.argsort(last))  # among the rows that are data, which come first
+    fold = place * FOLDS // jnp.maximum(jnp.sum(mask), 1)
+
+    def held_out(index: Array) -> tuple[Array, Array]:
+        """Means and targets (N, 3) at the rows of one stretch, 0 elsewhere."""
+        test = mask & (fold == index)
+        first, end = jnp.min(jnp.where(test, order, jnp.inf)), jnp.max(jnp.where(test, order, -jnp.inf))
+        away = (order < first - GAP) | (order > end + GAP)
+        train = select_dictionary(Z, Y, mask & away, config.size, kernel=config.kernel)
+        left = Y
+        if claim is None:
+            rest = condition(*train, gp.hyper, *scales(*train), config.kernel)
+        else:
+            inputs, targets, kept = train
+            basis = claim(inputs)
+            left = Y - claimed(targets, basis, kept, claim(Z))
+            scale = scales(inputs, unclaimed(targets, basis, kept), kept)
+            rest = condition(*train, gp.hyper, *scale, config.kernel, basis)
+        values = (jax.vmap(rest.bounded_mean)(Z), left)
+        return tuple(jnp.where(test[:, None], one, 0.0) for one in values)  # pyright: ignore[reportReturnType]
+
+    # one after the other: batched factorisations are slow on a CPU
+    mean, left = jax.lax.map(held_out, jnp.arange(FOLDS))
+    power = jnp.sum(mean**2, axis=(0, 1))
+    return jnp.clip(jnp.sum(mean * left, axis=(0, 1)) / jnp.where(power > 0, power, jnp.inf), 0.0, 1.0)

@@ -42,14 +42,23 @@ def residual_rate(nominal: AnyCar, x: State, u: Control, after: State, dt: Array
     return jnp.stack(jax.lax.fori_loop(0, 1 + SWEEPS, correct, jax.tree.map(jnp.zeros_like, x)))
 
 
-def reached(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
-    """Mean over each step of what a first-order lag [s] makes of the command held during it; at rest before."""
+def lag_response(command: Float[Array, "T *n"], lag: Array, dt: Array) -> tuple[Array, Array]:
+    """Response of a first-order lag [s] to commands held over steps of `dt` [s]: at each sample, and its mean over
+    the step that follows.
+
+    It is 0 before the first command, as the actuators of a plant that rolls off and the driver's memory are.
+    """
 
     def step(value, target):
         mean, end = lag_step(value, target, lag, dt)
-        return end, mean
+        return end, (value, mean)
 
-    return jax.lax.scan(step, command[0], command)[1]
+    return jax.lax.scan(step, jnp.zeros_like(command[0]), command)[1]
+
+
+def reached(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
+    """Mean over each step of what a first-order lag [s] makes of the command held during it."""
+    return lag_response(command, lag, dt)[1]
 
 
 class Samples(NamedTuple):

@@ -33,9 +33,13 @@ def _controllers(data: xr.Dataset) -> dict[str, Any]:
 
 
 def _per_plant(data: xr.Dataset, name: str) -> dict[str, float]:
-    """Mean over noise seeds, per plant: seeds of one plant are not independent plants."""
+    """Mean over noise seeds, per plant: seeds of one plant are not independent plants.
+
+    Of the laps that have the figure; NaN of a plant without one.
+    """
     plants, values = np.asarray(data["plant"].values), np.asarray(data[name].values, float)
-    return {str(plant): float(values[plants == plant].mean()) for plant in dict.fromkeys(plants.tolist())}
+    of = {plant: values[(plants == plant) & np.isfinite(values)] for plant in dict.fromkeys(plants.tolist())}
+    return {str(plant): float(some.mean()) if len(some) else float("nan") for plant, some in of.items()}
 
 
 def _figures(data: xr.Dataset) -> dict[str, Any]:
@@ -49,6 +53,7 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
         found = {"references_found": [int(held.sum()), len(held)]}
     return found | {
         "lateral_error": figure("lateral_error") | {"per_plant": _per_plant(data, "lateral_error")},
+        "lateral_error_measured": figure("lateral_error_measured"),
         "velocity_rmse": figure("velocity_rmse"),
         "drift_share": figure("drift_share"),
         "completed": [int(np.asarray(data["completed"].values).sum()), len(codes)],

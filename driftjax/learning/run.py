@@ -121,4 +121,9 @@ def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
 
 def _resume(scenario: Scenario, folder: RunFolder) -> tuple[Progress, list[str]]:
     done = folder.finished()
-    return (read_progress(scenario, folder, done[-1]) if done else first_progress(scenario)), done
+    if not done:
+        return first_progress(scenario), done
+    if "lateral_error_measured" not in folder.read_stage(done[-1]):
+        raise BadInput(f"{folder.path}: its laps were judged by their true lateral error, which is no longer done; "
+                       "start anew.")  # fmt: skip
+    return read_progress(scenario, folder, done[-1]), done

@@ -34,6 +34,9 @@ from driftjax.vehicle import (
 )
 from driftjax.vehicle.single_track import G
 
+# What a lane's noise key is folded in with, beside the number of a stage for the noise of its lap; it draws nothing
+LEARNING, SPEEDS = 1000, 2000
+
 
 @dataclasses.dataclass(frozen=True)
 class Lane:
@@ -61,7 +64,7 @@ class Scenario:
     branch: Branch  # its kind
     lanes: tuple[Lane, ...]
     plants: AnyPlant  # one per lane
-    keys: Array  # noise key of each lane
+    keys: Array  # noise key of each lane, a parent only
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
     blocks: BatchExecutor  # how lanes are computed

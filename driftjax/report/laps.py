@@ -17,7 +17,7 @@ class Lap:
     code: str  # how it ended
     completed: bool
     lateral_error: float  # mean over the drift section [m]
-    velocity_rmse: float  # over the drift section [m/s]
+    velocity_rmse: float  # over the drift section, NaN where that was not reached [m/s]
     values: dict[str, np.ndarray]  # (steps driven,), by variable
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -81,8 +81,9 @@ def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
 
 
 def mean_of(laps: list[Lap], name: str) -> float:
-    """Mean of a number of the laps, such as `lateral_error`."""
-    return float(np.mean([getattr(lap, name) for lap in laps]))
+    """Mean of a number of the laps, such as `lateral_error`, over those that have it; NaN where none has."""
+    values = np.array([getattr(lap, name) for lap in laps])
+    return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else float("nan")
 
 
 def controllers_of(run: RunFolder) -> list[str]:

@@ -26,13 +26,14 @@ def cell(value: Any) -> str:
 
 
 def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
-    """Mean (or value) with its 95 % interval."""
+    """Mean (or value) with its 95 % interval, and of how many plants it is where some have none."""
     cell = cell or {}
     mean = cell.get("mean", cell.get("value"))
     low, high = cell.get("ci95") or (None, None)
+    few = f" ({cell['plants']}/{cell['all_plants']})" if 0 < cell.get("plants", 0) < cell["all_plants"] else ""
     if mean is None or low is None or high is None:
-        return number(mean, form)
-    return f"{number(mean, form)} [{number(low, form)}, {number(high, form)}]"
+        return number(mean, form) + few
+    return f"{number(mean, form)} [{number(low, form)}, {number(high, form)}]{few}"
 
 
 def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
@@ -62,7 +63,8 @@ def table(results: dict[str, Any]) -> str:
         rows += [_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
     lines = aligned(rows)
     lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section.",
-              "In brackets: 95 % interval over plants."]  # fmt: skip
+              "In brackets: 95 % interval over plants by Student's t, of reductions on the log ratio of means.",
+              "(n/N): of the n plants of N that reached the section."]  # fmt: skip
     summary = results.get("summary") or {}
     if summary:
         lines += ["", *aligned(_reductions(summary))]

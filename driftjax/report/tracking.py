@@ -15,6 +15,7 @@ from driftjax.report.style import (
     new_figure,
     shade,
 )
+from driftjax.report.table import number
 from driftjax.store import RunFolder
 
 
@@ -84,7 +85,7 @@ def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None
         V, V_ref = (mean_curve(laps, s, lambda lap, s, k=key: lap.over(s, k)) for key in ("V", "V_ref"))
         axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V: {name}")
         axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference: {name}")
-        words = f"{name}: RMSE {mean_of(laps, 'velocity_rmse'):.2f} m/s"
+        words = f"{name}: RMSE {number(mean_of(laps, 'velocity_rmse'))} m/s"
         axes[1, 0].plot(s, mean_curve(laps, s, deviation), color=colour, lw=2.4, label=words)
     axes[1, 0].axhline(0, color="0.4", lw=0.7)
     axes[0, 0].set_ylabel("speed V [m/s]")

@@ -38,7 +38,11 @@ def tuning_words(results: dict[str, Any]) -> str:
         )
         for kind, (_, label) in KINDS.items()
     ]
-    lines = [*aligned(rows), "", "Paired differences on the plants held out (in brackets: 95 % interval over plants):"]
+    lines = [
+        *aligned(rows),
+        "",
+        "Paired differences on the plants held out (in brackets: 95 % interval over plants, Student's t):",
+    ]
     lines += [
         f"  {pair}: loss {interval(cell, '.3f')}, lateral error {interval(apart, '.3f')} m"
         for (pair, cell), apart in zip(

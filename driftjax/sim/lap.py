@@ -174,7 +174,7 @@ def drive(
         trace = Trace(alive, sensed, *motion[:6], now_s, now_e, motion.delta, motion.Fxr, command, decision)
         return new, trace
 
-    steps = jnp.arange(int(config.time_limit / dt))
+    steps = jnp.arange(max(1, round(config.time_limit / dt)))  # 0.3 / 0.1 is below 3
     shapes = jax.eval_shape(lambda c: step(c, steps[0])[1], carry)
     blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
 

@@ -60,6 +60,9 @@ STAGE: dict[str, Variable] = {
     "lateral_error": Variable(
         ("lane",), "m", "mean absolute lateral error against the planned path over the drift section"
     ),
+    "lateral_error_measured": Variable(
+        ("lane",), "m", "mean absolute measured lateral error over the drift section, by which laps are chosen"
+    ),
     "lateral_error_max": Variable(
         ("lane",), "m", "largest absolute lateral error against the planned path over the drift section"
     ),

@@ -75,17 +75,59 @@ def test_a_lap_lost_before_the_section_has_the_lost_error():
     assert float(found.lateral_error) == pytest.approx(LOST) and float(found.drift_share) == 0.0
 
 
+def test_a_lap_that_does_not_reach_the_section_has_no_speed_error_and_does_not_lower_the_mean():
+    lost = figures(lap(np.minimum(S, 5.0), 0.1, 0.0, 0.0, 3.0, S <= 5.0), LapCode.OFF_TRACK)
+    assert np.isnan(float(lost.velocity_rmse))
+    good = figures(lap(S, 0.1, -0.5, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
+    found = interval(np.array([float(good.velocity_rmse), float(lost.velocity_rmse)]))
+    assert found == {"mean": pytest.approx(0.5), "ci95": [None, None], "plants": 1, "all_plants": 2}
+    assert interval(np.array([np.nan, np.nan])) == {"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 2}
+    gain = reduction(np.array([0.8, 0.6, np.nan]), np.array([0.4, np.nan, 0.1]))
+    assert gain == {"value": pytest.approx(50.0), "ci95": [None, None], "plants": 1, "all_plants": 3}
+
+
+def test_the_measured_error_is_of_measured_values_and_noise_drives_no_distance():
+    rng = np.random.default_rng(0)
+    e, s = 0.3 + 0.02 * rng.normal(size=len(S)), S + 0.4 * rng.normal(size=len(S))
+    trace = lap(S, 0.1, -0.5, 1.0, 9.0, np.ones_like(S, bool))
+    trace = trace._replace(sensed=trace.sensed._replace(s=jnp.asarray(s), e=jnp.asarray(e)))
+    found = figures(trace, LapCode.COMPLETED)
+    assert float(found.lateral_error) == pytest.approx(0.1)
+    assert float(found.lateral_error_measured) == pytest.approx(0.3, abs=0.01)
+    alive = S <= 15.0  # of a failed lap the way that it did not get counts once, whatever the noise adds up to
+    half = figures(trace._replace(alive=jnp.asarray(alive)), LapCode.SPUN)
+    assert float(half.lateral_error_measured) == pytest.approx((0.3 * 5 + LOST * 15) / 20, abs=0.3)
+
+
 def test_the_interval_holds_the_mean_and_narrows_with_more_plants():
     values = np.random.default_rng(0).normal(2.0, 0.5, 400)
     few, many = interval(values[:25]), interval(values)
     for found, used in ((few, values[:25]), (many, values)):
         low, high = found["ci95"]
         assert found["mean"] == pytest.approx(used.mean()) and low < used.mean() < high
-        # the bootstrap's width is that of the normal interval, 2 x 1.96 sd / sqrt(n)
         assert high - low == pytest.approx(2 * 1.96 * used.std() / np.sqrt(len(used)), rel=0.15)
-    assert interval(values) == interval(values)
-    assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None]}
+    assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None], "plants": 1, "all_plants": 1}
     assert interval(np.full(5, 3.0))["ci95"] == [3.0, 3.0]
+
+
+def covered(ci95: list, truth: float) -> bool:
+    return ci95[0] <= truth <= ci95[1]
+
+
+@pytest.mark.parametrize("num", [2, 4, 8, 16])
+def test_nominal_95_percent_of_intervals_hold_the_truth(num):
+    """Nine in ten at the least, of few plants too: of means of normal and lognormal values, and of reductions of
+    lognormal ones, paired with a correlation of 0.7 and spread as wide as by a factor e either way."""
+    rng, draws = np.random.default_rng(0), 1500
+    normal = [interval(values)["ci95"] for values in rng.normal(2.0, 0.5, (draws, num))]
+    lognormal = [interval(values)["ci95"] for values in rng.lognormal(0.0, 0.5, (draws, num))]
+    assert np.mean([covered(one, 2.0) for one in normal]) > 0.93
+    assert np.mean([covered(one, np.exp(0.5**2 / 2)) for one in lognormal]) > 0.90
+    for spread in (0.5, 1.0):
+        first, other = rng.normal(size=(2, draws, num))
+        before, after = np.exp(spread * first), 0.5 * np.exp(spread * (0.7 * first + 0.51**0.5 * other))
+        found = [reduction(b, a)["ci95"] for b, a in zip(before, after, strict=True)]
+        assert np.mean([covered(one, 50.0) for one in found]) > 0.90
 
 
 def test_the_reduction_is_that_of_the_means_and_paired():
@@ -96,7 +138,9 @@ def test_the_reduction_is_that_of_the_means_and_paired():
     mixed = reduction(before, np.array([0.5, 2.2, 3.0, 2.0]))
     assert mixed["value"] == pytest.approx(100 * (1 - 7.7 / 12.0)) and mixed["ci95"][0] < mixed["value"]
     assert mixed["ci95"][1] > mixed["value"]
-    assert reduction(np.array([2.0]), np.array([1.0])) == {"value": 50.0, "ci95": [None, None]}
+    one = reduction(np.array([2.0]), np.array([1.0]))
+    assert one == {"value": 50.0, "ci95": [None, None], "plants": 1, "all_plants": 1}
+    assert reduction(before, np.array([0.0, 0.0, 0.0, 1.0]))["ci95"] == [None, None]  # no ratio without the last
     assert reduction(before, 2 * before)["value"] == pytest.approx(-100.0)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from driftjax.control.driver import Decision
 from driftjax.core import Control, State, rk4_step
-from driftjax.learning.residual import estimate_lags, reached, residual_rate, rows, samples, smooth
+from driftjax.learning.residual import estimate_lags, lag_response, reached, residual_rate, rows, samples, smooth
 from driftjax.sim import Sensed, Trace
 from driftjax.vehicle import Corrected, load_vehicle
 
@@ -113,6 +113,15 @@ def test_what_a_lag_has_reached_is_the_exact_mean_of_its_response():
     np.testing.assert_array_equal(reached(command, jnp.asarray(0.0), jnp.asarray(DT)), command)
     slope = jax.grad(lambda tau: jnp.sum(reached(command, tau, jnp.asarray(DT))))(jnp.asarray(0.0))
     assert bool(jnp.isfinite(slope))
+
+
+def test_nothing_is_reached_before_the_first_command():
+    command, lag, dt = jnp.asarray([1.0, 1.0, 0.5]), jnp.asarray(0.08), jnp.asarray(DT)
+    left = np.exp(-DT / 0.08)
+    at, mean = lag_response(command, lag, dt)
+    np.testing.assert_allclose(at, [0.0, 1 - left, 1 - left**2])  # as the driver's memory, which starts from 0
+    np.testing.assert_allclose(mean[0], 1 - (1 - left) * 0.08 / DT)
+    np.testing.assert_array_equal(reached(command, lag, dt), mean)
 
 
 @pytest.mark.parametrize("lags", [(0.0, 0.0), (0.05, 0.1), (0.1, 0.05)])

@@ -3,18 +3,27 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.core import BadInput
+from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig, load_learn_config
 from driftjax.learning.explore import candidates, offset, remaining
+from driftjax.learning.loop import remember
+from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
+from driftjax.learning.run import _resume
 from driftjax.learning.scenario import build, drivers
-from driftjax.learning.stage import run_stage
+from driftjax.learning.stage import CODES, Stage, run_stage, stage_values
 from driftjax.learning.stages import _layers, first_progress, stage_names
 from driftjax.parallel import BatchExecutor
+from driftjax.sim import LapCode, Laps
+from driftjax.store import RunFolder
+from driftjax.store.variables import dataset
 from driftjax.vehicle import Residual
 
 SEDAN = load_learn_config("sedan")
@@ -66,6 +75,9 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     assert np.all(np.abs(at["random"] - V_b) < widest) and len(np.unique(at["random"])) == 6
     again = candidates(exploring(scenario, speeds="random"), trace, residual, path)
     assert np.all(at["random"] == np.asarray(again.V_ep))
+    parents = [jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) for key in scenario.keys]
+    drawn = (at["random"] - V_b) / widest
+    assert np.all(np.abs(drawn - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
     for speeds in ("random", "uniform", "planned"):
         assert not np.any(offset(scenario, found[speeds], jnp.asarray([0, 2])))  # nothing leads them off the path
 
@@ -91,6 +103,46 @@ def test_a_better_lap_makes_new_sets_about_it_and_any_other_takes_one_away(scena
     assert not np.any(rest.aimed[1]) and np.asarray(rest.visited[1]).tolist() == [False, True, False]
     fixed = remaining(exploring(scenario, speeds="planned"), none, jnp.asarray([0, 0]), aimed, better, trace, residual)
     assert np.asarray(fixed.visited).tolist() == [[True, False, False]] * 2
+
+
+def test_the_sets_are_led_by_what_is_measured(scenario, pursued):
+    """The error at an arc length of the set is that which was measured there, whatever the car's true place is."""
+    trace, residual = pursued
+    path = jnp.zeros((2, AIM_POINTS))
+    line = jnp.broadcast_to(jnp.linspace(0.0, 200.0, trace.s.shape[1]), trace.s.shape)
+    sensed = trace.sensed._replace(s=line, e=0.01 * line)
+    for true in (trace.s, trace.s + 30.0):
+        found = candidates(scenario, trace._replace(sensed=sensed, s=true), residual, path)
+        np.testing.assert_allclose(found.e, 0.01 * np.broadcast_to(found.s, found.e.shape), rtol=1e-9)
+
+
+def test_the_best_lap_and_the_last_error_are_the_measured_ones(scenario, pursued):
+    """Two laps: the truth prefers the first, the sensors the second."""
+    trace, residual = pursued
+    progress = first_progress(scenario)
+    laps = Laps(trace, jnp.full(2, int(LapCode.COMPLETED)), jnp.asarray(SHORT.mpc.dt))
+    table, flat, done = scenario.over_lanes(scenario.table), jnp.full(2, 0.5), jnp.ones(2, bool)
+
+    def lap(true: float, measured: float) -> Stage:
+        figures = LapFigures(jnp.full(2, true), flat, flat, flat, done, jnp.full(2, measured))
+        return Stage(laps, table, trace.V, figures)
+
+    first = remember(scenario, progress, lap(0.1, 0.3), residual, 1)
+    second = remember(scenario, first, lap(0.2, 0.2), residual, 2)
+    third = remember(scenario, second, lap(0.05, 0.25), residual, 3)
+    assert np.asarray(first.best.error).tolist() == [0.3, 0.3]
+    assert np.asarray(third.best.error).tolist() == [0.2, 0.2] and np.asarray(third.last_error).tolist() == [0.25] * 2
+
+
+def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_path):
+    trace, residual = pursued
+    table = scenario.over_lanes(scenario.table)
+    stage = run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0)
+    data = dataset(stage_values(scenario, stage, "pursuit"), {"codes": CODES})
+    folder = RunFolder.create(tmp_path / "old", to_dict(SHORT))
+    folder.write_stage("pursuit", data.drop_vars("lateral_error_measured"), b"")
+    with pytest.raises(BadInput, match="true lateral error.*start anew"):
+        _resume(scenario, folder)
 
 
 def test_what_was_learnt_reaches_the_layers_asked_for(scenario):

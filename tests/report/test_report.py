@@ -1,5 +1,6 @@
 """Figures and tables rebuilt from a run folder; failed laps and missing stages stay visible."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -8,7 +9,7 @@ from matplotlib.colors import to_hex
 from synthetic import synthetic_run
 
 from driftjax.report import table, write_report
-from driftjax.report.laps import best_laps, laps_of, mean_curve
+from driftjax.report.laps import best_laps, laps_of, mean_curve, mean_of
 from driftjax.report.page import figures
 from driftjax.report.plan import spans_of, states, trajectory
 from driftjax.report.posture import _outline
@@ -73,6 +74,10 @@ def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
 def test_missing_numbers_are_dashes_not_crashes():
     assert interval(None) == "-" and interval({"mean": None, "ci95": [None, None]}) == "-"
     assert interval({"mean": 1.234, "ci95": None}) == "1.23"
+    cell = {"mean": 1.234, "ci95": [1.0, 2.0]}
+    assert interval(cell | {"plants": 3, "all_plants": 4}) == "1.23 [1.00, 2.00] (3/4)"
+    assert interval(cell | {"plants": 4, "all_plants": 4}) == "1.23 [1.00, 2.00]"
+    assert interval({"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 4}) == "-"
     empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
              "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
     text = table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
@@ -92,6 +97,15 @@ def test_best_laps_have_the_least_lateral_error_of_their_plant(run):
         both = [laps_of(run.read_stage(f"gpr-{k}"), "path")[lane] for k in (1, 2)]
         assert {lap.plant} == {one.plant for one in both}
         assert lap.lateral_error == min(one.lateral_error for one in both)
+
+
+def test_laps_that_never_reached_the_section_have_no_part_in_the_mean(run):
+    laps = laps_of(run.read_stage("nominal"), "path")
+    lost = dataclasses.replace(laps[0], velocity_rmse=float("nan"))
+    assert mean_of([lost, *laps[1:]], "velocity_rmse") == pytest.approx(
+        np.mean([lap.velocity_rmse for lap in laps[1:]])
+    )
+    assert np.isnan(mean_of([lost], "velocity_rmse"))
 
 
 def test_a_failed_lap_ends_where_it_failed_and_leaves_the_mean_alone(run):

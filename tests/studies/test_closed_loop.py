@@ -62,7 +62,7 @@ def test_the_nominal_car_is_the_extended_one_without_its_values():
 
 def driven(errors, speeds, codes):
     done = np.array([code == LapCode.COMPLETED for code in codes])
-    each = LapFigures(*map(np.asarray, (errors, errors, speeds, errors, done)))  # pyright: ignore[reportArgumentType]
+    each = LapFigures(*map(np.asarray, (errors, errors, speeds, errors, done, errors)))  # pyright: ignore[reportArgumentType]
     return SimpleNamespace(figures=each, laps=SimpleNamespace(code=np.array([int(code) for code in codes])))
 
 

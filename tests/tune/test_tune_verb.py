@@ -32,7 +32,7 @@ class MadeUp:
         spun = np.zeros(apart.shape[:2], bool)
         spun[:, -1] = points[:, 5] > 0.1
         loss = np.where(spun, self.config.scales.failed, np.sum(apart**2, axis=-1))
-        return Driven(loss, np.where(spun, 2, 1), FIGURES(loss, loss, loss, loss, ~spun))
+        return Driven(loss, np.where(spun, 2, 1), FIGURES(loss, loss, loss, loss, ~spun, loss))
 
     def slopes(self, p, which):
         apart = p - self._aim(which)

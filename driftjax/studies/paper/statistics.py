@@ -60,12 +60,7 @@ def gain(rows: dict[str, dict[str, np.ndarray]], before: str, after: str, figure
 
 def summary(rows: dict[str, np.ndarray]) -> dict[str, Any]:
     """Mean and interval of each figure over the plants that have it, and the values of all."""
-    return {
-        name: interval(values[np.isfinite(values)]) | {"per_plant": values.tolist()}
-        if np.isfinite(values).any()
-        else {"mean": None, "ci95": [None, None], "per_plant": values.tolist()}
-        for name, values in rows.items()
-    }
+    return {name: interval(values) | {"per_plant": values.tolist()} for name, values in rows.items()}
 
 
 def targets(car: str, gains: dict[str, Any], found: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[dict]:

@@ -33,7 +33,8 @@ def page(results: dict[str, Any]) -> str:
         f"Plants {first} to {last} (seed {split['seed']}, half: {split['half'].replace('_', ' ')}), "
         f"{split['noise_seeds']} noise seed{'s' if split['noise_seeds'] > 1 else ''} each. Lateral errors are against "
         "the planned minimum-time path, over the planned drift section; what a failed lap misses of it counts with the "
-        "distance at which a lap is lost. In brackets: 95 % bootstrap intervals over plants, paired for reductions.",
+        "distance at which a lap is lost. In brackets: 95 % intervals over plants by Student's t, of reductions "
+        "paired and on the log ratio of means. (n/N): of the n plants of N that have the figure.",
         "",
     ]
     for car, found in results["cars"].items():
