@@ -124,7 +124,7 @@ def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
     for i in range(len(task.effects)):
         columns = task.columns((i,))
         columns = columns[free[columns]]
-        if i in found.members or not len(columns):
+        if i in found.members or not len(columns) or power <= 0:
             continue
         b = apart[np.ix_(columns, own)] @ moved
         if b @ np.linalg.pinv(apart[np.ix_(columns, columns)], CONDITION, hermitian=True) @ b > ALIKE**2 * power:
