@@ -47,7 +47,7 @@ def calibrate(
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs)
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
-    task, fit, at = fitted(task, members)
+    task, fit, at = fitted(loosened(task), members)
     last = scores(task, at, fit.theta, members, seed)
     on = [f"{task.effects[i].name}.{p.name}" for i in members for p in task.effects[i].parameters]
     columns = task.columns(members)
@@ -58,24 +58,27 @@ def calibrate(
 
 
 def gained(task: Problem, members: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int) -> Gain | None:
-    """What the effects `members`, fitted without every `held_out`-th run, gain on those."""
+    """What the effects `members`, fitted without every `held_out`-th run, gain on those.
+
+    Noise and observer are those of the other runs too.
+    """
     use, held = split(len(names), held_out)
     if not len(held):
         return None
-    near, fit, _ = fitted(task.part(use), members)
-    bare, test = loosened(task.part(held)), observed(task.part(held), fit.theta, near.noise)
+    loose, apart = loosened(task.part(use)), task.part(held)
+    near, fit, _ = fitted(loose, members)
+    bare, test = observed(apart, task.start, loose.noise), observed(apart, fit.theta, near.noise)
     ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
     judged = Judged(test, ahead, floor(test, fit.theta, ahead["fitted"], seed))
     return compared(judged, tuple(names[i] for i in held), members, seed)
 
 
-def fitted(task: Problem, members: tuple[int, ...]) -> tuple[Problem, Fit, Followed]:
+def fitted(loose: Problem, members: tuple[int, ...]) -> tuple[Problem, Fit, Followed]:
     """The best fit over `members` with its derivatives, in the problem whose noise is what the car so fitted leaves.
 
-    The first car may be far off: it is followed with the disturbances that it needs for itself.
+    The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """
-    columns = task.columns(members)
-    loose = loosened(task)
+    columns = loose.columns(members)
     rough, _ = settle(loose, kept(nominal(loose)), columns)
-    anew = tuned(task, rough.theta, np.isin(np.arange(len(task.owner)), columns))
+    anew = tuned(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
     return anew, *settle(anew, kept(priced(anew, rough.theta)), columns)

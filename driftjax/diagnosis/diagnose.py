@@ -7,7 +7,7 @@ import numpy as np
 
 from driftjax.core import require
 from driftjax.diagnosis.evidence import Cause, causes
-from driftjax.diagnosis.fit import Problem, observed, problem, settle
+from driftjax.diagnosis.fit import Problem, observed, posed, problem, settle, tuned
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
 from driftjax.diagnosis.multistart import approach
 from driftjax.diagnosis.noise_floor import floor
@@ -99,9 +99,9 @@ def diagnose(
 ) -> Diagnosis | Judgement:
     """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
 
-    Causes are named from all runs. The gain is that of what is named and fitted without the runs held out. `effects`
-    is the catalogue to choose from: another one is another model to compile. With workers in `blocks`, one of them
-    measures the gain meanwhile.
+    Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
+    no part in the noise and the observer either. `effects` is the catalogue to choose from: another one is another
+    model to compile. With workers in `blocks`, one of them measures the gain meanwhile.
     """
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
@@ -130,17 +130,27 @@ def what_is_wrong(found: Diagnosis, log: Log) -> Show:
 def measured(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
 ) -> Gain | None:
-    """`measure` from the start: a worker reaches the problem as soon as its parent, whose programs it must load too."""
-    return measure(problem(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config)
+    """`measure` from the start: a worker poses the problem as soon as its parent, whose programs it must load too."""
+    return measure(posed(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config)
+
+
+def parted(task: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:
+    """Return the problems over the runs `use` and over those `held` out, both with the noise estimated from `use`."""
+    train = tuned(task.part(use), task.start, task.asked)
+    return train, observed(task.part(held), task.start, train.noise)
 
 
 def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
     """Open-loop errors on the runs held out of the nominal car, the re-tuned one, the extended one, and both ends with
-    a GP on what they lack; with skills."""
+    a GP on what they lack; with skills. None where no run is held out.
+
+    Noise, and with it the observer that predictions start from and the floor, is estimated without the runs held out:
+    that of `task` is not used.
+    """
     use, held = split(len(names), config.held_out)
     if not len(held):
         return None
-    train, test = task.part(use), task.part(held)
+    train, test = parted(task, use, held)
     near, found = approach(train, config.seed, config.most)
     followed = test
     if near is not train:
@@ -148,8 +158,8 @@ def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Ga
         test = observed(test, found.fit.theta, near.noise)
     effects = [effect.name for effect in task.effects]
     columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    tuned = settle(found.base, found.nominal, columns[task.asked[columns]])[0]
-    thetas = {"nominal": found.nominal.theta, "retuned": tuned.theta, "extended": found.fit.theta}
+    retuned = settle(found.base, found.nominal, columns[task.asked[columns]])[0]
+    thetas = {"nominal": found.nominal.theta, "retuned": retuned.theta, "extended": found.fit.theta}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
     ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():

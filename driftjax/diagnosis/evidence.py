@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
-from scipy.stats import t as student
 
 from driftjax.diagnosis.fit import Problem, information, settle
-from driftjax.diagnosis.score import Scores, covariance, partial_out, scores
-from driftjax.diagnosis.select import WORTH, Selection, price, without
+from driftjax.diagnosis.score import CONDITION, Scores, half_widths_of, overdispersion, partial_out, scores
+from driftjax.diagnosis.select import WORTH, Selection, without
 
 RIVAL = 0.01  # probability from which a rival is worth telling of
 SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
@@ -25,6 +24,7 @@ class Cause(NamedTuple):
     rivals: dict[int, float]  # effects that might act in its place, with their probabilities
     alike: tuple[int, ...]  # effects whose signature is nearly the same
     invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
+    p_value: float  # that chance gives any effect a score as large as its own beside the other causes
 
 
 def causes(task: Problem, found: Selection) -> list[Cause]:
@@ -37,17 +37,15 @@ def causes(task: Problem, found: Selection) -> list[Cause]:
     for member in found.members:
         own = task.columns((member,))
         at = np.searchsorted(columns, own)
-        probability, rivals = odds(task, found, member)
-        alike = confusable(task, found, member)
-        each.append(Cause(member, found.fit.theta[own], widths[at], probability, rivals, alike, constant[member]))
+        probability, rivals, p_value = odds(task, found, member)
+        alike, theta = confusable(task, found, member), found.fit.theta[own]
+        each.append(Cause(member, theta, widths[at], probability, rivals, alike, constant[member], p_value))
     return each
 
 
 def half_widths(task: Problem, last: Scores, members: tuple[int, ...]) -> np.ndarray:
     """Half-widths (k,) of the 95 % intervals of the parameters of `members`, in typical sizes."""
-    columns = task.columns(members)
-    spread = np.sqrt(np.diag(covariance(last.H, last.blocks, columns)))
-    return student.ppf(0.975, max(task.data.num_blocks - len(columns), 1)) * spread
+    return half_widths_of(last.H, last.blocks, task.columns(members))
 
 
 def invariance(task: Problem, found: Selection) -> dict[int, float]:
@@ -77,37 +75,58 @@ def invariance(task: Problem, found: Selection) -> dict[int, float]:
     return least
 
 
-def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int, float]]:
-    """Probability of `member` in its place among all effects, and of the rivals above `RIVAL`.
+def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int, float], float]:
+    """Return the probability of `member` in its place among all effects, that of rivals above `RIVAL`, its p-value.
 
-    Each hypothesis weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978); a rival's price
-    is that of its best linear step, which flatters no one but hardly any rival either.
+    A rival's cost is that of its best linear step, which flatters no one but hardly any rival either. The p-value is
+    that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
     """
     rest, base = without(task, found.fit, found.members, member, found.at)
     base, at = settle(task, base, task.columns(rest))
     left = scores(task, at, base.theta, rest, 0)
-    prices = np.full(len(task.effects), np.inf)
-    for i in range(len(prices)):
-        if i not in rest and left.gain[i] > 0:
-            prices[i] = base.cost - left.gain[i] + WORTH * len(task.columns((*rest, i)))
-    prices[member] = price(task, found.fit, found.members)
+    costs = np.where(left.gain > 0, base.cost - left.gain, np.inf)
+    costs[member] = found.fit.cost
+    share = weights(costs, np.bincount(task.owner), dispersion(task, found))
+    rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL}
+    return float(share[member]), rivals, left.p_value_of(member, task.columns((member,)))
+
+
+def dispersion(task: Problem, found: Selection) -> float:
+    """Return how many times what noise explains the fit varies by: the `overdispersion` of its members."""
+    return overdispersion(found.scores.H, found.scores.blocks, task.columns(found.members))
+
+
+def weights(costs: np.ndarray, sizes: np.ndarray, excess: float) -> np.ndarray:
+    """Return the probabilities (n,) of hypotheses with the `costs` (n,) and numbers of parameters `sizes` (n,).
+
+    Each weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978), where costs count in units of
+    the `excess` of their dispersion over that of noise (QAIC; Burnham and Anderson 2002, Sec. 2.5): innovations that
+    depend on each other would else count as more data than they are.
+    """
+    prices = costs / excess + WORTH * sizes
     weight = np.exp(-0.5 * (prices - prices.min()))
-    share = weight / weight.sum()
-    rivals = {i: float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL}
-    return float(share[member]), rivals
+    return weight / weight.sum()
 
 
 def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
-    """Effects whose signature in these data, all other members apart, is nearly that of `member`."""
+    """Return the effects that can nearly imitate what `member` does in these data, all other members apart.
+
+    Measured by the canonical correlation, in the metric of the information, of the fitted signature of `member` with
+    those of all parameters of the other effect (Hotelling 1936); of two single parameters that is their cosine.
+    """
     H = found.scores.H
     P = partial_out(H, task.columns(tuple(i for i in found.members if i != member)))
-    own, H = task.columns((member,)), P.T @ H @ P
+    own, apart = task.columns((member,)), P.T @ H @ P
+    free = np.diag(apart) > CONDITION * np.diag(H)  # others are but rounding
+    moved = (found.fit.theta - task.start)[own]
+    power = moved @ apart[np.ix_(own, own)] @ moved
     alike = []
     for i in range(len(task.effects)):
         columns = task.columns((i,))
-        if i in found.members or len(columns) > 1 or len(own) > 1:
+        columns = columns[free[columns]]
+        if i in found.members or not len(columns) or power <= 0:
             continue
-        power = H[own[0], own[0]] * H[columns[0], columns[0]]  # rounding may leave it below 0 where members say it all
-        if power > 0 and abs(H[own[0], columns[0]]) > ALIKE * np.sqrt(power):
+        b = apart[np.ix_(columns, own)] @ moved
+        if b @ np.linalg.pinv(apart[np.ix_(columns, columns)], CONDITION, hermitian=True) @ b > ALIKE**2 * power:
             alike.append(i)
     return tuple(alike)

@@ -50,10 +50,10 @@ class Errors(NamedTuple):
 def ahead_of(
     model: Universal, theta: Array, run: Track, z: Array, starts: Array, num: int, dt: float,
     residual: GP | None,
-) -> Array:  # fmt: skip
-    """Predictions (starts, num, 3) of what sensors tell 1..num steps after samples `starts` at states `z` (T, 6).
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the predicted V, beta, r 1..num steps after samples `starts` at states `z` (T, 6), and what sensors read.
 
-    A `residual` is added to the rates.
+    Both (starts, num, 3), SI. A `residual` is added to the rates.
     """
     model = model.at(theta)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
@@ -65,7 +65,7 @@ def ahead_of(
             at = features(State(*z[:3]), acts_of(u[row]).mean)
             push = None if residual is None else State(*residual.bounded_mean(at))
             after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
-            return after.z, told(model, after.z[:3], after.rates, step)
+            return after.z, (after.z[:3], told(model, after.z[:3], after.rates, step))
 
         return jax.lax.scan(on, z[k], jnp.arange(num))[1]
 
@@ -77,7 +77,7 @@ def _ahead(model, theta, runs, z, starts, num, dt, residual):
     return eqx.filter_vmap(ahead_of, in_axes=axes)(model, theta, runs, z, starts, num, dt, residual)
 
 
-def ahead(*args) -> Array:
+def ahead(*args) -> tuple[Array, Array]:
     """`ahead_of` for some pieces of runs, with their `z` (P, T, 6), at once."""
     return call(_ahead, *args)
 
@@ -94,7 +94,7 @@ def predict(task: Problem, theta: np.ndarray, residual: GP | None = None) -> Ahe
     where, first = jnp.asarray(theta), jnp.asarray(starts)
     path = follow(task.model, data, theta, task.gains)
     one = lambda run, z: ahead(task.model, where, run, z, first, num, data.dt, residual)
-    told = np.asarray(each_piece(one, len(data.run), data.track, path.z))
+    told = np.asarray(each_piece(one, len(data.run), data.track, path.z)[1])
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
     seen = (np.asarray(path.seen)[:, row] > 0) & (at < data.size)[..., None]

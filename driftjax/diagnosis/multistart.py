@@ -57,5 +57,5 @@ def round_about(task: Problem, seed: int = 0, most: int = MOST) -> tuple[Problem
     anew = tuned(task, rough.fit.theta, task.asked)
     fit = settle(anew, priced(anew, rough.fit.theta), anew.columns(rough.members))[0]
     members, fit = prune(anew, rough.members, kept(fit))
-    found = search(anew, fit, seed, {i: rough.p_values[i] for i in members}, most)
+    found = search(anew, fit, seed, members, most)
     return anew, found._replace(base=loose, nominal=start, first=rough.first)

@@ -33,6 +33,7 @@ class Windows(NamedTuple):
     ends: np.ndarray  # (n, 2) variance from the noise of the first and the last sample, the same for all
     within: np.ndarray  # (n, 2) variance from the noise of all samples on the right-hand side
     block: np.ndarray  # (n,) number of the block of time
+    opens: np.ndarray  # (n,) whether no window of its block ends where it begins
 
 
 class Parity(NamedTuple):
@@ -64,15 +65,15 @@ def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Pa
 
 def summary(all_of: Windows) -> Parity | None:
     """Mean, errors and statement; None for fewer than three blocks."""
-    rest, ends, within, block = all_of
+    rest, ends, within, block, opens = all_of
     names, block = np.unique(block, return_inverse=True)
     if (C := len(names)) < 3:
         return None
     total = lambda values: np.stack([np.bincount(block, column) for column in values.T], axis=1)
     mean, n = rest.mean(axis=0), len(rest)
     error = np.sqrt((total(rest - mean) ** 2).sum(axis=0) * C / (C - 1)) / n
-    # windows that follow each other share their ends: of a block's sum only the noise of its own two ends is left
-    excess = np.sqrt((total(rest) ** 2 / (ends[0] + total(within))).mean(axis=0))
+    # windows that follow each other share their ends: of a sum only the noise at both ends of each stretch is left
+    excess = np.sqrt((total(rest) ** 2 / (total(ends * opens[:, None]) + total(within))).mean(axis=0))
     rms, floor = np.sqrt((rest**2).mean(axis=0)), np.sqrt((ends + within).mean(axis=0))
     z = mean / np.maximum(error, floor / n)
     return Parity(mean, z, rms, floor, excess, n, statement(mean, z, excess, C))
@@ -110,7 +111,9 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
     of_beta = (a + along * sigma[1] ** 2 + side * (sigma[0] / speed) ** 2) / speed**2 + sigma[2] ** 2
     ends = np.broadcast_to(2 * sigma[:2] ** 2 / T**2, rest.shape)
     within = np.stack([of_V, of_beta], axis=1) * (weight**2).sum()
-    return Windows(rest, ends, within, (starts * run.dt // SPAN).astype(int))
+    block = (starts * run.dt // SPAN).astype(int)
+    opens = (np.diff(starts, prepend=-2 * W) > W) | (np.diff(block, prepend=-1) > 0)
+    return Windows(rest, ends, within, block, opens)
 
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.evidence import Cause
+from driftjax.diagnosis.evidence import Cause, dispersion
 from driftjax.diagnosis.fit import Problem, information
 from driftjax.diagnosis.runs import differentiate, gains, held, pieces
 from driftjax.diagnosis.score import partial_out
@@ -74,14 +74,14 @@ def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> l
 
 def _least_sure(task: Problem, found: Selection, named: list[Cause], added: np.ndarray) -> float:
     """Expected probability of the least sure cause with the information `added` (K, K) to that of the data."""
-    least = 1.0
+    least, excess = 1.0, dispersion(task, found)
     for cause in named:
         others = task.columns(tuple(i for i in found.members if i != cause.effect))
         against = 0.0
         for rival, probability in cause.rivals.items():
             more = _apart(task, found, cause.effect, rival, others, found.scores.H + added)
             more -= _apart(task, found, cause.effect, rival, others, found.scores.H)
-            against += probability / max(cause.probability, 1e-12) * np.exp(-0.5 * more)
+            against += probability / max(cause.probability, 1e-12) * np.exp(-0.5 * more / excess)
         least = min(least, 1 / (1 + against))
     return least
 

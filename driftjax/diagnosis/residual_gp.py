@@ -16,22 +16,25 @@ SIZE = 300  # rows that the GP is conditioned on
 
 
 def residual_rates(task: Problem, theta: np.ndarray) -> tuple[Array, Array, Array]:
-    """Where the model `theta` was (n, 5) as `features`, the mean rates (n, 3) that it lacks there, which rows count.
+    """Return the states and inputs (n, 5) as `features`, the mean rates (n, 3) that the model lacks, which rows count.
 
-    States come from an observer of fixed gain, which believes the data more than any model; a rate is the change
-    that the model misses over one window, over its length.
+    States come from an observer of fixed gain, which believes the data more than any model; a rate [SI] is the change
+    of the state that the model `theta` misses over one window, over its length. Sensor effects take no part: the GP
+    is added to the rates of the state, not to what sensors read.
     """
-    data, num = task.data, round(WINDOW / task.data.dt)
+    data, num = task.data, max(round(WINDOW / task.data.dt), 1)
     starts = np.arange(num, data.size - num, num)
     path = follow(task.model, data, theta, held(data))
     one = lambda run, z: ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None)
-    found = each_piece(one, len(data.run), data.track, path.z)[:, :, -1]
-    lacking = (path.z[:, starts + num, :3] - found) / WINDOW
+    predicted = each_piece(one, len(data.run), data.track, path.z)[0][:, :, -1]
+    missed = np.array(path.z[:, starts + num, :3] - predicted)
+    missed[..., 1] = np.angle(np.exp(1j * missed[..., 1]))  # the car may spin round
+    lacking = missed / (num * data.dt)  # a window is a whole number of steps, not WINDOW
     middle = starts + num // 2
     x, u = path.z[:, middle, :3], path.u[:, middle]
     Z = jax.vmap(jax.vmap(lambda x, u: features(State(*x), Control(u[0], u[1]))))(x, u)
     measured = np.asarray(path.seen)[:, starts + num].all(axis=-1)
-    return Z.reshape(-1, 5), lacking.reshape(-1, 3), jnp.asarray(measured.reshape(-1))
+    return Z.reshape(-1, 5), jnp.asarray(lacking.reshape(-1, 3)), jnp.asarray(measured.reshape(-1))
 
 
 def learnt(task: Problem, theta: np.ndarray, seed: int) -> GP:

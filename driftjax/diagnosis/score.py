@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import ArrayLike
 from scipy.stats import chi2, norm
+from scipy.stats import t as student
 
 from driftjax.diagnosis.fit import Problem, information
 from driftjax.diagnosis.runs import Followed
@@ -25,15 +26,25 @@ class Scores(NamedTuple):
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
-    joint: np.ndarray  # (G,) as |T|, of effects of several parameters of any sign, all of them together
+    joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
     chance: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
 
     @property
     def p_value(self) -> float:
         """Probability that chance gives the largest score."""
-        largest = max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0))
-        return float((1 + np.sum(self.chance >= largest)) / (DRAWS + 1))
+        return self._rarity(max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0)))
+
+    def p_value_of(self, effect: int, columns: np.ndarray) -> float:
+        """Return the p-value of one effect with the parameters `columns`, adjusted for all effects tested.
+
+        That is the probability that chance gives any effect a score as large (single-step max-T; Westfall and Young
+        1993).
+        """
+        return self._rarity(max(np.abs(self.T[columns]).max(), self.joint[effect]))
+
+    def _rarity(self, size: float) -> float:
+        return float((1 + np.sum(self.chance >= size)) / (DRAWS + 1))
 
     @property
     def threshold(self) -> float:
@@ -70,10 +81,12 @@ def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, .
     allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
     T = np.where(allowed, studentised(effective, own), 0.0)
     one_sided = task.lower >= theta
-    together = [task.columns((i,)) for i in range(len(task.effects)) if i not in members]
-    together = [c for c in together if len(c) > 1 and own[c].all() and not one_sided[c].any()]
-    joint = np.array([joint_size(effective[:, c], U[None, c])[0] for c in together])
-    chance = largest_by_chance(effective, own, one_sided, seed, together)
+    each = {i: task.columns((i,)) for i in range(len(task.effects)) if i not in members}
+    together = {i: c for i, c in each.items() if len(c) > 1 and own[c].all() and not one_sided[c].any()}
+    joint = np.zeros(len(task.effects))
+    for i, c in together.items():
+        joint[i] = joint_size(effective[:, c], U[None, c])[0]
+    chance = largest_by_chance(effective, own, one_sided, seed, list(together.values()))
     gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
     return Scores(H, blocks, T, joint, gains, chance)
 
@@ -127,3 +140,21 @@ def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.nda
     robust = inverse @ (U.T @ U) @ inverse * C / max(C - len(columns), 1)
     scale = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
     return inverse * np.outer(scale, scale)
+
+
+def half_widths_of(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the half-widths (k,) of the 95 % intervals of the parameters `columns`, from the robust `covariance`."""
+    spread = np.sqrt(np.diag(covariance(H, blocks, columns)))
+    return student.ppf(0.975, max(len(blocks) - len(columns), 1)) * spread
+
+
+def overdispersion(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> float:
+    """Return how many times their information the scores of the parameters `columns` vary by, at least 1.
+
+    Mean eigenvalue of H^-1 (U'U) with the correction of `covariance` for few blocks: the first-order correction of a
+    likelihood ratio whose samples depend on each other (Varin, Reid and Firth 2011, Sec. 2.3), and the c-hat of QAIC
+    (Burnham and Anderson 2002, Sec. 2.5).
+    """
+    U, C = blocks[:, columns], len(blocks)
+    ratio = np.trace(np.linalg.solve(H[np.ix_(columns, columns)], U.T @ U)) / len(columns)
+    return float(max(ratio * C / max(C - len(columns), 1), 1.0))

@@ -1,6 +1,5 @@
 """Which effects are named: forward, swap and backward steps between refits of the whole nonlinear model."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ class Selection(NamedTuple):
     fit: Fit
     at: Followed
     scores: Scores  # of what is left out
-    p_values: dict[int, float]
     base: Problem  # in which the observer of the nominal car follows it: the one searched in, where that does
     nominal: Fit
     first: Scores  # of everything, at the nominal car
@@ -56,15 +54,11 @@ def best_of(task: Problem, fit: Fit, members: tuple[int, ...], at: Followed, gai
     return new, trial
 
 
-def search(
-    task: Problem, start: Fit, seed: int = 0, known: Mapping[int, float] | None = None, most: int = MOST
-) -> Selection:
+def search(task: Problem, start: Fit, seed: int = 0, members: tuple[int, ...] = (), most: int = MOST) -> Selection:
     """Effects added while the test rejects and the refit earns its keep, `most` in all; swaps and cuts follow each.
 
-    The search begins with the effects `known` from `start`, given with their p-values.
+    The search begins with the effects `members` of `start`.
     """
-    p_values = dict(known or {})
-    members = tuple(p_values)
     fit, at = settle(task, start, task.columns(members))
     left = first = scores(task, at, fit.theta, members, seed)
     while len(members) < most and left.p_value < LEVEL:
@@ -73,10 +67,9 @@ def search(
         trial, there = settle(task, trial, task.columns(new))
         if price(task, trial, new) >= price(task, fit, members):
             break
-        p_values.update({i: left.p_value for i in new if i not in p_values})
         members, fit, at = new, trial, there
         left = scores(task, at, fit.theta, members, seed + len(members))
-    return Selection(members, fit, at, left, {i: p_values[i] for i in members}, task, start, first)
+    return Selection(members, fit, at, left, task, start, first)
 
 
 def without(

@@ -31,7 +31,7 @@ def to_json(found: Diagnosis, log: Log, shown: Show | None = None) -> dict[str, 
         alike = sorted({*others, *(task.effects[i].name for i in cause.alike)})
         each.append({
             "effect": effect.name, "probability": cause.probability,
-            "p_value": found.found.p_values[cause.effect], "parameters": parameters, "invariance": cause.invariance,
+            "p_value": cause.p_value, "parameters": parameters, "invariance": cause.invariance,
             "confusable_with": alike, "rivals": others,
         })  # fmt: skip
     noise = task.noise

@@ -14,7 +14,15 @@ from jax import Array
 from driftjax.diagnosis.fit import Problem, around, priced
 from driftjax.diagnosis.observer import Path, Steps, slip_angles
 from driftjax.diagnosis.runs import Followed, chained
-from driftjax.diagnosis.score import CONDITION, Scores, largest_by_chance, partial_out, studentised, sums_by_block
+from driftjax.diagnosis.score import (
+    CONDITION,
+    Scores,
+    half_widths_of,
+    largest_by_chance,
+    partial_out,
+    studentised,
+    sums_by_block,
+)
 from driftjax.diagnosis.select import LEVEL, WORTH, Selection, price
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle.single_track import G
@@ -32,7 +40,7 @@ class Term(NamedTuple):
     where: str  # `rate` or `sensor`
     function: str  # dimensionless, such as `V^2/(gL)`
     value: float  # [unit]
-    half_width: float  # of its 95 % interval [unit]
+    half_width: float  # of its 95 % interval, robust to dependence within blocks [unit]
     unit: str
 
 
@@ -59,6 +67,9 @@ class Generic(NamedTuple):
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
     own: np.ndarray  # (n,) whether a term can be told from the hypothesis
+    e: np.ndarray  # (P, T, 3) whitened innovations
+    J: np.ndarray  # (P, T, 3, K+n) their derivatives by all effects and terms
+    P: np.ndarray  # (K+n, n) what takes the hypothesis out of those by the terms
     p_value: float  # that chance gives the largest score of terms and effects
 
 
@@ -127,7 +138,8 @@ def generic(task: Problem, at: Followed, tested: Scores, members: tuple[int, ...
     ]  # fmt: skip
     J = _sensitivities(task, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
     K = len(task.lower)
-    H, blocks = sums_by_block(task, at.e, np.concatenate([np.asarray(at.J), J], axis=-1))
+    J = np.concatenate([np.asarray(at.J), J], axis=-1)
+    H, blocks = sums_by_block(task, at.e, J)
     P = partial_out(H, task.columns(members))
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
@@ -135,7 +147,8 @@ def generic(task: Problem, at: Followed, tested: Scores, members: tuple[int, ...
     T = studentised(effective, own)
     chance = largest_by_chance(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
-    return Generic(kinds, effective.sum(axis=0)[K:], information[K:, K:], own[K:], float(p_value))
+    U, e = effective.sum(axis=0)[K:], np.asarray(at.e)
+    return Generic(kinds, U, information[K:, K:], own[K:], e, J, P[:, K:], float(p_value))
 
 
 def drivers(terms: Generic) -> dict[str, float]:
@@ -153,7 +166,9 @@ def best(task: Problem, terms: Generic) -> tuple[float, Term]:
     at = int(np.argmax(gain))
     _, function, where, channel = terms.kinds[at]
     size, unit = sizes(task.model)[where][channel], UNITS[where][channel]
-    value, width = terms.U[at] / information[at], 1.96 / np.sqrt(information[at])
+    value, j = terms.U[at] / information[at], terms.J @ terms.P[:, at]
+    H, blocks = sums_by_block(task, terms.e - value * j, j[..., None])  # the scores of what the term itself leaves
+    width = half_widths_of(H, blocks, np.array([0]))[0]
     return float(gain[at]), Term(MEASURED[channel], where, function, float(value * size), float(width * size), unit)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, split
-from driftjax.diagnosis.fit import observed, problem
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, parted, split
+from driftjax.diagnosis.fit import observed, posed, problem
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
 from driftjax.diagnosis.noise_floor import floor
 from driftjax.diagnosis.verdict import Verdict
@@ -68,6 +68,16 @@ def test_every_third_run_is_held_out_and_none_of_too_few():
     for num, every in ((2, 3), (7, 0)):
         use, held = split(num, every)
         assert list(use) == list(range(num)) and not len(held)
+
+
+def test_runs_held_out_have_no_part_in_the_noise():
+    runs, rng = recorded(hidden(), seed=1, noise_seed=11), np.random.default_rng(3)
+    use, held = split(len(runs), 3)
+    loud = [replace(run, V=run.V + 0.5 * rng.standard_normal(len(run.t))) if i in held else run
+            for i, run in enumerate(runs)]  # fmt: skip
+    train, test = parted(posed(sedan(), EFFECTS, tuple(loud)), use, held)
+    np.testing.assert_allclose(train.noise.sigma, truth().sigma, rtol=0.2)
+    np.testing.assert_array_equal(test.noise.row(), train.noise.row())
 
 
 def test_the_floor_is_what_the_true_car_gets_wrong():

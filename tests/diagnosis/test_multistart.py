@@ -15,7 +15,7 @@ def test_what_is_found_round_about_is_what_was_hidden():
     anew, found = round_about(task, 0)
     assert sorted(ORDER[i] for i in found.members) == ["friction_rear", "load_transfer_long"]
     np.testing.assert_allclose(found.fit.theta, truth, atol=0.05)
-    assert misfit(anew, found.fit) < 1.1 and max(found.p_values.values()) < 0.05
+    assert misfit(anew, found.fit) < 1.1 and found.first.p_value < 0.05
     assert misfit(found.base, found.nominal) < 1.5  # that observer follows the car whatever acts on it
     assert anew.noise.disturbance.max() < 0.1 * found.base.noise.disturbance.max()
 

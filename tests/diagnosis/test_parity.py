@@ -47,6 +47,19 @@ def test_noise_alone_is_told_to_be_noise():
         np.testing.assert_allclose(found.excess, 1.0, atol=0.5)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.05, 0.1])
+def test_noise_alone_is_noise_whatever_share_of_samples_is_missing(share):
+    """Where windows are left out, a block holds the noise at the ends of several stretches."""
+    found, rng = [], np.random.default_rng(5)
+    for seed in range(6):
+        runs = [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(4)]
+        gone = [np.isin(np.arange(NUM) // 5, np.flatnonzero(rng.random(NUM // 5) < share)) for _ in runs]
+        gappy = [replace(run, V=np.where(lost, np.nan, run.V)) for run, lost in zip(runs, gone, strict=True)]
+        found.append(parity(sedan(), gappy, SIGMA))
+    assert all("agree within noise" in one.statement for one in found)
+    np.testing.assert_allclose(np.sqrt(np.mean([one.excess**2 for one in found], axis=0)), 1.0, atol=0.12)
+
+
 @pytest.mark.parametrize("bias", [0.02, -0.02])
 def test_a_biased_gyro_shows_in_the_sideslips_rate_by_as_much(bias):
     runs = [noisy(exact(k), k) for k in range(2)]

@@ -14,11 +14,12 @@ import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import TOLERANCE, Problem, information, normal, priced, problem
+from driftjax.diagnosis.evidence import confusable, weights
+from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, information, normal, priced, problem
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Followed, Pieces
-from driftjax.diagnosis.score import covariance, partial_out, scores, sums_by_block
-from driftjax.diagnosis.select import search
+from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
+from driftjax.diagnosis.select import Selection, search
 from driftjax.vehicle.parameters import FoundParameter
 
 CLEAR = ("friction_rear", "stiffness_front", "drive_gain", "yaw_inertia", "steer_offset", "steer_lag", "gyro_bias")
@@ -54,7 +55,7 @@ def test_a_hidden_effect_is_named_and_measured(case):
     assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
     assert deviation < 0.25  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
-    assert found.p_values[found.members[0]] < 0.05
+    assert found.first.p_value < 0.05
     H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))
     assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
 
@@ -202,3 +203,55 @@ def test_covariance_grows_where_samples_of_a_block_say_the_same():
     flat = J.reshape(-1, SIZE)[:, columns]
     found = covariance(*sums_by_block(task, e, J), columns)
     np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)
+
+
+def repeated(at: Followed) -> Followed:
+    """The same data where all samples of a block say what its first one does."""
+    return followed(*(np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J)))
+
+
+def rivals(at: Followed, task: Problem) -> tuple[np.ndarray, float]:
+    """Costs of the effects 0 and 1 where effect 0 acts a little, and the overdispersion at the fit of effect 0."""
+    J = np.asarray(at.J)
+    e = np.asarray(at.e) + 0.04 * J[..., 0]
+    left = lambda k: e - J[..., k] * (np.sum(J[..., k] * e) / np.sum(J[..., k] ** 2))
+    return np.array([np.sum(left(k) ** 2) for k in (0, 1)]), overdispersion(
+        *sums_by_block(task, left(0), J), np.array([0])
+    )
+
+
+def test_probabilities_are_no_surer_for_samples_that_say_the_same():
+    rng, task = np.random.default_rng(15), made_up(blocks=300)
+    stated = {}
+    for name, change in (("independent", lambda at: at), ("repeated", repeated)):
+        cases = [rivals(change(noise(rng, 300)), task) for _ in range(60)]
+        excess = np.array([excess for _, excess in cases])
+        assert excess.min() >= 1
+        assert excess.mean() == pytest.approx(1.0 if name == "independent" else LENGTH, rel=0.15)
+        stated[name] = np.array([[weights(costs, np.ones(2), by)[0] for by in (1.0, c)] for costs, c in cases])
+    assert np.abs(np.diff(stated["independent"])).max() < 0.06
+    sure = ((stated["repeated"] < 0.01) | (stated["repeated"] > 0.99)).mean(axis=0)
+    assert sure[0] > 0.15 and sure[1] < 0.05  # wrongly sure, or not
+
+
+def test_the_p_value_of_an_effect_is_its_own():
+    rng, task = np.random.default_rng(16), made_up()
+    at = noise(rng)
+    found = scores(task, at._replace(e=np.asarray(at.e) + 0.4 * np.asarray(at.J)[..., 3]), np.zeros(SIZE), (), 0)
+    assert found.p_value_of(3, np.array([3])) == found.p_value < 0.005
+    assert min(found.p_value_of(i, np.array([i])) for i in (0, 2, 4)) > 0.05
+
+
+def test_effects_of_several_parameters_can_be_taken_for_others():
+    """Effect 0 is the sum of both parameters of effect 1, which look little like it one by one."""
+    task = made_up()._replace(owner=np.array([0, 1, 1, 2, 3]))
+    task = task._replace(model=SimpleNamespace(effects=EFFECTS[:4]))  # type: ignore[arg-type]
+    rng, nothing = np.random.default_rng(17), None
+    J = rng.normal(size=(1, BLOCKS * LENGTH, 3, SIZE))
+    J[..., 0] = J[..., 1] + J[..., 2] + 0.1 * J[..., 0]
+    at = followed(rng.normal(size=J.shape[:-1]), J)
+    for member, theta, expected in ((0, [1, 0, 0, 0, 0], (1,)), (1, [0, 1, 1, 0, 0], (0,)), (1, [0, 1, -1, 0, 0], ())):
+        left = scores(task, at, np.array(theta, float), (member,), 0)
+        fit: Any = Fit(np.array(theta, float), 0.0, nothing)  # type: ignore[arg-type]
+        found = Selection((member,), fit, at, left, task, fit, left)
+        assert confusable(task, found, member) == expected

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
-from driftjax.diagnosis.evidence import Cause
-from driftjax.diagnosis.fit import Problem, around, priced, problem
+from driftjax.diagnosis.evidence import Cause, odds
+from driftjax.diagnosis.fit import Problem, around, observed, priced, problem, settle
 from driftjax.diagnosis.propose import in_catalogue, propose
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.unknown import unexplained
+from driftjax.diagnosis.unknown import best, generic, unexplained
 from driftjax.diagnosis.verdict import Judgement, Verdict, judge
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
@@ -25,7 +25,7 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     fit = priced(task, np.zeros(len(ORDER)))
     at = around(task, fit)
     left = scores(task, at, fit.theta, (), 0)
-    return task, Selection((), fit, at, left, {}, task, fit, left)
+    return task, Selection((), fit, at, left, task, fit, left)
 
 
 def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
@@ -55,9 +55,34 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
     one, two = (unexplained(task, found._replace(members=useless[:num]), 0) for num in (1, 2))
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
-    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0) for i in useless]
+    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001) for i in useless]
     told = judge(task, found, named, two._replace(p_value=1.0), 36.0)
     assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
+
+
+def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
+    """Errors that stay the same for a whole block: the term that suits them best is hardly beyond its interval."""
+    task, found = nominal_only("drive_gain", 0.0)
+    rng, block = np.random.default_rng(4), task.data.block
+    for _ in range(3):
+        e = np.where(np.asarray(found.at.e) != 0, rng.standard_normal((task.data.num_blocks, 3))[block], 0.0)
+        _, term = best(task, generic(task, found.at._replace(e=e), found.scores, (), 0))
+        assert 0 < abs(term.value) < 2.5 * term.half_width
+
+
+def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
+    stated = []
+    task, found = nominal_only("drive_gain", 0.0)
+    member = int(np.argmax(found.scores.gain))
+    columns = task.columns((member,))
+    third = task.noise._replace(sigma=task.noise.sigma / 3, disturbance=task.noise.disturbance / 3)
+    for one in (task, observed(task, task.start, third)):
+        fit, at = settle(one, priced(one, task.start), columns)
+        left = scores(one, at, fit.theta, (member,), 0)
+        probability, _, p_value = odds(one, Selection((member,), fit, at, left, one, fit, left), member)
+        stated.append(probability)
+        assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
+    assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 
 
 def test_an_effect_that_is_left_out_takes_no_part():
@@ -77,7 +102,7 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
     found = found._replace(members=(own,), fit=fit)
-    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0)
+    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001)
     ask = lambda verdict: propose(sedan(), task, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     told = ask(Verdict.SET)

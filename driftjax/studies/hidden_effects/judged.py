@@ -32,10 +32,14 @@ def first(result: Result) -> bool:
     return cause["effect"] == name or inseparable
 
 
+def alone(result: Result) -> bool:
+    """Whether all hidden effects and nothing else were named, and the verdict is NAMED."""
+    return result["verdict"] == "NAMED" and exactly(result)
+
+
 def resolved(result: Result) -> bool:
     """Whether the hidden effect alone is sure, once the manoeuvre proposed is driven."""
-    after = result["after"]
-    return after["verdict"] == "NAMED" and exactly(after)
+    return alone(result["after"])
 
 
 def misled(result: Result) -> bool:

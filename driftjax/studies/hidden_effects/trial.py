@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from driftjax.core.config import to_dict
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, split
+from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
 from driftjax.diagnosis.fit import priced, settle
 from driftjax.diagnosis.gain import open_loop, skill
 from driftjax.diagnosis.score import CONDITION, partial_out
@@ -56,9 +56,9 @@ def examine(
     if case.condition == "foreign":
         return told | {"height": height(case.car)}
     if found.gain and case.effects:
-        test, truth = found.task.part(split(len(runs), config.held_out)[1]), case.theta(effects)
         gain = found.gain
-        best = skill(gain.errors["nominal"], open_loop(test, truth), gain.floor, config.seed)
+        oracle = open_loop(gain.judged.task, case.theta(effects))
+        best = skill(gain.errors["nominal"], oracle, gain.floor, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
     if set(told["named"]) != set(case.names):
         told |= {"prices": prices(found, case)}
@@ -70,7 +70,7 @@ def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
     task, name = found.task, lambda i: found.task.effects[i].name
     causes = [
         {
-            "effect": name(c.effect), "probability": c.probability, "p_value": found.found.p_values[c.effect],
+            "effect": name(c.effect), "probability": c.probability, "p_value": c.p_value,
             "theta": c.theta.tolist(), "half_width": c.half_width.tolist(),
             "scale": np.asarray(task.model.scale)[task.columns((c.effect,))].tolist(),
             "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
@@ -79,12 +79,11 @@ def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
         for c in found.causes
     ]  # fmt: skip
     skills = found.gain.skills if found.gain else {}
-    first = min(found.found.p_values.values(), default=found.found.scores.p_value)
     noise = [*task.noise.sigma, *task.noise.disturbance, task.noise.correlation]
     return {
         "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.judgement.verdict),
         "sentence": found.judgement.sentence, "causes": causes,
-        "named": [c["effect"] for c in causes], "p_first": first,
+        "named": [c["effect"] for c in causes], "p_first": found.found.first.p_value,
         "p_left": found.left.p_value, "gain_left": found.left.gain,
         "unexplained": to_json(found, log)["unexplained"], "noise": [float(v) for v in noise],
         "skill": {model: [value, *interval] for model, (value, interval) in skills.items()},

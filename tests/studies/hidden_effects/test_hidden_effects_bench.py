@@ -109,6 +109,11 @@ def test_the_table_counts_what_it_says():
     assert value("named, yet worse on runs held out") == (0.25, 4)
     assert value("calibration error of the probability")[0] == pytest.approx(0.9 - 0.75)
     assert "sedan: two: both found" not in table
+    unknown = result([("mass", 1.0)], [("mass", 1.0)], "UNKNOWN")
+    table = score([FOUND, MISSED, unknown])
+    assert value("one (all of these): exactly that") == (pytest.approx(2 / 3), 3)
+    assert value("one (all of these): named alone, verdict NAMED") == (pytest.approx(1 / 3), 3)
+    assert value("one (all of these): said UNKNOWN beside") == (pytest.approx(1 / 3), 3)
 
 
 def test_a_manoeuvre_that_settles_a_set_and_an_exact_imitation_are_counted():
