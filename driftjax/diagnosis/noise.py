@@ -82,6 +82,6 @@ def estimate(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> N
     """Noise from innovations `e` (P, T, 3) under `gains`, searched from `start`."""
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
-    logs = (jnp.asarray(np.log(row)) for row in (start.row(), low, high))
-    best = np.exp(call(_search, *logs, steps, e, gains.L, dt).x)
+    first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.row(), low, high))
+    best = np.exp(call(_search, first, lower, upper, steps, e, gains.L, dt).x)
     return Noise(best[:3], best[3:6], float(best[6]))

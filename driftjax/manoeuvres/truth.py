@@ -19,8 +19,9 @@ from driftjax.vehicle.effect import EFFECTS, effects_named
 
 
 def effect_strengths(vehicle: VehicleConfig, words: Sequence[str] = ()) -> Float[np.ndarray, "K"]:
-    """Parse `name.parameter=value` (SI) and `name=sizes`, such as `yaw_inertia=2`, into all parameters of the catalogue, in typical sizes.
+    """Parse `name.parameter=value` (SI) and `name=sizes`, such as `yaw_inertia=2`, into strengths.
 
+    Returns all K parameters of the catalogue, in typical sizes; neutral without words.
     Raises `BadInput` for an unknown effect or parameter, and for a value outside its bounds.
     """
     parameters = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in effect.parameters]
