@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from driftjax.core import Control as Control
     from driftjax.core import State as State
     from driftjax.diagnosis.calibrate import calibrate as calibrate
-    from driftjax.diagnosis.diagnose import DiagnoseConfig as DiagnoseConfig
     from driftjax.diagnosis.diagnose import Diagnosis as Diagnosis
     from driftjax.diagnosis.diagnose import diagnose as diagnose
+    from driftjax.diagnosis.held_out import DiagnoseConfig as DiagnoseConfig
     from driftjax.equilibrium.branch import Branch as Branch
     from driftjax.equilibrium.map import equilibria as equilibria
     from driftjax.gp import GP as GP
@@ -62,7 +62,8 @@ MODULES = {
     "control.mpc": ("MPCConfig", "Reference", "Weights"),
     "core": ("RESULTS", "BadInput", "Control", "State"),
     "diagnosis.calibrate": ("calibrate",),
-    "diagnosis.diagnose": ("DiagnoseConfig", "Diagnosis", "diagnose"),
+    "diagnosis.diagnose": ("Diagnosis", "diagnose"),
+    "diagnosis.held_out": ("DiagnoseConfig",),
     "equilibrium.branch": ("Branch",),
     "equilibrium.map": ("equilibria",),
     "gp": ("GP", "fit_gp"),

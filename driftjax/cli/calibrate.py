@@ -2,24 +2,18 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import tyro
-import yaml
 
 from driftjax.cli.console import default_out, typed, within
-from driftjax.core import require, write_atomically
-from driftjax.diagnosis.calibrate import Calibration, calibrate
-from driftjax.diagnosis.diagnose import check_held_out
-from driftjax.diagnosis.serialise import extended_car, gain_json
+from driftjax.core import require
+from driftjax.diagnosis.calibrate import USUAL, calibrate
+from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_named
-
-USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,49 +63,11 @@ def run(argv: list[str]) -> int:
     def work() -> int:
         for note in log.notes:
             print(f"note: {note}")
-        found = calibrate(vehicle, log.runs, asked.effects, asked.held_out)
-        car = extended_car(vehicle, found.task, found.members, found.fit.theta, found.scores)
-        text = yaml.safe_dump(car, sort_keys=False)
-        write_atomically(folder.path / "calibrated.yaml", lambda path: path.write_text(text, encoding="utf-8"))
-        folder.write_json("calibration", content(found))
-        print(told(found))
+        calibration = calibrate(vehicle, log, asked.effects, held_out=asked.held_out)
+        calibration.save(folder.path)
+        print(calibration)
         print(gain_table(folder.read_json("calibration")["gain"]))
         print(f"car: {folder.path / 'calibrated.yaml'}")
         return 0
 
     return within(folder, work)
-
-
-def content(found: Calibration) -> dict[str, Any]:
-    """`calibration.json`."""
-    noise = found.task.noise
-    return {
-        "parameters": [
-            {"parameter": name, "value": value, "ci95_half": half, "unit": unit, "at_bound": name in found.bound}
-            for name, value, half, unit in rows(found)
-        ],
-        "gain": gain_json(found.gain),
-        "noise": {"measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
-                  "correlation_s": noise.correlation},
-    }  # fmt: skip
-
-
-def rows(found: Calibration) -> list[tuple[str, float, float, str]]:
-    """Name, value, half-width of its 95 % interval and unit of every parameter fitted, SI."""
-    task = found.task
-    columns, scale = task.columns(found.members), np.asarray(task.model.scale)
-    each = [(task.effects[i].name, p) for i in found.members for p in task.effects[i].parameters]
-    values, widths = found.fit.theta[columns] * scale[columns], found.half_width * scale[columns]
-    return [
-        (f"{name}.{p.name}", float(value), float(width), p.unit)
-        for (name, p), value, width in zip(each, values, widths, strict=True)
-    ]
-
-
-def told(found: Calibration) -> str:
-    """The table on the screen."""
-    lines = [f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}"]
-    for name, value, half, unit in rows(found):
-        end = "   on its bound: these data ask for more" if name in found.bound else ""
-        lines.append(f"{name:28}{value:12.4g} ± {half:9.2g} {'' if unit == '1' else unit}{end}".rstrip())
-    return "\n".join(lines) + "\n"

@@ -2,17 +2,14 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
-import yaml
 
 from driftjax.cli.console import default_out, progress, tell, typed, within
-from driftjax.core import require, write_atomically
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, what_is_wrong
-from driftjax.diagnosis.figure_data import stored
-from driftjax.diagnosis.serialise import bare_json, extended, to_json
-from driftjax.diagnosis.verdict import Judgement
+from driftjax.core import require
+from driftjax.diagnosis.diagnose import Diagnosis, diagnose
+from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
 from driftjax.parallel import num_workers, process_executor
@@ -68,10 +65,10 @@ def run(argv: list[str]) -> int:
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     def both() -> int:
-        found = work(vehicle, log, asked.options, folder, course)
-        if asked.drive and isinstance(found, Diagnosis) and found.proposal:
+        diagnosis = work(vehicle, log, asked.options, folder, course)
+        if asked.drive and diagnosis.proposal:
             more = folder.path / "next.csv"
-            drive_again(asked.drive, found.proposal.manoeuvre, more)
+            drive_again(asked.drive, diagnosis.proposal.manoeuvre, more)
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
@@ -83,42 +80,29 @@ def run(argv: list[str]) -> int:
 
 def work(
     vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, course: Course | None
-) -> Diagnosis | Judgement:
-    """The diagnosis into `folder` and onto the screen, with the laps on `course`."""
+) -> Diagnosis:
+    """Diagnose into `folder` and print what came out, with the laps on `course`."""
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
-        with process_executor(min(num_workers(2), 1)) as blocks:
-            found = diagnose(vehicle, log, config, step, blocks=blocks)
+        with process_executor(min(num_workers(2), 1)) as executor:
+            diagnosis = diagnose(vehicle, log, config, report=step, executor=executor)
         step("show")
-        if isinstance(found, Judgement):
-            content, judgement = bare_json(found, log, config.seed), found
-        else:
-            shown, judgement = what_is_wrong(found, log), found.judgement
-            content = to_json(found, log, shown)
-            text = yaml.safe_dump(extended(found), sort_keys=False)
-            write_atomically(folder.path / "extended.yaml", lambda path: path.write_text(text, encoding="utf-8"))
-            folder.write_dataset("diagnosis.nc", stored(found, shown))
+        diagnosis.save(folder.path)
         step("done")
-    content = _kept(folder, content)
-    print(f"\n{judgement.verdict}: {judgement.sentence}\n")
-    if isinstance(found, Diagnosis) and found.proposal:
-        print(found.proposal.sentence + "\n")
-    if isinstance(found, Diagnosis):
+    content = folder.read_json("diagnosis")
+    print(f"\n{diagnosis.verdict}: {diagnosis.sentence}\n")
+    if diagnosis.proposal:
+        print(diagnosis.proposal.sentence + "\n")
+    if content["show"]:
         print(f"{content['show']['worst']}\n{parity_words(content['show']['kinematic_parity'])}\n")
         print(gain_table(content["gain"]))
-    if course and isinstance(found, Diagnosis):
+    if course and diagnosis.evidence:
         print(f"closed loop: driving on {course.name}", flush=True)
-        car = load_vehicle(folder.path / "extended.yaml")
-        tell(car)
-        driven = closed_loop(course, vehicle, car)
-        print(closed_loop_table(_kept(folder, content | {"closed_loop": driven})["closed_loop"]))
+        tell(diagnosis.extended)
+        content["closed_loop"] = closed_loop(course, vehicle, diagnosis.extended)
+        folder.write_json("diagnosis", content)
+        print(closed_loop_table(folder.read_json("diagnosis")["closed_loop"]))
     print(f"report: {write_diagnosis(folder)}")
-    return found
-
-
-def _kept(folder: RunFolder, content: dict[str, Any]) -> dict[str, Any]:
-    """`diagnosis.json` with this content, as a report reads it later."""
-    folder.write_json("diagnosis", content)
-    return folder.read_json("diagnosis")
+    return diagnosis

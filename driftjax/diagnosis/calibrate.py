@@ -1,27 +1,47 @@
 """The nominal car fitted to data: effects that one believes in get their sizes, without asking whether they act."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from driftjax.core import BadInput
-from driftjax.diagnosis.diagnose import Gain, compared, split
+from driftjax.core import BadInput, require
 from driftjax.diagnosis.evidence import half_widths
 from driftjax.diagnosis.fit import Fit, Problem, observed, posed, priced, settle, tuned
 from driftjax.diagnosis.gain import predict
+from driftjax.diagnosis.held_out import Gain, check_held_out, compared, split
 from driftjax.diagnosis.multistart import kept, loosened, nominal
 from driftjax.diagnosis.noise_floor import floor
 from driftjax.diagnosis.runs import Followed
 from driftjax.diagnosis.score import Scores, scores
+from driftjax.diagnosis.serialise import extended_car, gain_json
 from driftjax.diagnosis.show import Judged
-from driftjax.logs import Run
-from driftjax.vehicle import VehicleConfig
+from driftjax.environment import require_float64
+from driftjax.logs import Log
+from driftjax.store.files import write_json
+from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, effects_named
 
+USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
 
-class Calibration(NamedTuple):
-    """A car fitted to data, and what that gains on runs that had no part in it."""
 
+class FittedParameter(NamedTuple):
+    """One parameter of a calibration, SI."""
+
+    parameter: str  # effect.parameter
+    value: float
+    ci95_half: float  # half-width of its 95 % interval
+    unit: str
+    at_bound: bool  # these data ask for more
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A car fitted to data, and what that gains on runs that had no part in it; `str` is its table."""
+
+    nominal: VehicleConfig
     task: Problem  # with noise and observer of the fitted car
     members: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
     fit: Fit
@@ -30,18 +50,65 @@ class Calibration(NamedTuple):
     bound: tuple[str, ...]  # parameters that ended on a bound of theirs
     gain: Gain | None  # on runs held out, of a car fitted without them; None where there are too few
 
+    @property
+    def vehicle(self) -> VehicleConfig:
+        """The calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
+        return extended_car(self.nominal, self.task, self.members, self.fit.theta, self.scores)
+
+    @property
+    def parameters(self) -> tuple[FittedParameter, ...]:
+        """Every parameter fitted, SI."""
+        task = self.task
+        columns, scale = task.columns(self.members), np.asarray(task.model.scale)
+        names = [(task.effects[i].name, p) for i in self.members for p in task.effects[i].parameters]
+        values, widths = self.fit.theta[columns] * scale[columns], self.half_width * scale[columns]
+        return tuple(
+            FittedParameter(f"{name}.{p.name}", float(value), float(half), p.unit, f"{name}.{p.name}" in self.bound)
+            for (name, p), value, half in zip(names, values, widths, strict=True)
+        )
+
+    def content(self) -> dict[str, Any]:
+        """Return what calibration.json holds."""
+        noise = self.task.noise
+        return {
+            "parameters": [one._asdict() for one in self.parameters],
+            "gain": gain_json(self.gain),
+            "noise": {"measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
+                      "correlation_s": noise.correlation},
+        }  # fmt: skip
+
+    def save(self, folder: str | Path) -> Path:
+        """Write calibrated.yaml and calibration.json into `folder`."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_vehicle(folder / "calibrated.yaml", self.vehicle)
+        write_json(folder / "calibration.json", self.content())
+        return folder
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}"]
+        for one in self.parameters:
+            end = "   on its bound: these data ask for more" if one.at_bound else ""
+            unit = "" if one.unit == "1" else one.unit
+            lines.append(f"{one.parameter:28}{one.value:12.4g} ± {one.ci95_half:9.2g} {unit}{end}".rstrip())
+        return "\n".join(lines) + "\n"
+
 
 def calibrate(
-    vehicle: VehicleConfig, runs: tuple[Run, ...], names: tuple[str, ...], held_out: int = 3, seed: int = 0,
-    effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    vehicle: VehicleConfig, log: Log, effects: Sequence[str] = USUAL, *, held_out: int = 3, seed: int = 0,
+    catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Calibration:  # fmt: skip
-    """The effects `names` of the car at their best in `runs`; others stay as `vehicle` has them.
+    """Fit the `effects` of the car to a log in which it should be right; others stay as `vehicle` has them.
 
-    Every `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. `effects` is the
-    catalogue; raises `BadInput` for effects that these runs cannot tell.
+    Nothing is tested here: what `diagnose` should find later is to be left out. Every `held_out`-th run is held out
+    to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects that these runs cannot tell.
     """
+    require_float64()
+    check_held_out(held_out)
+    require(bool(effects), "key 'effects' is empty; name the effects to fit.")
+    runs, names = log.runs, tuple(effects)
     wanted = {effect.name for effect in effects_named(names)}
-    task = posed(vehicle, effects, runs)
+    task = posed(vehicle, catalogue, runs)
     members = tuple(i for i, effect in enumerate(task.effects) if effect.name in wanted)
     lost = [task.effects[i].name for i in members if not task.asked[task.columns((i,))].all()]
     if lost:
@@ -54,7 +121,7 @@ def calibrate(
     ends = (fit.theta == task.lower) & (task.lower != 0) | (fit.theta == task.upper)
     bound = tuple(name for name, end in zip(on, ends[columns], strict=True) if end)
     gain = gained(task, members, tuple(run.name for run in runs), held_out, seed)
-    return Calibration(task, members, fit, last, half_widths(task, last, members), bound, gain)
+    return Calibration(vehicle, task, members, fit, last, half_widths(task, last, members), bound, gain)
 
 
 def gained(task: Problem, members: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int) -> Gain | None:

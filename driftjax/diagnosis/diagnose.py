@@ -1,186 +1,143 @@
-"""From a log to a diagnosis: name on some runs, measure the gain on the others."""
+"""From a log to a diagnosis: name the causes, say how sure that is, measure what mending them gains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from driftjax.core import require
-from driftjax.diagnosis.evidence import Cause, causes
-from driftjax.diagnosis.fit import Problem, observed, posed, problem, settle, tuned
-from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
+from driftjax.diagnosis.evidence import Cause, NamedEffect, causes, named_effects
+from driftjax.diagnosis.figure_data import figure_data
+from driftjax.diagnosis.fit import Problem, problem
+from driftjax.diagnosis.held_out import DiagnoseConfig, Gain, measure, measured, on_all
 from driftjax.diagnosis.multistart import approach
-from driftjax.diagnosis.noise_floor import floor
 from driftjax.diagnosis.propose import Proposal, propose
-from driftjax.diagnosis.residual_gp import learnt
-from driftjax.diagnosis.select import MOST, Selection
-from driftjax.diagnosis.show import Judged, Show, show
+from driftjax.diagnosis.select import Selection
+from driftjax.diagnosis.serialise import diagnosis_json, extended_car
+from driftjax.diagnosis.show import Show, show
 from driftjax.diagnosis.unknown import Unexplained, unexplained
 from driftjax.diagnosis.verdict import SHORTEST, Judgement, Verdict, judge
-from driftjax.logs import Log, Run
+from driftjax.environment import require_float64
+from driftjax.logs import Log
 from driftjax.parallel import BatchExecutor
-from driftjax.vehicle import VehicleConfig
+from driftjax.store.files import write_json, write_netcdf
+from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect
 
-RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
-
-
-def check_held_out(every: int) -> None:
-    """Raise `BadInput` where not every so-many-th run can be held out."""
-    require(every == 0 or every >= 2, f"key 'held_out' is {every}; give 0, or 2 or more.")
-
 
 @dataclass(frozen=True)
-class DiagnoseConfig:
-    """Options of a diagnosis."""
+class Evidence:
+    """What a verdict rests on."""
 
-    held_out: int = 3
-    """Every so-many-th run is held out to measure the gain on: effects are named and fitted once more without them.
-    0: none is, and no gain is measured."""
-    without: tuple[str, ...] = ()
-    """Effects left out of the catalogue."""
-    most: int = MOST
-    """Effects named at most. Each further one takes longer; a real car that nobody calibrated may need more."""
-    gp: bool = True
-    """Whether the gain is also measured of a GP, alone and beside the named effects."""
-    seed: int = 0
-    """Of the random signs of the test and of the resampling."""
-
-    def __post_init__(self) -> None:
-        check_held_out(self.held_out)
-        require(self.most >= 1, f"key 'most' is {self.most}; give 1 or more.")
-        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
-        unknown = sorted(set(self.without) - set(EFFECTS))
-        require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
-
-
-@dataclass(frozen=True)
-class Gain:
-    """What the extension gains on runs held out, when named and fitted without them."""
-
-    held: tuple[str, ...]  # names of the runs held out
-    named: tuple[str, ...]  # effects named without them
-    judged: Judged  # models compared on them
-    errors: dict[str, Errors]  # of each
-    floor: Errors  # what noise alone makes
-    skills: dict[str, tuple[float, tuple[float, float]]]
-    ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
+    problem: Problem
+    selection: Selection
+    causes: list[Cause]
+    unexplained: Unexplained
+    proposal: Proposal | None
+    gain: Gain | None  # None where there are too few runs to hold any out
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, ready to be told."""
+    """What a log says the model of a car gets wrong, why, and what mending it gains."""
 
     vehicle: VehicleConfig
-    task: Problem
-    found: Selection
-    causes: list[Cause]
-    left: Unexplained
-    judgement: Judgement
-    proposal: Proposal | None
-    gain: Gain | None  # None where there are too few runs to hold any out
+    """The car that was questioned."""
+    log: Log
     config: DiagnoseConfig
+    judgement: Judgement
+    evidence: Evidence | None
+    """None where the log is too short for any: the verdict is DATA_INSUFFICIENT."""
 
+    @property
+    def verdict(self) -> Verdict:
+        """NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
+        return self.judgement.verdict
 
-def split(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the runs to name from, and of those held out; of fewer than `every` runs none is held out."""
-    runs = np.arange(num)
-    held = runs % every == every - 1 if every else np.zeros(num, bool)
-    return runs[~held], runs[held]
+    @property
+    def sentence(self) -> str:
+        """What a person would say of it, with units."""
+        return self.judgement.sentence
+
+    @property
+    def causes(self) -> tuple[NamedEffect, ...]:
+        """Every named effect with its probability, parameters (SI) and rivals."""
+        return named_effects(self.evidence.problem, self.evidence.causes) if self.evidence else ()
+
+    @property
+    def gain(self) -> Gain | None:
+        """Errors on runs held out, of what was named and fitted without them; None where none was held out."""
+        return self.evidence.gain if self.evidence else None
+
+    @property
+    def proposal(self) -> Proposal | None:
+        """What to drive next so that rival explanations come apart."""
+        return self.evidence.proposal if self.evidence else None
+
+    @property
+    def extended(self) -> VehicleConfig:
+        """The car with what was named, for simulator, planner, equilibria and MPC; the same car where nothing was."""
+        if self.evidence is None:
+            return self.vehicle
+        last = self.evidence.selection
+        return extended_car(self.vehicle, self.evidence.problem, last.members, last.fit.theta, last.scores)
+
+    def show(self) -> Show | None:
+        """Compute residual forces, kinematic parity, open-loop errors and all else that figures draw."""
+        if self.evidence is None:
+            return None
+        task, selection, seed = self.evidence.problem, self.evidence.selection, self.config.seed
+        judged = self.gain.judged if self.gain else on_all(task, selection, seed)
+        return show(self.vehicle, task, self.log.runs, selection, judged, seed)
+
+    def content(self, shown: Show | None = None) -> dict[str, Any]:
+        """Return what diagnosis.json holds, schema version 1; `shown` is that of `show`, if it is to be part of it."""
+        return diagnosis_json(self, shown)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write diagnosis.json and, of a log that was long enough, extended.yaml and diagnosis.nc into `folder`."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        shown = self.show()
+        if self.evidence is not None and shown is not None:
+            write_vehicle(folder / "extended.yaml", self.extended)
+            data = figure_data(self.vehicle.name, self.evidence.problem, self.evidence.selection, shown, self.gain)
+            write_netcdf(folder / "diagnosis.nc", data)
+        write_json(folder / "diagnosis.json", self.content(shown))
+        return folder
 
 
 def diagnose(
     vehicle: VehicleConfig,
     log: Log,
-    config: DiagnoseConfig,
+    config: DiagnoseConfig | None = None,
+    *,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
-    blocks: BatchExecutor | None = None,
-) -> Diagnosis | Judgement:
-    """What `log` says the model of `vehicle` gets wrong; a bare judgement where the log is too short for any.
+    executor: BatchExecutor | None = None,
+) -> Diagnosis:
+    """Name what `log` says the model of `vehicle` gets wrong, from measurements in SI and radians, left positive.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
     no part in the noise and the observer either. `effects` is the catalogue to choose from: another one is another
-    model to compile. With workers in `blocks`, one of them measures the gain meanwhile.
+    model to compile. With workers in `executor`, one of them measures the gain meanwhile. `report` hears of every
+    step. Raises `BadInput` for runs whose sample times differ.
     """
+    require_float64()
+    config = DiagnoseConfig() if config is None else config
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < SHORTEST:
         text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
-        return Judgement(Verdict.DATA_INSUFFICIENT, text)
+        return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
     report("noise and nominal car")
-    beside = blocks.submit(measured, vehicle, effects, log.runs, config) if blocks and blocks.pool else None
+    parallel = executor is not None and executor.pool is not None
+    beside = executor.submit(measured, vehicle, effects, log.runs, config) if executor and parallel else None
     task = problem(vehicle, effects, log.runs, config.without)
     report("naming")
-    task, found = approach(task, config.seed, config.most)
-    named = causes(task, found)
-    left = unexplained(task, found, config.seed)
-    judgement = judge(task, found, named, left, duration)
-    proposal = propose(vehicle, task, found, named, judgement, config.seed)
+    task, selection = approach(task, config.seed, config.most)
+    named = causes(task, selection)
+    left = unexplained(task, selection, config.seed)
+    judgement = judge(task, selection, named, left, duration)
+    proposal = propose(vehicle, task, selection, named, judgement, config.seed)
     report("gain")
     gain = beside() if beside else measure(task, tuple(run.name for run in log.runs), config)
-    return Diagnosis(vehicle, task, found, named, left, judgement, proposal, gain, config)
-
-
-def what_is_wrong(found: Diagnosis, log: Log) -> Show:
-    """Residual forces, parity, open-loop errors and all else that figures draw, of the `log` diagnosed."""
-    judged = found.gain.judged if found.gain else on_all(found.task, found.found, found.config.seed)
-    return show(found.vehicle, found.task, log.runs, found.found, judged, found.config.seed)
-
-
-def measured(
-    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
-) -> Gain | None:
-    """`measure` from the start: a worker poses the problem as soon as its parent, whose programs it must load too."""
-    return measure(posed(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config)
-
-
-def parted(task: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:
-    """Return the problems over the runs `use` and over those `held` out, both with the noise estimated from `use`."""
-    train = tuned(task.part(use), task.start, task.asked)
-    return train, observed(task.part(held), task.start, train.noise)
-
-
-def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
-    """Open-loop errors on the runs held out of the nominal car, the re-tuned one, the extended one, and both ends with
-    a GP on what they lack; with skills. None where no run is held out.
-
-    Noise, and with it the observer that predictions start from and the floor, is estimated without the runs held out:
-    that of `task` is not used.
-    """
-    use, held = split(len(names), config.held_out)
-    if not len(held):
-        return None
-    train, test = parted(task, use, held)
-    near, found = approach(train, config.seed, config.most)
-    followed = test
-    if near is not train:
-        followed = observed(test, found.nominal.theta, found.base.noise)
-        test = observed(test, found.fit.theta, near.noise)
-    effects = [effect.name for effect in task.effects]
-    columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    retuned = settle(found.base, found.nominal, columns[task.asked[columns]])[0]
-    thetas = {"nominal": found.nominal.theta, "retuned": retuned.theta, "extended": found.fit.theta}
-    tests = {"nominal": followed, "retuned": followed, "extended": test}
-    ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
-    for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
-        ahead[name] = predict(tests[base], thetas[base], learnt(train, thetas[base], config.seed))
-    noise = floor(test, found.fit.theta, ahead["extended"], config.seed)
-    return compared(Judged(test, ahead, noise), tuple(names[i] for i in held), found.members, config.seed)
-
-
-def compared(judged: Judged, held: tuple[str, ...], members: tuple[int, ...], seed: int) -> Gain:
-    """Errors and skills of the models `judged` on the runs `held` out; `members` were fitted without them."""
-    task = judged.task
-    errors = {name: at_horizons(task, one.error**2) for name, one in judged.ahead.items()}
-    least = at_horizons(task, judged.least)
-    others = {name: one for name, one in errors.items() if name != "nominal"}
-    skills = {name: skill(errors["nominal"], one, least, seed) for name, one in others.items()}
-    relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
-    return Gain(held, tuple(task.effects[i].name for i in members), judged, errors, least, skills, relative)
-
-
-def on_all(task: Problem, found: Selection, seed: int) -> Judged:
-    """Nominal and extended car on the runs that the extension was named from, where none is held out."""
-    thetas = {"nominal": found.nominal.theta, "extended": found.fit.theta}
-    ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", found.base), ("extended", task))}
-    return Judged(task, ahead, floor(task, found.fit.theta, ahead["extended"], seed))
+    return Diagnosis(vehicle, log, config, judgement, Evidence(task, selection, named, left, proposal, gain))

@@ -1,6 +1,6 @@
 """How sure a name is: intervals of its parameters, and the probability that it rather than a rival acts."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,6 +25,36 @@ class Cause(NamedTuple):
     alike: tuple[int, ...]  # effects whose signature is nearly the same
     invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
+
+
+class NamedEffect(NamedTuple):
+    """One named effect in SI, as diagnosis.json holds it."""
+
+    effect: str
+    probability: float  # that it rather than a rival acts
+    p_value: float  # of its own score beside the other causes
+    parameters: dict[str, dict[str, Any]]  # name -> value, ci95 (low, high), unit; SI
+    invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
+    confusable_with: list[str]  # effects that these data hardly tell from it
+    rivals: dict[str, float]  # effects that might act in its place, with their probabilities
+
+
+def named_effects(task: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
+    """Return the causes with names of effects and parameters in SI."""
+    scale = np.asarray(task.model.scale)
+    found = []
+    for cause in causes:
+        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
+        rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], strict=True)
+        parameters = {
+            p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit} for p, x, w, s in rows
+        }
+        rivals = {task.effects[i].name: p for i, p in cause.rivals.items()}
+        alike = sorted({*rivals, *(task.effects[i].name for i in cause.alike)})
+        found.append(
+            NamedEffect(effect.name, cause.probability, cause.p_value, parameters, cause.invariance, alike, rivals)
+        )
+    return tuple(found)
 
 
 def causes(task: Problem, found: Selection) -> list[Cause]:

@@ -4,9 +4,11 @@ import numpy as np
 import xarray as xr
 
 from driftjax.diagnosis.binned import BINS
-from driftjax.diagnosis.diagnose import Diagnosis
+from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import APART, root_mean
+from driftjax.diagnosis.held_out import Gain
 from driftjax.diagnosis.residual import FORCES
+from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.show import Show
 from driftjax.diagnosis.smooth import inside
 from driftjax.logs.columns import MEASURED
@@ -18,18 +20,18 @@ POINTS = 100  # of a curve over the horizon at most
 MODELS = ("nominal", "extended")
 
 
-def stored(found: Diagnosis, shown: Show) -> xr.Dataset:
-    """The dataset of `diagnosis.nc`, in single precision."""
-    dt = found.task.data.dt
-    values = curves(shown, dt) | fan(shown, dt) | forces(shown) | scored(found, shown)
+def figure_data(car: str, task: Problem, selection: Selection, shown: Show, gain: Gain | None) -> xr.Dataset:
+    """Return the dataset of `diagnosis.nc`, in single precision; `car` is the vehicle's name."""
+    dt = task.data.dt
+    values = curves(shown, dt) | fan(shown, dt) | forces(shown) | scored(task, selection, shown)
     values |= {
-        "channel": np.array(MEASURED), "model": np.array(MODELS), "sigma": found.task.noise.sigma,
+        "channel": np.array(MEASURED), "model": np.array(MODELS), "sigma": task.noise.sigma,
         "lag_time": dt * np.arange(1, len(shown.white["nominal"].correlation) + 1),
         "autocorrelation": np.stack([shown.white[name].correlation for name in MODELS]),
     }  # fmt: skip
     single = {name: a.astype(np.float32) if a.dtype.kind == "f" else a for name, a in values.items()}
     attrs = {
-        "car": found.vehicle.name, "predicted_on": "runs held out" if found.gain else "the runs it was named from",
+        "car": car, "predicted_on": "runs held out" if gain else "the runs it was named from",
         "score_threshold": shown.scores.threshold, "white_band": shown.white["nominal"].band,
     }  # fmt: skip
     return dataset(single, attrs, DIAGNOSIS)
@@ -85,15 +87,14 @@ def forces(shown: Show) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def scored(found: Diagnosis, shown: Show) -> dict[str, np.ndarray]:
+def scored(task: Problem, selection: Selection, shown: Show) -> dict[str, np.ndarray]:
     """Scores at the nominal car, and how alike the parameters' signatures are at the extended one."""
-    task, members = found.task, [cause.effect for cause in found.causes]
     names = np.array([f"{effect.name}.{p.name}" for effect in task.effects for p in effect.parameters])
-    H = found.found.scores.H
+    H = selection.scores.H
     size = np.sqrt(np.maximum(np.diag(H), 0.0))
     cosine = np.divide(np.abs(H), size[:, None] * size, out=np.full(H.shape, np.nan), where=size[:, None] * size > 0)
     return {
         "effect": np.array([effect.name for effect in task.effects]), "promise": shown.scores.gain,
         "parameter": names, "other": names, "score": shown.scores.T,
-        "named": np.isin(task.owner, members), "cosine": np.minimum(cosine, 1.0),
+        "named": np.isin(task.owner, selection.members), "cosine": np.minimum(cosine, 1.0),
     }  # fmt: skip

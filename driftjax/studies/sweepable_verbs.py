@@ -10,8 +10,8 @@ from typing import Any
 
 from driftjax.core import find_config, from_dict, merged
 from driftjax.core.config import to_dict
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
-from driftjax.diagnosis.serialise import to_json
+from driftjax.diagnosis.diagnose import diagnose
+from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.learning.config import LearnConfig, files_of, load_learn_config
 from driftjax.learning.run import drive_stages
 from driftjax.learning.scenario import Route, build, route_of
@@ -87,11 +87,8 @@ def diagnose_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Itera
     """The verdict, and the gain on runs held out."""
     asked = from_dict(LogConfig, config, "a trial")
     log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, blocks=blocks)
-    if not isinstance(found, Diagnosis):
-        yield [{"verdict": found.verdict, "named": 0, "causes": ""}]
-        return
-    told = to_json(found, log)
+    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, executor=blocks)
+    told = found.content()
     names = [cause["effect"] for cause in told["causes"]]
     at = told["gain"]["horizons_s"].index(1.0) if 1.0 in told["gain"].get("horizons_s", []) else None
     ratio, skill = told["gain"].get("ratio", {}).get("extended"), told["gain"].get("skill", {}).get("extended")

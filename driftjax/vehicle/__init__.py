@@ -13,6 +13,8 @@ from driftjax.vehicle.extended import build_car as build_car
 from driftjax.vehicle.extended import named_lags as named_lags
 from driftjax.vehicle.extended import notes as notes
 from driftjax.vehicle.load import load_vehicle as load_vehicle
+from driftjax.vehicle.load import write_vehicle as write_vehicle
+from driftjax.vehicle.parameters import FoundParameter as FoundParameter
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
 from driftjax.vehicle.plant_config import PlantConfig as PlantConfig
 from driftjax.vehicle.plants import draw_plants as draw_plants

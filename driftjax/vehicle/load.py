@@ -1,11 +1,13 @@
-"""Reading a vehicle YAML: a nominal car, and the effects that a diagnosis named."""
+"""Vehicle YAML files, read and written: a nominal car, and the effects that a diagnosis named."""
 
 import dataclasses
 import math
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml
+import yaml
+
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
 from driftjax.vehicle.effect import Parameter, effects_named
 from driftjax.vehicle.parameters import FoundParameter, VehicleConfig
 
@@ -37,6 +39,20 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
     vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix)
     return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
+
+
+def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
+    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects and their covariance."""
+    nominal = {key: value for key, value in dataclasses.asdict(vehicle).items() if key not in ("effects", "covariance")}
+    effects: dict[str, dict[str, Any]] = {}
+    for one in vehicle.effects:
+        effects.setdefault(one.effect, {})[one.parameter] = {"value": one.value, "ci95_half": one.ci95_half}
+    content = {"nominal": nominal, "effects": effects}
+    if vehicle.covariance:
+        matrix = [list(row) for row in vehicle.covariance]
+        content["covariance"] = {"parameters": [one.name for one in vehicle.effects], "matrix": matrix}
+    text = yaml.safe_dump(content, sort_keys=False)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:

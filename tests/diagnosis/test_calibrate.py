@@ -25,7 +25,7 @@ TRUE = {"friction_rear": -1.0, "stiffness_front": 0.8, "steer_offset": -0.7}
 
 
 def test_sizes_are_those_hidden_and_gain_on_runs_held_out(monkeypatch, capsys):
-    monkeypatch.setattr("driftjax.cli.calibrate.calibrate", functools.partial(calibrate, effects=KNOWN))
+    monkeypatch.setattr("driftjax.cli.calibrate.calibrate", functools.partial(calibrate, catalogue=KNOWN))
     write_log(Path("log.csv"), recorded(hidden(**TRUE), 5, 6))
     assert main(["calibrate", "log.csv", "--combined-slip", "1", "--effects", *TRUE, "--out", "car"]) == 0
     car = load_vehicle("car/calibrated.yaml")

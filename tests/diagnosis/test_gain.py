@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose, parted, split
+from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.fit import observed, posed, problem
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
+from driftjax.diagnosis.held_out import DiagnoseConfig, parted, split
 from driftjax.diagnosis.noise_floor import floor
 from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import Log
@@ -103,8 +104,8 @@ def test_runs_mixed_up_show_no_gain():
     ]
     found = {}
     for name, log in (("whole", runs), ("mixed", tuple(mixed))):
-        told = diagnose(sedan(), Log(log, "", (), ()), DiagnoseConfig(gp=False), effects=EFFECTS)
-        assert isinstance(told, Diagnosis) and told.gain
-        found[name] = told.judgement.verdict, told.gain.skills["extended"][1][0]
+        told = diagnose(sedan(), Log(log), DiagnoseConfig(gp=False), effects=EFFECTS)
+        assert told.gain
+        found[name] = told.verdict, told.gain.skills["extended"][1][0]
     assert found["whole"][1] > 0.5
     assert found["mixed"][0] is Verdict.UNKNOWN and not found["mixed"][1] > 0, found

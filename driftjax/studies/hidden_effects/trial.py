@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from driftjax.core.config import to_dict
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
+from driftjax.diagnosis.diagnose import Diagnosis, Evidence, diagnose
 from driftjax.diagnosis.fit import priced, settle
 from driftjax.diagnosis.gain import open_loop, skill
+from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.score import CONDITION, partial_out
 from driftjax.diagnosis.select import price
-from driftjax.diagnosis.serialise import to_json
+from driftjax.diagnosis.serialise import unexplained_json
 from driftjax.logs import Log, Run
 from driftjax.manoeuvres.campaign import LATER
 from driftjax.studies.hidden_effects.case import Case
@@ -45,14 +46,15 @@ def examine(
 
     The gain is measured on every `held_out`-th run; 0: on none, which takes half the time.
     """
-    log, start = Log(runs, "", (), ()), time.perf_counter()
+    log, start = Log(runs), time.perf_counter()
     config = DiagnoseConfig(held_out, case.without, gp=False, seed=case.seed)
     found = diagnose(vehicle, log, config, effects=effects)
-    if not isinstance(found, Diagnosis):
+    evidence = found.evidence
+    if evidence is None:
         raise RuntimeError(f"{len(runs)} runs are left: {found.sentence}")
     told = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
-    told |= outcome(found, log) | {"naive": effects[int(np.argmax(naive(found.task)))].name}
-    told |= {"hidden": [against(found, case, name) for name in case.names if name not in case.without]}
+    told |= outcome(found, evidence) | {"naive": effects[int(np.argmax(naive(evidence.problem)))].name}
+    told |= {"hidden": [against(evidence, case, name) for name in case.names if name not in case.without]}
     if case.condition == "foreign":
         return told | {"height": height(case.car)}
     if found.gain and case.effects:
@@ -61,13 +63,13 @@ def examine(
         best = skill(gain.errors["nominal"], oracle, gain.floor, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
     if set(told["named"]) != set(case.names):
-        told |= {"prices": prices(found, case)}
+        told |= {"prices": prices(evidence, case)}
     return told
 
 
-def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
+def outcome(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
     """The diagnosis as plain values; parameters in typical sizes."""
-    task, name = found.task, lambda i: found.task.effects[i].name
+    task, name = evidence.problem, lambda i: evidence.problem.effects[i].name
     causes = [
         {
             "effect": name(c.effect), "probability": c.probability, "p_value": c.p_value,
@@ -76,26 +78,26 @@ def outcome(found: Diagnosis, log: Log) -> dict[str, Any]:
             "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
             "invariance": c.invariance,
         }
-        for c in found.causes
+        for c in evidence.causes
     ]  # fmt: skip
     skills = found.gain.skills if found.gain else {}
     noise = [*task.noise.sigma, *task.noise.disturbance, task.noise.correlation]
     return {
-        "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.judgement.verdict),
-        "sentence": found.judgement.sentence, "causes": causes,
-        "named": [c["effect"] for c in causes], "p_first": found.found.first.p_value,
-        "p_left": found.left.p_value, "gain_left": found.left.gain,
-        "unexplained": to_json(found, log)["unexplained"], "noise": [float(v) for v in noise],
+        "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.verdict),
+        "sentence": found.sentence, "causes": causes,
+        "named": [c["effect"] for c in causes], "p_first": evidence.selection.first.p_value,
+        "p_left": evidence.unexplained.p_value, "gain_left": evidence.unexplained.gain,
+        "unexplained": unexplained_json(evidence.unexplained), "noise": [float(v) for v in noise],
         "skill": {model: [value, *interval] for model, (value, interval) in skills.items()},
     }  # fmt: skip
 
 
-def against(found: Diagnosis, case: Case, name: str) -> dict[str, Any]:
+def against(found: Evidence, case: Case, name: str) -> dict[str, Any]:
     """How a hidden effect looked: its test and rank at the nominal car, its nearest double, its estimate if named."""
-    task = found.task
+    task = found.problem
     effect = [e.name for e in task.effects].index(name)
     columns = task.columns((effect,))
-    first = found.found.first
+    first = found.selection.first
     info = np.diag(first.H)[columns]
     told: dict[str, Any] = {
         "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),
@@ -110,12 +112,12 @@ def against(found: Diagnosis, case: Case, name: str) -> dict[str, Any]:
     return told
 
 
-def alike(found: Diagnosis, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
+def alike(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
     """Cosine between the signature of parameter `column` and those of its nearest double and of all that was named.
 
     Parameters `taken` are taken out of every signature.
     """
-    P, owner, whole = partial_out(H, taken), found.task.owner, np.diag(H)
+    P, owner, whole = partial_out(H, taken), found.problem.owner, np.diag(H)
     H = P.T @ H @ P
     own = np.diag(H) > CONDITION * whole
     cosine = np.where(
@@ -124,13 +126,13 @@ def alike(found: Diagnosis, H: np.ndarray, column: int, taken: np.ndarray) -> di
     cosine[taken] = 0.0
     of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
     told = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)
-    return {found.task.effects[i].name: of[i] for i in told}
+    return {found.problem.effects[i].name: of[i] for i in told}
 
 
-def prices(found: Diagnosis, case: Case) -> dict[str, float]:
+def prices(found: Evidence, case: Case) -> dict[str, float]:
     """Price of what was named and of the truth refitted: which of search and evidence went wrong."""
-    task = found.task
+    task = found.problem
     members = tuple(i for i, effect in enumerate(task.effects) if effect.name in case.names)
     true = priced(task, case.theta(task.effects))
     true = settle(task, true, task.columns(members))[0]
-    return {"named": price(task, found.found.fit, found.found.members), "truth": price(task, true, members)}
+    return {"named": price(task, found.selection.fit, found.selection.members), "truth": price(task, true, members)}

@@ -5,20 +5,19 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import yaml
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, write_atomically
-from driftjax.diagnosis.diagnose import DiagnoseConfig, Diagnosis, diagnose
-from driftjax.diagnosis.serialise import extended, to_json
+from driftjax.core import Control
+from driftjax.diagnosis.diagnose import diagnose
+from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, Run, write_log
 from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
 from driftjax.parallel import BatchExecutor, call
 from driftjax.sim.record import FILTER, Manoeuvre
 from driftjax.store.files import write_json
-from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant
+from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant, write_vehicle
 from driftjax.vehicle.effect import EFFECTS
 
 SECONDS, RATE, SETTLE = 10.0, 100.0, 1.0  # of a run, samples per second, driven before the first of them [s]
@@ -31,13 +30,11 @@ def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: BatchExecutor
     runs = measured(load_plant(car).build(), vehicle, np.random.default_rng(0))
     folder.mkdir(parents=True, exist_ok=True)
     write_log(folder / "log.csv", runs)
-    log = Log(runs, "", (folder / "log.csv",), ())
+    log = Log(runs, paths=(folder / "log.csv",))
     sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
-    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), blocks=blocks)
-    assert isinstance(found, Diagnosis), "sixty seconds are enough to judge"
-    write_json(folder / JSON, to_json(found, log))
-    text = yaml.safe_dump(extended(found), sort_keys=False)
-    write_atomically(folder / CAR, lambda path: path.write_text(text, encoding="utf-8"))
+    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), executor=blocks)
+    write_json(folder / JSON, found.content())
+    write_vehicle(folder / CAR, found.extended)
 
 
 def measured(plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator) -> tuple[Run, ...]:
