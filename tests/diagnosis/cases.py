@@ -26,11 +26,13 @@ class Fixed(NamedTuple):
         kind = "absent" if self.without else ("none", "single", "pair")[len(effects)]
         return Case(kind, self.car, self.number, effects, without=self.without)
 
+    def runs(self) -> tuple[Run, ...]:
+        """Six runs of 6 s, less those in which the car spins."""
+        return recorded(self.case().theta(EFFECTS), self.number, self.number, car=self.car)
+
     def result(self, held_out: int = 0) -> judged.Result:
         """What the diagnosis makes of it; its gain is measured on every `held_out`-th run."""
-        return examined(
-            self.case(), recorded(self.case().theta(EFFECTS), self.number, self.number, car=self.car), held_out
-        )
+        return examined(self.case(), self.runs(), held_out)
 
 
 def examined(case: Case, runs: tuple[Run, ...], held_out: int = 0) -> judged.Result:

@@ -1,10 +1,12 @@
 """The state at the take-over: laps replace the plan's, noise averages out, a lap that ends early says nothing."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.control.table import ReferenceTable
 from driftjax.core import Control
 from driftjax.learning import arrival as approach
 from driftjax.learning.arrival import Approach
@@ -52,6 +54,15 @@ def test_laps_are_averaged_and_the_plan_is_forgotten():
         found = seen(found, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
     assert int(found.laps) == 200
     np.testing.assert_allclose(found.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
+
+
+def test_laps_and_the_plan_have_one_type_so_that_one_program_serves_both():
+    """A weak type of the count made every program of the learning loop that takes it compile twice."""
+    flat = jnp.zeros(9)
+    table = ReferenceTable(0.0, 5.0, *[flat] * 9, drift_start=20.0, drift_end=30.0)
+    before = approach.planned_approach(table, 2.0)
+    after = seen(before, lap(), jnp.asarray(20.0), LAGS, DT)
+    assert jax.tree.map(jax.typeof, after) == jax.tree.map(jax.typeof, before)
 
 
 def test_a_lap_that_ends_before_changes_nothing():
