@@ -104,6 +104,8 @@ def test_logs_with_a_bad_cell_or_without_a_channel(name, row, word, without):
                                 for key in ("t", "V", "beta", "r", "delta", "Fxr")}  # fmt: skip
     if without:
         del columns[name]
+        place = f"l.csv: column '{name}' is missing"
     else:
         columns[name][row] = word
-    refused(["diagnose", "l.csv"], {"l.csv": log(columns)}, "l.csv")
+        place = f"l.csv, row {row + 2}: column '{name}' holds '{word}'"
+    refused(["diagnose", "l.csv"], {"l.csv": log(columns)}, place)

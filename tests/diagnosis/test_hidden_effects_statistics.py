@@ -67,14 +67,13 @@ def record(seed: int, found: dict[str, list[judged.Result]]) -> None:
 def rates(found: dict[str, list[judged.Result]]) -> dict[str, float]:
     """Shares of the cases, and of intervals that hold the truth."""
     share = lambda kind, what: float(np.mean([what(result) for result in found[kind]]))
+    inside = [one for kind in ("single", "pair") for result in found[kind] for one in judged.inside(result)]
     return {
         "named first": share("single", judged.first),
         "pair found": share("pair", judged.both),
         "false alarm": share("none", judged.named),
         "absent, not NAMED": share("absent", lambda result: result["verdict"] != "NAMED"),
-        "covered": float(
-            np.mean([one for kind in ("single", "pair") for r in found[kind] for one in judged.inside(r)])
-        ),
+        "covered": float(np.mean(inside)),
     }
 
 

@@ -1,5 +1,4 @@
-"""The `learn` verb from its flags to its report: it learns, goes on after a kill to the same bits, and a batch equals its
-single laps."""
+"""The `learn` verb from flags to report: it learns, goes on after a kill, and a batch equals its single laps."""
 
 import dataclasses
 import shutil

@@ -1,7 +1,6 @@
 """Measured logs: exact round trips, cuts and repairs that are told, and one sentence for whatever cannot be read."""
 
 import hashlib
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
