@@ -32,7 +32,8 @@ def test_a_hidden_effect_is_named_and_measured(name, size, seed):
     assert [ORDER[i] for i in found.members] == [name]
     columns = task.columns(found.members)
     deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
-    assert abs(found.fit.theta[columns[0]] - size) < 3 * deviation < 0.3
+    assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
+    assert deviation < 0.05  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
     assert found.p_values[found.members[0]] < 0.05
     H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))

@@ -84,7 +84,8 @@ def test_learning_pays_on_eight_plants(tmp_path):
     assert results["summary"]["path"]["gpr"] < results["summary"]["path"]["nominal"]
 
 
-def test_a_killed_run_goes_on_with_workers_to_the_same_bits(finished, tmp_path):
+@pytest.mark.parametrize("num_workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, finished, tmp_path):
     folder, results = finished
     stages = folder.finished()
     shutil.copytree(folder.path, tmp_path / "killed")
@@ -94,7 +95,7 @@ def test_a_killed_run_goes_on_with_workers_to_the_same_bits(finished, tmp_path):
     (tmp_path / "killed" / "results.json").unlink()
     again = RunFolder.open(tmp_path / "killed")
     assert again.finished() == stages[:-2]
-    assert run(CONFIG, again, quiet, 2) == results
+    assert run(CONFIG, again, quiet, num_workers) == results
     for name in stages:
         assert again.read_stage(name).identical(folder.read_stage(name))
 
