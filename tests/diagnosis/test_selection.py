@@ -33,7 +33,7 @@ def test_a_hidden_effect_is_named_and_measured(name, size, seed):
     columns = task.columns(found.members)
     deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
     assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
-    assert deviation < 0.05  # or the line above says little
+    assert deviation < 0.1  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
     assert found.p_values[found.members[0]] < 0.05
     H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))
