@@ -72,9 +72,13 @@ def restricted(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: fl
 def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float) -> Minimum:
     """Minimum of `restricted` per measurement within bounds, in units of the change that data resolve."""
     rows, stiff = jnp.maximum(jnp.sum(steps.seen), 1.0), jnp.asarray(STIFF)
-    value = lambda x, first, *data: restricted(first + x / stiff, *data, dt) / rows
-    bounds = (low - first) * stiff, (high - first) * stiff
-    found = minimise_within(value, 0 * first, *bounds, first, steps, e, L, tolerance=SETTLED, max_steps=ITERATIONS)
+    value = lambda x, first, steps, e, L: restricted(first + x / stiff, steps, e, L, dt) / rows
+    lower, upper, options = (
+        (low - first) * stiff,
+        (high - first) * stiff,
+        {"tolerance": SETTLED, "max_steps": ITERATIONS},
+    )
+    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, **options)
     return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 

@@ -23,7 +23,7 @@ def planned_approach(table: ReferenceTable, lead: Array | float) -> Approach:
     """As the plan in `table` has it, `lead` [m] before the drift section: on its path, with its inputs reached."""
     x, u = table.state(table.drift_start - lead)
     inputs, zero = jnp.stack([u.delta, u.Fxr]), jnp.zeros_like(x.V)
-    return Approach(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.asarray(0))
+    return Approach(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))
 
 
 def seen(before: Approach, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Approach:

@@ -109,6 +109,7 @@ def pulled(batched, z, costate, p):
             for j in range(len(z))]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     """In a process of its own: XLA reads the flag, without which this program takes minutes to compile, only once."""
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"

@@ -1,4 +1,4 @@
-"""The drift MPC on 256 starts around the sedan's drift: converges, holds its limits, costs what IPOPT's costs."""
+"""The drift MPC on 32 starts around the sedan's drift: converges, holds its limits, costs what IPOPT's costs."""
 
 from functools import cache
 
@@ -15,7 +15,7 @@ from driftjax.studies.bench.casadi_mpc import Transcribed
 from driftjax.studies.bench.drift import WEIGHTS, X_REF, car, config, starts
 from driftjax.vehicle import no_residual
 
-NUM = 256
+NUM = 32
 N = config().horizon
 
 

@@ -1,4 +1,4 @@
-"""Recordings of a sedan with hidden effects, and the small catalogue that all tests of the diagnosis share."""
+"""Recordings of a car with hidden effects, and the small catalogue that all tests of the diagnosis share."""
 
 import functools
 from dataclasses import replace
@@ -28,19 +28,23 @@ ACCELERATION = 0.05  # noise of ax, ay [m/s^2]
 
 
 @functools.cache
+def nominal_car(name: str) -> VehicleConfig:
+    return replace(load_vehicle(name), combined_slip=1.0)
+
+
 def sedan() -> VehicleConfig:
-    return replace(load_vehicle("sedan"), combined_slip=1.0)
+    return nominal_car("sedan")
 
 
 @functools.cache
-def catalogue() -> Universal:
-    return universal(sedan(), EFFECTS)
+def catalogue(name: str = "sedan") -> Universal:
+    return universal(nominal_car(name), EFFECTS)
 
 
 @functools.cache
-def truth() -> Noise:
+def truth(name: str = "sedan") -> Noise:
     """Noise of good sensors, and rates disturbed as a real car's are."""
-    conditions = typical(sedan())
+    conditions = typical(nominal_car(name))
     return Noise(np.asarray(conditions.sigma), np.asarray(conditions.disturbance), float(conditions.correlation))
 
 
@@ -50,30 +54,32 @@ def hidden(**found: float) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _drive(model: Universal, theta, manoeuvres: Manoeuvre, conditions: Conditions, keys):
-    plant = model.at(theta)
-    return jax.vmap(lambda m, key: record(plant, sedan(), m, conditions, key, DT))(manoeuvres, keys)
+def _drive(model: Universal, name: str, theta, manoeuvres: Manoeuvre, conditions: Conditions, keys):
+    plant, vehicle = model.at(theta), nominal_car(name)
+    return jax.vmap(lambda m, key: record(plant, vehicle, m, conditions, key, DT))(manoeuvres, keys)
 
 
 @functools.cache
-def standard(seed: int) -> Manoeuvre:
+def standard(seed: int, name: str = "sedan") -> Manoeuvre:
     """The standard manoeuvres, 6 s each, one after the other."""
     rng, t = np.random.default_rng(seed), np.arange(ROWS) * DT
-    rows = [jax.tree.map(jnp.asarray, MANOEUVRES[name](sedan(), rng, t)) for name in RICH]
+    rows = [jax.tree.map(jnp.asarray, MANOEUVRES[one](nominal_car(name), rng, t)) for one in RICH]
     return jax.tree.map(lambda *a: jnp.stack(a), *rows)
 
 
-def recorded(theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0) -> tuple[Run, ...]:
-    """The standard manoeuvres of `seed` on a sedan with the parameters `theta`; runs that spin are left out."""
-    t, manoeuvres = np.arange(ROWS) * DT, standard(seed)
+def recorded(
+    theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0, car: str = "sedan"
+) -> tuple[Run, ...]:
+    """The standard manoeuvres of `seed` on a car with the parameters `theta`; runs that spin are left out."""
+    t, manoeuvres, vehicle = np.arange(ROWS) * DT, standard(seed, car), nominal_car(car)
     keys = jax.random.split(jax.random.key(noise_seed), len(RICH))
-    noise = truth()._replace(disturbance=disturbed * truth().disturbance)
+    noise = truth(car)._replace(disturbance=disturbed * truth(car).disturbance)
     conditions = Conditions(*map(jnp.asarray, noise))
-    found = jax.tree.map(np.asarray, _drive(catalogue(), jnp.asarray(theta), manoeuvres, conditions, keys))
+    found = jax.tree.map(np.asarray, _drive(catalogue(car), car, jnp.asarray(theta), manoeuvres, conditions, keys))
     runs = []
     for i, name in enumerate(RICH):
         one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
-        if not spun(sedan(), one):
+        if not spun(vehicle, one):
             ax, ay = one.a.T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
             extra = {"psi": one.place.psi, "s": one.place.s, "ax": ax, "ay": ay}
             (V, beta, r), (delta, Fxr) = one.y.T, one.command.T

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
+from diagnosis.cases import Fixed
+from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.fit import observed, posed, problem
@@ -13,6 +14,7 @@ from driftjax.diagnosis.held_out import DiagnoseConfig, parted, split
 from driftjax.diagnosis.noise_floor import floor
 from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import Log
+from driftjax.studies.hidden_effects import judged
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4, np.arange(200) // 40)
@@ -91,21 +93,21 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     least = at_horizons(task, floor(task, neutral, ahead, seed=3))
     made = at_horizons(task, ahead.error**2)
     ratio = np.nanmean(made.squares / least.squares.mean(axis=0), axis=0)[:3]
-    assert (0.6 < ratio).all() and (ratio < 1.6).all(), ratio
+    assert (0.8 < ratio).all() and (ratio < 1.3).all(), ratio
     value, _ = skill(made, made, least)
     assert np.isnan(value)  # nothing is left to explain
 
 
-def test_runs_mixed_up_show_no_gain():
+def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
     """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
-    runs = recorded(hidden(drive_gain=-1.2, friction_rear=1.0), seed=11, noise_seed=12)
+    case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
+    whole, runs = case.result(held_out=3), case.runs()
+    assert set(whole["named"]) == set(case.truth) and whole["skill"]["extended"][1] > 0.5
+    (share,) = judged.shares([whole])
+    assert share > 0.8
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)
     ]
-    found = {}
-    for name, log in (("whole", runs), ("mixed", tuple(mixed))):
-        told = diagnose(sedan(), Log(log), DiagnoseConfig(gp=False), effects=EFFECTS)
-        assert told.gain
-        found[name] = told.verdict, told.gain.skills["extended"][1][0]
-    assert found["whole"][1] > 0.5
-    assert found["mixed"][0] is Verdict.UNKNOWN and not found["mixed"][1] > 0, found
+    told = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
+    assert told.gain
+    assert told.verdict is Verdict.UNKNOWN and not told.gain.skills["extended"][1][0] > 0

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recorded import sedan
+from diagnosis.recorded import sedan
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import posed

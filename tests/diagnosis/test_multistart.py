@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import first_guess, observed, priced, problem

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, sedan, truth
+from diagnosis.recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, sedan, truth
 from scipy.optimize import minimize
 
 from driftjax.diagnosis.fit import first_guess, problem

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import hidden, recorded, sedan, truth
+from diagnosis.recorded import hidden, recorded, sedan, truth
 
 from driftjax.diagnosis.parity import WINDOW, parity
 from driftjax.logs import Run

@@ -5,7 +5,7 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.binned import BINS, binned, driver, look, worst

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.diagnosis.evidence import Cause, odds
 from driftjax.diagnosis.fit import Problem, around, observed, priced, problem, settle

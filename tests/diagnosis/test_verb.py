@@ -69,10 +69,19 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     assert shown["worst"] in out
     assert "NAMED: The steering lags behind its command" in out and "extended" in out
     assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
+
+
+@pytest.mark.slow
+def test_a_diagnosis_of_the_extended_car_finds_nothing_more(hidden_lag, monkeypatch):
+    """What was named is where the second one starts."""
+    monkeypatch.setattr("driftjax.cli.diagnose.diagnose", functools.partial(diagnose, effects=KNOWN))
+    write_log(Path("log.csv"), hidden_lag)
+    asked = ["diagnose", "log.csv", "--combined-slip", "1", "--held-out", "0", "--without", "friction_rear"]
+    assert main([*asked, "--out", "found"]) == 0
     more = ["--vehicle", "found/extended.yaml", "--without", "friction_rear", "--held-out", "0", "--out", "again"]
-    assert main(["diagnose", "log.csv", *more]) == 0  # what was named is where this one starts: nothing is missing now
+    assert main(["diagnose", "log.csv", *more]) == 0
     assert json.loads(Path("again/diagnosis.json").read_text())["verdict"] == "NOTHING"
-    assert load_vehicle("again/extended.yaml").effects == vehicle.effects
+    assert load_vehicle("again/extended.yaml").effects == load_vehicle("found/extended.yaml").effects
 
 
 def test_two_seconds_of_data_say_nothing(capsys):

@@ -1,10 +1,12 @@
 """The state at the take-over: laps replace the plan's, noise averages out, a lap that ends early says nothing."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.control.table import ReferenceTable
 from driftjax.core import Control
 from driftjax.learning import arrival
 from driftjax.learning.arrival import Approach
@@ -52,6 +54,12 @@ def test_laps_are_averaged_and_the_plan_is_forgotten():
         found = seen(found, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
     assert int(found.laps) == 200
     np.testing.assert_allclose(found.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
+
+
+def test_the_plan_has_the_types_of_laps_so_that_one_program_serves_both():
+    """A weak type, which results of laps have not, made every program that takes it compile twice."""
+    table = ReferenceTable(0.0, 5.0, *[jnp.zeros(9)] * 9, drift_start=20.0, drift_end=30.0)
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(arrival.planned_approach(table, 2.0)))
 
 
 def test_a_lap_that_ends_before_changes_nothing():

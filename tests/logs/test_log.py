@@ -1,7 +1,6 @@
 """Measured logs: exact round trips, cuts and repairs that are told, and one sentence for whatever cannot be read."""
 
 import hashlib
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from driftjax.core import BadInput
 from driftjax.logs import ColumnMap, Run, load_columns, read_log, write_log
 from driftjax.logs.columns import CHANNELS, Channel, Condition, Drive
 
-SHARED = Path(__file__).parents[2] / ".." / "shared" / "data"
+LOGS = Path(__file__).parent / "logs"  # small ones in the layouts of the shipped column maps
 N = 300
 
 
@@ -413,24 +412,30 @@ def test_column_maps_that_do_not_fit_the_file_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "columns", "rate", "samples", "top"),
+    ("file", "columns", "rate", "samples", "speed", "Fxr"),
     [
-        ("dart_jetracer/[!s]*.csv", "dart_jetracer", 20, 4500, 4.2),
-        ("dart_jetracer/s*.csv", "dart_steer_id", 20, 400, 1),
-        ("dart_jetracer/grip.csv", "dart_onboard", 10, 600, 4.2),
-        ("ferrari_250lm/*.csv", "ferrari_250lm", 50, 19800, 62),
-        ("genesis_g80/*.csv", "genesis_g80", 25, 8700, 13),
+        ("dart", "dart_jetracer", 20, [23], 2.0, (25.36 - 4.815 * 2.01) * (0.3 - 0.164)),
+        ("dart", "dart_onboard", 10, [12], 2.0, (25.36 - 4.815 * 2.01) * (0.3 - 0.164)),
+        ("dart_steer_id", "dart_steer_id", 20, [23], 0.5, (25.36 - 4.815 * 0.5025) * (0.3 - 0.164)),
+        ("ferrari", "ferrari_250lm", 50, [40, 55], 30.0, 982 * 0.6),  # cut where its steering sensor fails
+        ("genesis", "genesis_g80", 25, [50], 8.0, 2303.1 * 0.16),
     ],
 )
-def test_measured_logs_are_read_with_their_maps(files, columns, rate, samples, top):
-    if not (SHARED / files).parent.is_dir():
-        pytest.skip("../shared/data is absent")
-    log = read_log(sorted(SHARED.glob(files)), load_columns(columns))
-    assert log.rows > samples and any("stands for Fxr" in note for note in log.notes)
+def test_logs_of_the_shipped_maps_are_read_as_they_were_made(file, columns, rate, samples, speed, Fxr):
+    """What `logs/write.py` writes: a slalom of r = 0.4 sin(wt), vy = -0.02 vx(0) sin(wt), delta = 0.1 sin(wt)."""
+    log = read_log([LOGS / f"{file}.csv"], load_columns(columns))
+    assert [len(run.t) for run in log.runs] == samples and any("stands for Fxr" in note for note in log.notes)
     for run in log.runs:
-        assert run.dt == pytest.approx(1 / rate, rel=1e-3) and np.nanmax(run.V) < top
-        assert np.nanmax(np.abs(run.beta)) < math.pi / 2 and np.isfinite(run.Fxr).all() and np.isfinite(run.delta).all()
-        np.testing.assert_allclose(np.diff(run.t), run.dt, rtol=0.011)
+        assert run.dt == pytest.approx(1 / rate)
+        wave = np.sin(2 * np.pi * 0.25 * run.t)
+        vx, vy = speed * (1 + 0.02 * run.t), -0.02 * speed * wave
+        inner = slice(1, -1)  # the ends of a run have fewer samples to be thinned from
+        np.testing.assert_allclose(run.V[inner], np.hypot(vx, vy)[inner], rtol=2e-3)
+        np.testing.assert_allclose(run.beta[inner], np.arctan2(vy, vx)[inner], atol=1e-3)
+        np.testing.assert_allclose(run.r[inner], 0.4 * wave[inner], atol=5e-3)
+        middle = run.t + (run.dt - 0.01) / 2  # a command is the mean over the sample that it leads
+        np.testing.assert_allclose(run.delta[inner], 0.1 * np.sin(2 * np.pi * 0.25 * middle)[inner], atol=1e-3)
+        assert run.Fxr[len(run.t) // 2] == pytest.approx(Fxr, rel=5e-3)
 
 
 def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):

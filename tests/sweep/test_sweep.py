@@ -285,6 +285,7 @@ def killed_until_done(path, moments, trials, pause):
     assert len(begun) <= trials + most * len(moments)
 
 
+@pytest.mark.slow
 def test_killed_sweeps_hold_every_trial_once(tmp_path):
     killed_until_done(tmp_path, (2.5, 4.0), 12, 0.02)
 
@@ -307,6 +308,7 @@ def lost_nodes_change_nothing(path, trials, kills):
     assert len(begun) <= trials + 60 * kills  # a chunk of at most 30 on each of two cores is begun again
 
 
+@pytest.mark.slow
 def test_a_ray_cluster_that_loses_a_node_gives_the_same(tmp_path):
     lost_nodes_change_nothing(tmp_path, 12, 1)
 

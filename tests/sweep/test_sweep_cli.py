@@ -15,6 +15,7 @@ from driftjax.cli import main
 from driftjax.core import find_config
 from driftjax.studies.sweepable_verbs import diagnose_files
 
+# The programs are those of tests/learn/test_loop.py: only numbers differ.
 SMALL = {
     "base": {"plants": 1, "seed": 3, "compare": False, "gpr_laps": 0},
     "fields": {"path.Q_path.0": [30.0, 60.0]},
@@ -32,10 +33,19 @@ def written(content) -> str:
     return "sweep.yaml"
 
 
-def test_laps_are_swept_once_and_found_again(here, capsys):
-    assert main(["sweep", written(SMALL), "--out", "runs/s", "--workers", "1"]) == 0
-    assert "2 ran, 0 of these failed" in capsys.readouterr().out
-    assert main(["sweep", written(SMALL | {"fields": {"path.Q_path.0": [30.0, 60.0]}}), "--out", "runs/s"]) == 0
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A folder with a finished sweep of two laps in runs/s."""
+    path = tmp_path_factory.mktemp("swept")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(path)
+        assert main(["sweep", written(SMALL), "--out", "runs/s", "--workers", "1"]) == 0
+    return path
+
+
+def test_laps_are_swept_once_and_found_again(swept, monkeypatch, capsys):
+    monkeypatch.chdir(swept)
+    assert main(["sweep", "sweep.yaml", "--out", "runs/s", "--workers", "1"]) == 0
     assert "2 trials were kept from before, 0 ran" in capsys.readouterr().out
     assert main(["runs", "--where", "stage = 'nominal' and completed and \"path.Q_path.0\" > 50"]) == 0
     out = capsys.readouterr().out
@@ -75,9 +85,10 @@ def test_bad_sweeps_leave_nothing(here, capsys, content, words):
     assert [path.name for path in here.iterdir()] == ["sweep.yaml"]
 
 
-def test_another_sweep_in_the_folder_is_refused(here, capsys):
-    assert main(["sweep", written(SMALL), "--out", "runs/s", "--workers", "1"]) == 0
-    assert main(["sweep", written(SMALL | {"fields": {"seed": [1]}}), "--out", "runs/s"]) == 2
+def test_another_sweep_in_the_folder_is_refused(swept, monkeypatch, capsys):
+    monkeypatch.chdir(swept)
+    Path("other.yaml").write_text(yaml.safe_dump(SMALL | {"fields": {"seed": [1]}}))
+    assert main(["sweep", "other.yaml", "--out", "runs/s"]) == 2
     assert "runs/s: holds a sweep over other fields or options" in capsys.readouterr().err
     assert main(["runs", "--where", "lateral_error <", "--root", "runs"]) == 2
     assert "--where: Parser Error" in capsys.readouterr().err
@@ -132,9 +143,8 @@ sys.exit(main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"]))
 """
 
 
-@pytest.mark.parametrize(
-    "number, code", [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_stopped_sweep_says_how_to_go_on_and_does(here, number, code):
     written({"design": "random", "num": 40, "base": {"pause": 0.1}, "fields": {"x": {"low": 0.0, "high": 1.0}}})
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}

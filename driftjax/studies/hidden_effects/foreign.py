@@ -57,10 +57,10 @@ def height(car: str) -> float:
     return p.h_s if car == "std" else p.h_cg
 
 
-def foreign_runs(car: str, seed: int, noise: float) -> tuple[Run, ...]:
-    """Six runs of cornering with changing drive, measured with `noise` times the typical noise."""
+def foreign_runs(car: str, seed: int, noise: float, num: int = RUNS) -> tuple[Run, ...]:
+    """`num` runs of cornering with changing drive, measured with `noise` times the typical noise."""
     rng = np.random.default_rng(seed)
-    return tuple(_run(f"{car}-{i + 1}", car, rng, noise) for i in range(RUNS))
+    return tuple(_run(f"{car}-{i + 1}", car, rng, noise) for i in range(num))
 
 
 def _run(name: str, car: str, rng: np.random.Generator, noise: float) -> Run:

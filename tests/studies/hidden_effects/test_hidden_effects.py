@@ -1,116 +1,107 @@
-"""A fresh sample of the hidden-effects bench, small enough for every run of the tests, and how the bench counts.
+"""Fixed cases of the hidden-effects bench on both cars: names, parameter values and verdicts.
 
-Each run draws new effects, strengths, manoeuvres and noise from a seed that it prints; DRIFTJAX_SEED repeats a run.
-The catalogue is the small one of `recorded`, a case some 24 s of data to name from and 12 s held out.
+The cases were chosen before any was diagnosed: effects and signs by hand, a case's number is its seed. The catalogue is
+the small one of `recorded`; a case has six runs of 6 s. How often the diagnosis is right in fresh cases is the subject
+of test_hidden_effects_statistics.py.
 """
 
 import dataclasses
 import functools
-import os
 
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, NAMES, recorded, sedan
+from diagnosis.cases import Fixed, foreign
+from diagnosis.recorded import EFFECTS, sedan
 
-from driftjax.logs import Run
 from driftjax.studies.hidden_effects import judged
-from driftjax.studies.hidden_effects.bench import Config, main
-from driftjax.studies.hidden_effects.case import Case, hidden
-from driftjax.studies.hidden_effects.confusion import confusions
-from driftjax.studies.hidden_effects.draw import Numbers, plan
 from driftjax.studies.hidden_effects.trial import examine
 
-NUMBERS = Numbers(none=8, none_noise=0, quiet=0, single=20, weak=0, pair=6, absent=4, poor=0, std=0, mb=0)
-GAIN = 4  # every so-many-th case measures the gain too, which takes as long again
-WHOLE = 6  # runs of a recording in which nothing spun
+ERROR, HALF_WIDTH = 0.2, 0.35  # largest error, and largest 95 % interval, of a named parameter [typical sizes]
+CASES = (
+    Fixed(1, "sedan"),
+    Fixed(2, "rc"),
+    Fixed(3, "sedan", {"friction_rear": -1.0}),
+    Fixed(4, "rc", {"drive_gain": 1.0}),
+    Fixed(5, "sedan", {"steer_lag": 1.0}),
+    Fixed(6, "rc", {"yaw_inertia": -1.0}),
+    Fixed(7, "sedan", {"stiffness_front": 1.0, "gyro_bias": -1.0}),
+    Fixed(8, "rc", {"friction_rear": -1.0, "steer_offset": 1.0}),
+    Fixed(9, "sedan", {"friction_rear": 1.0}, ("friction_rear",)),
+    Fixed(10, "rc", {"steer_lag": 1.0}, ("steer_lag",)),
+)
+SLOW = (10,)  # takes 52 s: it goes round about, and proposes a manoeuvre
 
 
 @functools.cache
-def seed() -> int:
-    given = os.environ.get("DRIFTJAX_SEED")
-    return int(given) if given else int(np.random.default_rng().integers(2**31))
+def result(number: int) -> judged.Result:
+    """The diagnosis of a case."""
+    return CASES[number - 1].result()
 
 
-def driven(case: Case) -> tuple[Run, ...]:
-    """Short runs of a case, all of them whole."""
-    rng = np.random.default_rng(case.seed)
-    for _ in range(10):
-        runs = recorded(case.theta(EFFECTS), *map(int, rng.integers(2**31, size=2)))
-        if len(runs) == WHOLE:
-            return runs
-    raise AssertionError(f"the car spins in every recording of {case.line()}")
+def of(kind: str) -> list:
+    """The cases of a kind, with their car and effects as names of the tests."""
+    cases = [one for one in CASES if one.case().condition in kind.split()]
+    marks = lambda one: [pytest.mark.slow] if one.number in SLOW else []
+    return [pytest.param(one, id="-".join([one.car, *(one.truth or ("nothing",))]), marks=marks(one)) for one in cases]
 
 
-@pytest.fixture(scope="module")
-def sample():
-    """Results of the sample by condition."""
-    found: dict[str, list[judged.Result]] = {}
-    print(f"DRIFTJAX_SEED={seed()}")
-    for i, case in enumerate(plan(NUMBERS, ("sedan",), seed(), tuple(NAMES))):
-        result = examine(case, sedan(), driven(case), EFFECTS, 0 if i % GAIN else 3)
-        print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s")
-        found.setdefault(case.condition, []).append(result)
-    return found
+@pytest.mark.parametrize("case", of("none"))
+def test_nothing_is_named_where_nothing_is_hidden(case):
+    assert (result(case.number)["verdict"], result(case.number)["named"]) == ("NOTHING", [])
 
 
-def test_what_was_hidden_is_named(sample):
-    """Some 95 % of names are right: fewer than 13 of 20 has p < 1e-3 down to 90 %; a guess is right in 1 of 10."""
-    assert sum(map(judged.first, sample["single"])) >= 13, confusions(sample["single"])
+@pytest.mark.parametrize("case", of("single pair"))
+def test_what_was_hidden_is_named_and_measured(case):
+    found = result(case.number)
+    assert found["verdict"] == "NAMED" and set(found["named"]) == set(case.truth), found["sentence"]
+    for cause in found["causes"]:
+        assert abs(cause["theta"][0] - case.truth[cause["effect"]]) < ERROR
+        assert cause["half_width"][0] < HALF_WIDTH
 
 
-def test_both_of_two_are_found(sample):
-    """Some 95 %: fewer than 2 of 6 has p < 1e-3 down to 84 %."""
-    assert sum(map(judged.both, sample["pair"])) >= 2, confusions(sample["pair"])
+@pytest.mark.parametrize("case", of("absent"))
+def test_what_the_catalogue_lacks_is_not_named_as_something_else(case):
+    assert result(case.number)["verdict"] != "NAMED", result(case.number)["sentence"]
 
 
-def test_nothing_is_named_where_nothing_is_hidden(sample):
-    """Chance names something in at most 5 %, 10 % in data as short: 5 of 8 has p < 5e-4."""
-    assert sum(map(judged.named, sample["none"])) <= 4, confusions(sample["none"])
+@functools.cache
+def foreign_cause() -> tuple[float, float]:
+    """Height of the centre of mass [m] that moves load, as found in a drive of CommonRoad's drift model and as true."""
+    found = foreign(11)
+    cause = {one["effect"]: one for one in found["causes"]}["load_transfer_long"]
+    return cause["theta"][0] * cause["scale"][0], found["height"]
 
 
-def test_an_effect_that_the_catalogue_lacks_is_never_named(sample):
-    for result in sample["absent"]:
-        assert not set(result["named"]) & set(judged.hidden_in(result))
+def test_load_transfer_of_a_simulator_that_is_not_ours_is_named():
+    """The nominal car has none; nothing of what else differs doubles the height or makes it vanish."""
+    found, true = foreign_cause()
+    assert 0.5 * true < found < 2 * true
 
 
-def test_intervals_hold_the_truth(sample):
-    """Nominally 95 %: under 65 % of 20 or more has p < 1e-3 down to 90 %."""
-    held = [inside for kind in ("single", "pair") for result in sample[kind] for inside in judged.inside(result)]
-    assert np.mean(held) >= 0.65, held
+@pytest.mark.xfail(
+    strict=True, reason="0.84 m found of 0.61 m: the small catalogue lacks what else differs, as wheel spin"
+)
+def test_the_height_of_the_simulator_that_is_not_ours_is_found_within_15_percent():
+    found, true = foreign_cause()
+    assert found == pytest.approx(true, rel=0.15)
 
 
-def test_the_extended_car_predicts_better(sample):
-    """The share of what the truth would remove, in the middle of all cases in which something was named."""
-    shares = judged.shares(sample["single"] + sample["pair"])
-    if not shares:
-        pytest.skip("in none of the cases whose gain is measured does the truth itself gain beyond doubt")
-    assert np.median(shares) > 0.8, shares
-
-
-def test_the_naive_baseline_fails_where_the_diagnosis_does_not(sample):
+def test_the_naive_baseline_names_fewer():
     """It is kept to show its bias."""
-    assert sum(map(judged.baseline, sample["single"])) < sum(map(judged.first, sample["single"]))
+    found = [result(case.number) for case in CASES if case.case().condition == "single"]
+    assert sum(map(judged.baseline, found)) < sum(map(judged.first, found)) == len(found)
 
 
+@pytest.mark.slow
 def test_units_of_mass_and_names_of_runs_change_nothing():
     """Grams and millinewtons for kilograms and newtons; the gain of a fit is a sum of the same numbers."""
-    case = Case("single", "sedan", seed(), (hidden("drive_gain", 1.0, np.random.default_rng(seed())),))
-    print(case.line())
-    runs = driven(case)
+    case, runs = CASES[2].case(), CASES[2].runs()
     grams = dataclasses.replace(
         sedan(), **{name: 1000 * getattr(sedan(), name) for name in ("m", "Iz", "Fxr_min", "Fxr_max", "Fxr_rate_max")}
     )
     other = tuple(dataclasses.replace(run, name=f"x{9 - i}", Fxr=1000 * run.Fxr) for i, run in enumerate(runs))
-    one, two = examine(case, sedan(), runs, EFFECTS), examine(case, grams, other, EFFECTS)
-    assert one["named"] == two["named"] and one["verdict"] == two["verdict"]
+    one, two = result(case.seed), examine(case, grams, other, EFFECTS, 0)
+    assert one["named"] == two["named"] == ["friction_rear"] and one["verdict"] == two["verdict"]
     for a, b in zip(one["causes"], two["causes"], strict=True):
         np.testing.assert_allclose(a["theta"], b["theta"], atol=2e-3)
         assert a["probability"] == pytest.approx(b["probability"], abs=0.01)
-
-
-@pytest.mark.slow
-def test_the_bench_with_the_whole_catalogue(tmp_path):
-    """Two cases from draw to score."""
-    numbers = Numbers(none=1, none_noise=0, quiet=0, single=1, weak=0, pair=0, absent=0, poor=0, std=0, mb=0)
-    scores = main(Config(numbers, workers=1, seed=seed(), out=tmp_path))
-    assert scores["failed"]["value"] == 0 and scores["sedan: one: named first"]["n"] == 1

@@ -8,6 +8,7 @@ from driftjax.equilibrium import Branch, SlipRadius, solve_steady
 from driftjax.learning.config import GPConfig
 from driftjax.learning.model import empty
 from driftjax.learning.scenario import repeated
+from driftjax.parallel import call
 from driftjax.studies.paper.feasible import on_learnt
 from driftjax.vehicle import build_car, load_vehicle
 
@@ -17,12 +18,12 @@ def test_a_car_that_learnt_nothing_holds_its_own_corner_and_no_faster_one():
     beta, R = jnp.asarray(-0.45), jnp.asarray(12.0)
     steady = solve_steady(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
     x: State = steady.x
-    residual, branch = repeated(empty(GPConfig()).residual, 2), jnp.asarray(Branch.COUNTERSTEER)
+    residual, branch = repeated(empty(GPConfig(size=20)).residual, 2), jnp.asarray(Branch.COUNTERSTEER)
     guess = (steady.x, steady.u)
-    slow = (0.97 * x.V, 0.97 * x.r, beta, R)  # within its grip; at its very edge drifts meet and vanish
-    exists, held, speed = on_learnt(residual, nominal, slow, guess, branch)
+    held_on = lambda *planned: call(on_learnt, residual, nominal, planned, guess, branch)
+    # within its grip; at its very edge drifts meet and vanish
+    exists, held, speed = held_on(0.97 * x.V, 0.97 * x.r, beta, R)
     assert np.all(held) and np.all(exists)
     np.testing.assert_allclose(speed, float(x.V), rtol=1e-6)
-    fast = (1.2 * x.V, 1.2 * x.r, beta, R)
-    exists, held, _ = on_learnt(residual, nominal, fast, guess, branch)
+    exists, held, _ = held_on(1.2 * x.V, 1.2 * x.r, beta, R)
     assert np.all(held) and not np.any(exists)
