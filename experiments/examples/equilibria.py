@@ -4,7 +4,7 @@ import numpy as np
 
 import driftjax as dj
 
-car = dj.load_vehicle("sedan", combined_slip=1.0)
+car = dj.load_vehicle("sedan")
 states = dj.equilibria(car, V=[10.0], r=[0.98])
 for root in np.flatnonzero(states.branch[0] >= 0):
     one = states.isel(point=0, root=root)

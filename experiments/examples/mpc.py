@@ -6,7 +6,7 @@ import numpy as np
 
 import driftjax as dj
 
-car = dj.load_vehicle("sedan", combined_slip=1.0)
+car = dj.load_vehicle("sedan")
 states = dj.equilibria(car, V=[10.0], r=[0.98]).stack(all=("point", "root"))
 beta, delta, Fxr = (
     float(states[name][states.branch == dj.Branch.COUNTERSTEER][0]) for name in ("beta", "delta", "Fxr")
