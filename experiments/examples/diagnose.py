@@ -5,9 +5,10 @@ import sys
 import driftjax as dj
 
 out, car = sys.argv[1] if len(sys.argv) > 1 else "runs/example-diagnose", dj.load_vehicle("sedan", combined_slip=1.0)
-runs, truth = dj.record_runs(car, dj.effect_strengths(car, ["yaw_inertia=2"]), dj.Campaign(seed=3))
-diagnosis = dj.diagnose(car, dj.Log(runs))
-print(diagnosis.verdict, diagnosis.sentence)
-print([(cause.effect, cause.probability) for cause in diagnosis.causes], "hidden:", truth.effects)
-print(diagnosis.extended)  # the car with what was found, ready for plan, equilibria, DriftMPC and learn
+campaign = dj.Campaign(("drift", "grip_sine", "slalom", "drift", "throttle_steps", "laps"), duration=6.0, seed=3)
+runs, truth = dj.record_runs(car, dj.effect_strengths(car, ["yaw_inertia=2"]), campaign)
+diagnosis = dj.diagnose(car, dj.Log(runs), dj.DiagnoseConfig(gp=False))
+print(diagnosis.verdict, diagnosis.sentence, "hidden:", truth.effects)
+print([(cause.effect, cause.probability, cause.parameters) for cause in diagnosis.causes])
+print(diagnosis.extended.effects)  # the car with what was found, ready for plan, equilibria, DriftMPC and learn
 diagnosis.save(out)  # diagnosis.json, extended.yaml, diagnosis.nc

@@ -6,13 +6,12 @@ import numpy as np
 
 import driftjax as dj
 
-car = dj.load_vehicle("sedan")
-states = dj.equilibria(car, V=[10.0], r=[0.98]).stack(all=("point", "root"))
-beta, delta, Fxr = (
-    float(states[name][states.branch == dj.Branch.COUNTERSTEER][0]) for name in ("beta", "delta", "Fxr")
-)
-mpc, u, x = dj.DriftMPC(car), np.array([delta, Fxr]), jnp.array([10.0, beta, 0.98, 0.0, -beta])
-reference, guess = dj.steady_reference(10.0, beta, 0.98, mpc.horizon), np.tile(u, (mpc.horizon, 1))
+car, (V, r) = dj.load_vehicle("sedan"), (9.0, 1.1)
+states = dj.equilibria(car, [V], [r]).isel(point=0)
+drift = states.isel(root=int((states.branch == dj.Branch.COUNTERSTEER).argmax()))
+beta, u = float(drift.beta), np.array([drift.delta, drift.Fxr])
+mpc, x = dj.DriftMPC(car), jnp.array([V, beta, r, 0.0, -beta])
+reference, guess = dj.steady_reference(V, beta, r, mpc.horizon), np.tile(u, (mpc.horizon, 1))
 batch = dj.mpc_state(x + np.random.default_rng(0).normal(0, 0.03, (4, 5)), u)
 solution = mpc.solve(batch, reference, guess)
 print("steering [rad]:", solution.u.delta, "converged:", solution.plan.result == dj.RESULTS.successful)

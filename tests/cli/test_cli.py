@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import types
 from pathlib import Path
 
@@ -45,9 +44,7 @@ def loop(monkeypatch):
         folder.collect()
         return folder.read_json("results")
 
-    module = types.ModuleType("driftjax.learning.run")
-    module.run = run  # pyright: ignore[reportAttributeAccessIssue]
-    monkeypatch.setitem(sys.modules, "driftjax.learning.run", module)
+    monkeypatch.setattr("driftjax.learning.run.run", run)
     monkeypatch.setattr("driftjax.report.page.figures", lambda run: iter(()))  # tested with the report; slow
     return fake
 

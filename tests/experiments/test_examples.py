@@ -1,0 +1,44 @@
+"""The examples run as they stand, are short, and show every function of the public interface."""
+
+import ast
+import runpy
+from pathlib import Path
+
+import pytest
+
+import driftjax as dj
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "experiments" / "examples").glob("*.py"))
+LEARN = "learn.py"  # minutes of compiling: run with the other tests that learn, in tests/learning/test_loop.py
+LINES = 12
+
+
+@pytest.mark.parametrize("path", [path for path in EXAMPLES if path.name != LEARN], ids=lambda path: path.stem)
+def test_an_example_runs_as_it_stands(path, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", [str(path), str(tmp_path / "out.csv" if path.stem == "read_log" else tmp_path)])
+    monkeypatch.setattr(dj, "setup", lambda cache: None)  # the cache of the tests stays
+    runpy.run_path(str(path), run_name="__main__")
+    said = capsys.readouterr().out
+    assert said and "nan" not in said.lower()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short(path):
+    code = ast.parse(path.read_text(encoding="utf-8")).body[1:]
+    statements = [node for node in code if not isinstance(node, ast.Import | ast.ImportFrom)]
+    assert sum((node.end_lineno or 0) - node.lineno + 1 for node in statements) <= LINES
+
+
+def test_the_examples_show_what_the_package_is_for():
+    text = "".join(path.read_text(encoding="utf-8") for path in EXAMPLES)
+    shown = ("setup", "load_vehicle", "load_plant", "draw_plants", "simulate", "load_track", "plan", "equilibria",
+             "fit_gp", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose")  # fmt: skip
+    assert [name for name in shown if f"dj.{name}(" not in text] == []
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in dj.__all__:
+        assert getattr(dj, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'simulat'.*simulate"):
+        dj.simulat  # noqa: B018
