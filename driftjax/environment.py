@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 # XLA's flag for programs that round alike on any number of threads: loops cut into parts for them round otherwise.
-WHOLE_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
+SERIAL_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
 CACHE = "~/.cache/driftjax"
 
 
@@ -72,8 +72,8 @@ def _set_threads(threads: int | None) -> None:
         )
         return
     flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.setdefault("NPROC", "1") == "1" and WHOLE_LOOPS not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {WHOLE_LOOPS}".strip()
+    if os.environ.setdefault("NPROC", "1") == "1" and SERIAL_LOOPS not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {SERIAL_LOOPS}".strip()
 
 
 def _client_started() -> bool:

@@ -129,7 +129,7 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
 
 def require_finite(config: Any) -> None:
     """Raise `BadInput` where an option of a config, or of one within it, is a number that is none."""
-    for name, value in flat(to_dict(config)).items():
+    for name, value in flatten_config(to_dict(config)).items():
         require(not isinstance(value, float) or math.isfinite(value), f"key '{name}' is {value}; give a finite number.")
 
 
@@ -146,14 +146,14 @@ def to_dict(config: Any) -> dict[str, Any]:
     return plain(dataclasses.asdict(config))
 
 
-def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+def merge_config(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """`base` with the values of `over` put in, key by key in nested mappings."""
-    both = {key: merged(base[key], value) for key, value in over.items()
+    both = {key: merge_config(base[key], value) for key, value in over.items()
             if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
     return base | over | both
 
 
-def flat(config: dict[str, Any]) -> dict[str, Any]:
+def flatten_config(config: dict[str, Any]) -> dict[str, Any]:
     """The plain mapping `config` with one key per value: `gp.size` for nested keys, `path.Q.0` for entries of lists."""
 
     def pairs(name: str, value: Any) -> list[tuple[str, Any]]:
@@ -165,7 +165,7 @@ def flat(config: dict[str, Any]) -> dict[str, Any]:
     return dict(pair for key, value in config.items() for pair in pairs(str(key), value))
 
 
-def put(config: dict[str, Any], name: str, value: Any) -> None:
+def set_option(config: dict[str, Any], name: str, value: Any) -> None:
     """Set, in place, the value or branch that `flat` calls `name`; raises `BadInput` where there is none."""
     branch: Any = config
     *way, last = name.split(".")

@@ -26,7 +26,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.typing import ArrayLike
 
-FEW = 64  # numbers below which a polynomial gains nothing
+MIN_VECTOR_SIZE = 64  # numbers below which a polynomial gains nothing
 
 
 class _Table(NamedTuple):
@@ -205,7 +205,7 @@ def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., A
     several = primitive.multiple_results = name == "sincos"
 
     def lowered(context: Any, *operands: Any) -> Any:
-        few = math.prod(context.avals_in[0].shape) < FEW
+        few = math.prod(context.avals_in[0].shape) < MIN_VECTOR_SIZE
         return mlir.lower_fun(own if few else polynomial, multiple_results=several)(context, *operands)
 
     def batched(args: Any, axes: Any) -> Any:

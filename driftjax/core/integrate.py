@@ -59,7 +59,7 @@ def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     return axpy(dt / 2, axpy(1.0, k1, k2), x)
 
 
-def remaining(lag: Array, dt: Array) -> Array:
+def lag_decay(lag: Array, dt: Array) -> Array:
     """exp(-dt / lag), 0 for a lag of 0; its derivatives are finite."""
     slow = lag > 1e-6 * dt
     return jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
@@ -70,17 +70,17 @@ def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array,
 
     Exact for a target held over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
     """
-    left = remaining(lag, dt)
+    left = lag_decay(lag, dt)
     mean = (1 - left) * lag / dt
     return target + (value - target) * mean, target + (value - target) * left
 
 
-def lag_tilt(lag: Array, dt: Array) -> Array:
+def lag_slope(lag: Array, dt: Array) -> Array:
     """Slope of exp(-t / `lag`) over a step `dt` [s], as half the rise of the straight line with the same first moment.
 
     The line through the mean (`lag_step` of 1 towards 0) with this tilt acts on what integrates it as the exponential
     does, up to third order in the step; 0 for a lag of 0.
     """
-    left = remaining(lag, dt)
+    left = lag_decay(lag, dt)
     q = lag / dt
     return 6 * q**2 * (1 - left) - 3 * q * (1 + left)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.model import scales
+from driftjax.gp.model import data_scales
 
 
 def select_dictionary(
@@ -26,7 +26,7 @@ def select_dictionary(
     """
     N = Z.shape[0]
     mask = mask.astype(bool)
-    X = jnp.where(mask[:, None], Z, 0.0) / scales(Z, Y, mask)[0] / lengthscale
+    X = jnp.where(mask[:, None], Z, 0.0) / data_scales(Z, Y, mask)[0] / lengthscale
     k = jax.vmap(lambda p, q: KERNELS[kernel](jnp.sum((p - q) ** 2)), in_axes=(0, None))
 
     def keep(step, carry):

@@ -14,9 +14,9 @@ from driftjax.core.bounded import Minimum
 from driftjax.environment import require_float64
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
-from driftjax.gp.model import GP, Hyper, condition, scales, squares
+from driftjax.gp.model import GP, Hyper, condition, data_scales, squared_differences
 from driftjax.gp.optimise import minimise
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
 LOWER = (0.1, 0.05, 1e-3)
@@ -74,11 +74,11 @@ def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **option
     One fit after the other: batched, each would wait for the slowest, and batched factorisations are slow on a CPU.
     """
     *basis, mask = rest
-    held = [directions(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
-    T = unclaimed(T, basis[0], mask) if basis else T
+    held = [orthonormal_basis(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
+    T = project_out(T, basis[0], mask) if basis else T
     rows = jnp.maximum(jnp.sum(mask), 1)
     X = jnp.where(mask[:, None], X - jnp.sum(jnp.where(mask[:, None], X, 0.0), axis=0) / rows, 0.0)
-    pairs = squares(X)
+    pairs = squared_differences(X)
 
     def output(data: tuple[Array, ...]) -> Minimum:
         starts, y, *Q = data
@@ -138,8 +138,8 @@ def fit(
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
-    scale, output_scale = scales(Z, Y, mask)
+        Y = project_out(Y, basis, mask)
+    scale, output_scale = data_scales(Z, Y, mask)
     columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
     columns = _subset(mask, num_fit, key_rows, *columns)
     low, high = _vector((shortest, *LOWER[1:]), Z.shape[1]), _vector(UPPER, Z.shape[1])

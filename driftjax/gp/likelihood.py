@@ -8,7 +8,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.model import JITTER, Hyper, gram, separation
+from driftjax.gp.model import JITTER, Hyper, gram, squared_distances
 
 
 class Derivatives(NamedTuple):
@@ -69,7 +69,7 @@ def derivatives(
     if Q is not None and held is not None:
         inverse = inverse - Q @ cho_solve((held, True), Q.T)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
-    q = separation(hyper, pairs)
+    q = squared_distances(hyper, pairs)
     correlation, slope = jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))
     both = mask[:, None] & mask[None, :]
     signal = jnp.where(both, amplitude * correlation, 0.0)

@@ -7,7 +7,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
@@ -19,14 +19,14 @@ def saturate(x: Array) -> Array:
     return x * jax.lax.rsqrt(jnp.sqrt(1 + x**4))
 
 
-def faded(near: Array) -> Array:
+def fade_factor(near: Array) -> Array:
     """1 where the nearness of all data is large, 0 where there is none."""
     return -jnp.expm1(-FADE_RATE * near)
 
 
-def bounded(mean: Array, near: Array, reach: Array) -> Array:
+def bound_mean(mean: Array, near: Array, reach: Array) -> Array:
     """`mean` faded out where the nearness of the data is small, and never beyond `reach`; smooth."""
-    return reach * saturate(faded(near) * mean / reach)
+    return reach * saturate(fade_factor(near) * mean / reach)
 
 
 class Hyper(eqx.Module):
@@ -37,12 +37,12 @@ class Hyper(eqx.Module):
     log_noise: Array  # (D,), log of the standard deviation of the noise
 
 
-def squares(X: Array) -> Array:
+def squared_differences(X: Array) -> Array:
     """(nf, M, M): squared difference of every pair of scaled inputs `X` (M, nf), per input."""
     return jax.vmap(lambda x: (x[:, None] - x[None, :]) ** 2)(X.T)
 
 
-def separation(hyper: Hyper, pairs: Array) -> Array:
+def squared_distances(hyper: Hyper, pairs: Array) -> Array:
     """(M, M): squared distance of every pair, in length scales of ONE output, from `squares(X)`."""
     return jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
 
@@ -53,7 +53,7 @@ def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array, Q: Array | None =
     The squares do not depend on the hyper-parameters, so that many starts and outputs share them. In the directions
     `Q` (M, k) the GP is held at 0, which is known without noise: see `orthogonal`.
     """
-    q = separation(hyper, pairs)
+    q = squared_distances(hyper, pairs)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
     jitter = JITTER * jnp.finfo(q.dtype).eps * amplitude
     K = jnp.where(mask[:, None] & mask[None, :], amplitude * KERNELS[kernel](q), 0.0)
@@ -104,14 +104,14 @@ class GP(eqx.Module):
 
     def fade(self, z: Array) -> Array:
         """Scalar: 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
-        return faded(jnp.sum(self._nearness(z)))
+        return fade_factor(jnp.sum(self._nearness(z)))
 
     def bounded_mean(self, z: Array) -> Array:
         """(D,): mean times fade, within twice the largest target seen: what a controller may trust far from data.
 
         Smooth: a hard limit has a kink at which a solver of optimality conditions cannot converge.
         """
-        return bounded(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
+        return bound_mean(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
 
     @property
     def reach(self) -> Array:
@@ -132,7 +132,7 @@ class GP(eqx.Module):
         return jnp.maximum(latent, 0.0) * self.output_scale**2  # rounding may leave -1e-16
 
 
-def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
+def data_scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     """Standard deviation of each input, root mean square of each output over the data; 1 where it is 0."""
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     n = jnp.maximum(jnp.sum(mask), 1)
@@ -162,15 +162,15 @@ def condition(
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
+        Y = project_out(Y, basis, mask)
 
-    pairs = squares(Z / scale)
+    pairs = squared_differences(Z / scale)
 
     def factor(hyper: Hyper, y: Array, *Q: Array) -> tuple[Array, Array]:
         L = jnp.linalg.cholesky(gram(kernel, hyper, pairs, mask, *Q))
         return L, cho_solve((L, True), y)
 
-    held = () if basis is None else (directions(basis, mask),)
+    held = () if basis is None else (orthonormal_basis(basis, mask),)
     L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T, *held)
     lower, upper = jnp.min(Y, axis=0, initial=0.0), jnp.max(Y, axis=0, initial=0.0)
     return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)

@@ -20,7 +20,7 @@ def check_time(run: RawRun) -> float:
     """Sample time [s] of a run of two rows or more; raises `BadInput` where time does not increase steadily."""
     t, label = run.values["t"], run.labels["t"]
     remedy = "time must increase within a run: sort the rows, or name each run in a column of its own"
-    run.refuse("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
+    run.reject("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
     dt = sample_time(t)
     if dt > MAX_SAMPLE_TIME:
         raise BadInput(f"{run.where}: {label} steps by {dt:g}, which looks like milliseconds; write seconds.")
@@ -32,7 +32,7 @@ def check_time(run: RawRun) -> float:
     return dt
 
 
-def void_sideslip(run: RawRun) -> np.ndarray:
+def invalid_sideslip(run: RawRun) -> np.ndarray:
     """Where beta says nothing: past a right angle near standstill.
 
     At any speed where beta is the direction of vx, vy, whose unit is sure: the car rolls backwards.
@@ -55,15 +55,15 @@ def check_values(run: RawRun) -> None:
             )
     values = run.values
     remedy = "speed is not negative: leave out rows driven backwards"
-    run.refuse("V", values["V"] < 0, "m/s", remedy)
+    run.reject("V", values["V"] < 0, "m/s", remedy)
     remedy = "this looks like degrees: write radians, or give a column map with a factor"
-    run.refuse("beta", np.abs(values["beta"]) > MAX_ANGLE, "rad", remedy)
-    run.refuse("delta", np.abs(values["delta"]) > MAX_ANGLE, "rad", remedy)
+    run.reject("beta", np.abs(values["beta"]) > MAX_ANGLE, "rad", remedy)
+    run.reject("delta", np.abs(values["delta"]) > MAX_ANGLE, "rad", remedy)
     remedy = "this looks like degrees per second: write radians per second, or give a column map with a factor"
-    run.refuse("r", np.abs(values["r"]) > MAX_YAW_RATE, "rad/s", remedy)
+    run.reject("r", np.abs(values["r"]) > MAX_YAW_RATE, "rad/s", remedy)
 
 
-def missing(run: RawRun) -> str:
+def count_missing(run: RawRun) -> str:
     """How many values of which channels are missing, as `2 of V, 5 of delta`; empty where none are."""
     counts = {name: int(np.isnan(run.values[name]).sum()) for name in (*MEASURED, *COMMANDS)}
     return ", ".join(f"{count} of {name}" for name, count in counts.items() if count)

@@ -47,7 +47,7 @@ class Condition:
     max: float | None = None
     """Greatest value that passes [unit of the column]."""
 
-    def holds(self, table: Table) -> np.ndarray:
+    def matches(self, table: Table) -> np.ndarray:
         """Which rows of `table` pass."""
         passes = np.ones(len(table.lines), bool)
         if self.values:
@@ -157,7 +157,7 @@ def load_columns(name: str | Path) -> ColumnMap:
     return from_dict(ColumnMap, values, str(path))
 
 
-def own_columns(table: Table) -> ColumnMap:
+def standard_columns(table: Table) -> ColumnMap:
     """The map of a file that is in the log format already."""
     names = [name for name in (*CHANNELS, *VELOCITIES, *EXTRA) if name in table]
     if (lacks := first_missing(names)) is not None:
@@ -169,7 +169,7 @@ def own_columns(table: Table) -> ColumnMap:
     return ColumnMap(tuple(Channel(name, name) for name in names), (RUN,) if RUN in table else ())
 
 
-def channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
+def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
     """Every channel that the map gives, V and beta and Fxr among them, from rows of `table`."""
     values = {c.name: c.factor * table.numbers(c.column) + c.offset for c in columns.columns}
     vx, vy = (values.pop(name, None) for name in VELOCITIES)

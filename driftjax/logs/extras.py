@@ -21,7 +21,7 @@ def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
 
 
 @contextmanager
-def readable(path: Path, kind: str, remedy: str) -> Iterator[None]:
+def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
     """Raise `BadInput` with `remedy` where a library cannot read `path`: damaged bytes make it raise anything."""
     try:
         yield

@@ -10,14 +10,14 @@ QUATERNION = ("x", "y", "z", "w")
 ABSENT = object()  # what a message has no place for
 
 
-def inside(part: Any, step: str | int) -> Any:
+def get_field(part: Any, step: str | int) -> Any:
     """Field or item `step` of `part`: None where it is not set, `ABSENT` where there is no such thing.
 
     `yaw` of a quaternion is its heading [rad].
     """
     if isinstance(step, int):
         return part[step] if is_list(part) and step < len(part) else ABSENT
-    there = fields(part)
+    there = message_fields(part)
     if step not in there:
         return _yaw(part) if step == "yaw" and all(name in there for name in QUATERNION) else ABSENT
     if isinstance(part, dict):
@@ -26,7 +26,7 @@ def inside(part: Any, step: str | int) -> Any:
     return None if unset else getattr(part, step)
 
 
-def fields(part: Any) -> Mapping[str, Any]:
+def message_fields(part: Any) -> Mapping[str, Any]:
     """Fields by name; none where `part` is no message."""
     if isinstance(part, dict):
         return part
@@ -46,7 +46,7 @@ def is_number(part: Any) -> bool:
 
 
 def _yaw(quaternion: Any) -> Any:
-    parts = [inside(quaternion, name) for name in QUATERNION]
+    parts = [get_field(quaternion, name) for name in QUATERNION]
     if not all(map(is_number, parts)):
         return None if None in parts else ABSENT
     x, y, z, w = parts

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra, readable
-from driftjax.logs.series import Series, similar
+from driftjax.logs.extras import import_extra, library_errors
+from driftjax.logs.series import Series, similar_names
 
 KIND = "MDF file"
 UNFINISHED = b"UnFinMF "
@@ -36,7 +36,7 @@ def _opened(path: Path) -> Iterator[Any]:
     with path.open("rb") as stream:
         if stream.read(len(UNFINISHED)) == UNFINISHED:
             raise BadInput(f"{path}: the recorder did not finish the {KIND}; finalise it with its tool or asammdf.")
-        with readable(path, KIND, REMEDY):
+        with library_errors(path, KIND, REMEDY):
             asammdf.blocks.utils.count_channel_groups(stream)  # where this fails, MDF would also print a traceback
             stream.seek(0)
             mdf = asammdf.MDF(stream)  # given the path, it would do so wherever it fails
@@ -51,7 +51,7 @@ def _values(mdf: Any, places: Iterable[tuple[int, int]]) -> list[tuple[int, int]
 
 def _series(path: Path, mdf: Any, name: str) -> Series:
     group, channel = _place(path, mdf, name)
-    with readable(path, KIND, REMEDY):
+    with library_errors(path, KIND, REMEDY):
         signal = mdf.get(group=group, index=channel, raw=True).physical(ignore_value2text_conversions=True)
     samples = signal.samples
     if samples.dtype.kind not in "biuf" or samples.ndim != 1:
@@ -68,7 +68,7 @@ def _place(path: Path, mdf: Any, name: str) -> tuple[int, int]:
         places = [(i, k) for i, k in _values(mdf, mdf.channels_db.get(own, ())) if group in (str(i), _group(mdf, i))]
     if not places:
         raise BadInput(
-            f"{path}: has no channel '{name}'; it has {similar(name, mdf.channels_db)}; correct the column map."
+            f"{path}: has no channel '{name}'; it has {similar_names(name, mdf.channels_db)}; correct the column map."
         )
     if len(places) > 1:
         own = mdf.groups[places[0][0]].channels[places[0][1]].name

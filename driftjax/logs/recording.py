@@ -9,9 +9,9 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs import mcapfile, mdf, rosbag, sampling
 from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
-from driftjax.logs.messages import series_of
-from driftjax.logs.series import Series, check_series, few
-from driftjax.logs.table import Table, reading
+from driftjax.logs.messages import read_series
+from driftjax.logs.series import Series, check_series, quote_names
+from driftjax.logs.table import Table, file_errors
 
 TIME = "time"  # column of a recording that holds the time base
 KINDS = {
@@ -25,7 +25,7 @@ KINDS = {
 
 def recording_kind(path: Path) -> str | None:
     """What kind of recording `path` is, by its first bytes; None for any other file."""
-    with reading(path):
+    with file_errors(path):
         if path.is_dir():
             if not (path / "metadata.yaml").is_file():
                 raise BadInput(f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; give a bag or a file.")
@@ -45,7 +45,7 @@ def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list
     """
     if columns is None:
         names = _names(path, kind)
-        holds = few(names, len(names)) or "nothing"
+        holds = quote_names(names, len(names)) or "nothing"
         raise BadInput(f"{path}: a recording needs a column map that says what is what; it holds {holds}.")
     if wrong := [channel.name for channel in columns.columns if channel.column == TIME and channel.name != "t"]:
         raise BadInput(f"{path}: the column map says that {wrong[0]} is '{TIME}', the time stamps; only t can be that.")
@@ -75,7 +75,7 @@ def _series(path: Path, kind: str, names: Iterable[str], stamps: Stamps, notes: 
         rosbag.KIND: lambda topics: rosbag.bag_messages(path, topics, notes),
         mcapfile.KIND: lambda topics: mcapfile.mcap_messages(path, topics),
     }
-    return series_of(path, names, _names(path, kind), read[kind], stamps)
+    return read_series(path, names, _names(path, kind), read[kind], stamps)
 
 
 def _roles(columns: ColumnMap) -> dict[str, str]:
@@ -103,9 +103,9 @@ def _base(found: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -
 def _at(times: np.ndarray, series: Series, role: str, turning: float | None) -> np.ndarray:
     """The series at `times`; `turning` is the factor to radians where the values are a heading."""
     if role == "state":
-        return sampling.latest(times, series.t, series.y, sampling.sample_time(times))
+        return sampling.sample_and_hold(times, series.t, series.y, sampling.sample_time(times))
     dt = sampling.sample_time(series.t)
     if role == "command":
-        return sampling.latest(times, series.t, series.y, dt, lost=sampling.HOLD)
+        return sampling.sample_and_hold(times, series.t, series.y, dt, lost=sampling.HOLD)
     y = series.y if turning is None else sampling.unwrap(turning * series.y) / turning
-    return sampling.between(times, series.t, y, dt)
+    return sampling.interpolate(times, series.t, y, dt)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra, readable
+from driftjax.logs.extras import import_extra, library_errors
 from driftjax.logs.messages import Message
 
 KIND = "ROS bag"
@@ -15,13 +15,13 @@ REMEDY = "mend it with 'rosbag reindex' or 'ros2 bag reindex', or record it agai
 
 def bag_topics(path: Path) -> list[str]:
     """Topics of the bag."""
-    with readable(path, KIND, REMEDY), _reader(path) as reader:
+    with library_errors(path, KIND, REMEDY), _reader(path) as reader:
         return sorted(reader.topics)
 
 
 def bag_messages(path: Path, topics: Collection[str], notes: list[str]) -> Iterator[Message]:
     """Messages of these topics, by time of receipt."""
-    with readable(path, KIND, REMEDY), _reader(path) as reader:
+    with library_errors(path, KIND, REMEDY), _reader(path) as reader:
         chosen = [one for one in reader.connections if one.topic in topics]
         decoders = {one.id: _decoder(path, one, notes) for one in chosen}
         if chosen:

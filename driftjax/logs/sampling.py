@@ -25,7 +25,7 @@ def jitter(t: np.ndarray, dt: float) -> float:
     return float(np.quantile(np.abs(steps - np.maximum(np.round(steps), 1)), 0.99))
 
 
-def hold(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """`command` with up to 3 missing samples in a row held, and the rows that then have a value."""
     there = np.isfinite(command)
     index = np.arange(len(t))
@@ -37,7 +37,7 @@ def hold(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.
     return np.where(held, command[last], command), there | held
 
 
-def pieces(t: np.ndarray, dt: float) -> list[slice]:
+def split_at_gaps(t: np.ndarray, dt: float) -> list[slice]:
     """Stretches of rows between which t jumps by more than 3 sample times."""
     cuts = np.flatnonzero(np.diff(t) > (HOLD + SLACK) * dt) + 1
     edges = [0, *cuts.tolist(), len(t)]
@@ -49,7 +49,7 @@ def is_uniform(t: np.ndarray, dt: float) -> bool:
     return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
 
 
-def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
+def resample(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
     """Channels at every `dt` from the start: samples that lie there as they are, others between their neighbours.
 
     Where samples are lost, the channels named in `held` keep their value and the others are missing.
@@ -58,13 +58,13 @@ def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -
     inside = np.minimum(grid, t[-1])  # the last point may lie half a sample time past the last sample
 
     def at_grid(name: str, y: np.ndarray) -> np.ndarray:
-        values = between(inside, t, y, dt)
-        return np.where(np.isnan(values), latest(inside, t, y, dt), values) if name in held else values
+        values = interpolate(inside, t, y, dt)
+        return np.where(np.isnan(values), sample_and_hold(inside, t, y, dt), values) if name in held else values
 
     return grid, {name: at_grid(name, y) for name, y in values.items()}
 
 
-def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.ndarray:
+def interpolate(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.ndarray:
     """`y`, sampled at `t` about every `dt` [s], at `times`: samples that lie there, else between their neighbours.
 
     Missing where samples are lost, before the first and after the last one.
@@ -77,7 +77,7 @@ def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.nd
     return np.where((after < -UNIFORM * dt) | (before < -UNIFORM * dt), np.nan, values)
 
 
-def latest(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
+def sample_and_hold(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
     """`y`, sampled at `t` about every `dt` [s], at `times`: the last sample; missing before the first one.
 
     Where more than `lost` samples in a row are lost, the one before them stays for a sample time less jitter.
@@ -98,7 +98,7 @@ def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int
     }
 
 
-def thinning(dt: float, rate: float, where: str) -> int:
+def thinning_factor(dt: float, rate: float, where: str) -> int:
     """How many samples of sample time `dt` [s] make one at `rate` [Hz]; raises `BadInput` where none fit."""
     factor = max(round(1 / (dt * rate)), 1)
     if abs(factor * dt * rate - 1) > UNIFORM:

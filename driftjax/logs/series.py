@@ -44,12 +44,12 @@ def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
         )
 
 
-def similar(name: str, there: Iterable[str]) -> str:
+def similar_names(name: str, there: Iterable[str]) -> str:
     """A few of the names that are there, most similar to `name` first."""
     names = sorted(set(there))
-    return few(get_close_matches(name, names, SHOWN, cutoff=0.0), len(names))
+    return quote_names(get_close_matches(name, names, SHOWN, cutoff=0.0), len(names))
 
 
-def few(names: Sequence[str], num: int) -> str:
+def quote_names(names: Sequence[str], num: int) -> str:
     """The first of `num` names, in quotes."""
     return ", ".join(f"'{one}'" for one in names[:SHOWN]) + (", ..." if num > SHOWN else "")

@@ -30,7 +30,7 @@ class Table:
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
-    def keep(self, mask: np.ndarray) -> "Table":
+    def select_rows(self, mask: np.ndarray) -> "Table":
         """The rows where `mask` holds."""
         columns = (c[mask] if isinstance(c, np.ndarray) else list(compress(c, mask)) for c in self.columns)
         return Table(self.path, self.names, tuple(columns), self.lines[mask])
@@ -74,7 +74,7 @@ class Table:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def file_errors(path: Path) -> Iterator[None]:
     """Raise `BadInput` where the file cannot be read."""
     try:
         yield
@@ -86,7 +86,7 @@ def reading(path: Path) -> Iterator[None]:
 
 def read_bytes(path: Path) -> bytes:
     """What the file holds; raises `BadInput` where it cannot be read or is empty."""
-    with reading(path):
+    with file_errors(path):
         content = path.read_bytes()
     if not content.strip():
         raise BadInput(f"{path}: is empty; give a log with a row of names and rows of numbers.")

@@ -34,7 +34,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
 
 def write_json(path: Path, values: Any) -> None:
     """Write strict JSON: numbers that are not finite become null."""
-    text = json.dumps(plain(values), indent=2, allow_nan=False)
+    text = json.dumps(to_json_types(values), indent=2, allow_nan=False)
     write_atomically(path, lambda p: p.write_text(text + "\n", encoding="utf-8"))
 
 
@@ -48,10 +48,10 @@ def read_json(path: Path) -> Any:
         raise BadInput(f"{path}: not readable JSON ({error}); delete it and resume the run.") from None
 
 
-def plain(value: Any) -> Any:
+def to_json_types(value: Any) -> Any:
     """`value` in JSON's own types: arrays as lists, paths as strings, non-finite numbers as None."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, str | bool | None):
         return str(value) if isinstance(value, str) else value
     if isinstance(value, int):
@@ -59,7 +59,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(item) for item in value]
     if isinstance(value, Path):
         return str(value)
-    return plain(np.asarray(value).tolist())
+    return to_json_types(np.asarray(value).tolist())

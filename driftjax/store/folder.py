@@ -18,7 +18,7 @@ from driftjax.store.variables import SHARED
 from driftjax.store.versions import versions
 
 CONFIG = "config.yaml"
-BLANK = {"f": np.nan, "b": False, "i": -1}  # what stands for a lane or step that a stage lacks, by kind
+FILL_VALUES = {"f": np.nan, "b": False, "i": -1}  # what stands for a lane or step that a stage lacks, by kind
 
 
 class RunFolder:
@@ -88,7 +88,7 @@ class RunFolder:
         """Names of the finished stages, in order."""
         return [path.stem[3:] for path in sorted((self.path / "stages").glob("[0-9][0-9]_*.nc"))]
 
-    def holds_results(self) -> bool:
+    def has_results(self) -> bool:
         """Whether a stage, or a trial of a sweep, has been finished."""
         return bool(self.finished()) or any((self.path / "trials").glob("*.parquet"))
 
@@ -151,17 +151,17 @@ class RunFolder:
         """The laps of all stages, of a run that has ended: laps.nc, dimensions stage, lane, step."""
         return self.read_dataset("laps.nc")
 
-    def collect(self) -> xr.Dataset:
+    def write_laps(self) -> xr.Dataset:
         """Write and return laps.nc: the laps of all finished stages along a new dimension `stage`."""
         names = self.finished()
         if not names:
             raise BadInput(f"{self.path}: no stage has finished, so there are no laps to collect.")
-        laps = stack(dict(zip(names, map(self.read_stage, names), strict=True)))
+        laps = stack_stages(dict(zip(names, map(self.read_stage, names), strict=True)))
         self.write_dataset("laps.nc", laps)
         return laps
 
 
-def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
+def stack_stages(stages: dict[str, xr.Dataset]) -> xr.Dataset:
     """Stages along a new dimension `stage`; what a stage lacks is NaN, False, -1 or empty."""
     sizes: dict[Any, int] = {}
     for data in stages.values():
@@ -175,7 +175,7 @@ def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
             continue
         shape = tuple(sizes[dim] for dim in first.dims)
         dtype = first.dtype if first.dtype.kind in "fbi" else np.dtype(object)
-        whole = np.full((len(stages), *shape), BLANK.get(dtype.kind, ""), dtype)
+        whole = np.full((len(stages), *shape), FILL_VALUES.get(dtype.kind, ""), dtype)
         for i, part in parts.items():
             whole[(i, *(slice(0, n) for n in part.shape))] = part.values
         variables[name] = xr.Variable(("stage", *first.dims), whole, first.attrs)

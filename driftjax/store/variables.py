@@ -178,14 +178,14 @@ def dataset(
             array = array.astype(object)
         arrays[name] = xr.Variable(dims, array, {"units": units, "long_name": long_name})
     if codes and "code" in arrays:
-        arrays["code"].attrs |= flags(codes)
+        arrays["code"].attrs |= cf_flag_attributes(codes)
     coordinates = {id(STAGE): COORDINATES, id(DIAGNOSIS): LABELS}.get(id(table), ())
     coords = {name: arrays.pop(name) for name in coordinates if name in arrays}
     attrs = {key: int(value) if isinstance(value, bool) else value for key, value in attrs.items()}
     return xr.Dataset(arrays, coords, attrs)
 
 
-def flags(codes: Mapping[str, int]) -> dict[str, Any]:
+def cf_flag_attributes(codes: Mapping[str, int]) -> dict[str, Any]:
     """CF attributes `flag_values` and `flag_meanings` of a mapping from meaning to number."""
     return {"flag_values": np.array(list(codes.values()), np.int32), "flag_meanings": " ".join(codes)}
 

@@ -29,6 +29,6 @@ class Actuators(eqx.Module):
             jnp.clip(push, -self.Fxr_rate_max, self.Fxr_rate_max),
         )
 
-    def limited(self, drive: Array, rim_speed: Array) -> Array:
+    def limit_power(self, drive: Array, rim_speed: Array) -> Array:
         """Drive force within the power limit [N] at the mean rim speed of the driven wheels [m/s]."""
         return jnp.minimum(drive, self.power_max / jnp.sqrt(rim_speed**2 + self.creep_speed**2))

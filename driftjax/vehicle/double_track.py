@@ -14,7 +14,7 @@ from driftjax.core.elementary import arctan2, sincos
 from driftjax.tyre import MagicFormula
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
-from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, quickening
+from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, relaxation_speedup
 
 STEERED = (1.0, 1.0, 0.0, 0.0)
 
@@ -104,12 +104,12 @@ class DoubleTrack(eqx.Module):
         Fz0 = chassis.static_loads()
         per_ax, per_ay = chassis.transfer()
         Fz = smooth_positive(Fz0 + per_ax * state.pitch + per_ay * state.roll, LOAD_FLOOR * Fz0)
-        damping = wheels.carcass_time / quickening(saturation)
+        damping = wheels.carcass_time / relaxation_speedup(saturation)
         Fx, Fy = self.tyre.forces(kappa + damping * kappa_rate, alpha + damping * alpha_rate, Fz, Fz0)
 
         body_x, body_y = cos * Fx - sin * Fy, sin * Fx + cos * Fy
         drag = chassis.drag * jnp.sqrt(state.vx**2 + state.vy**2 + SPEED_FLOOR**2)
-        drive = self.actuators.limited(state.drive, wheels.radius * (state.omega[2] + state.omega[3]) / 2)
+        drive = self.actuators.limit_power(state.drive, wheels.radius * (state.omega[2] + state.omega[3]) / 2)
         return Forces(
             Fx=Fx,
             Fy=Fy,

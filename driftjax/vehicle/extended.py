@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.tyre import SimplifiedPacejka
-from driftjax.vehicle.effect import EFFECTS, effects_named
+from driftjax.vehicle.effect import EFFECTS, effects_by_name
 from driftjax.vehicle.effect.base import Effect
 from driftjax.vehicle.effect.flow import Aux, Flow, Place, rates
 from driftjax.vehicle.parameters import VehicleConfig
@@ -59,20 +59,20 @@ class Extended(eqx.Module):
     @property
     def universal(self) -> Universal:
         """The whole pipeline of this car."""
-        return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
+        return Universal(base_car(self.nominal), effects_by_name(self.names), self.scale, self.theta)
 
-    def at(self, theta: Float[Array, " K"]) -> "Extended":
+    def with_parameters(self, theta: Float[Array, " K"]) -> "Extended":
         """This car with other parameters."""
         return Extended(self.nominal, self.names, self.scale, theta)
 
     def scaled(self, share: Array) -> "Extended":
         """From the nominal car at 0 to this one at 1."""
-        return self.at(share * self.theta)
+        return self.with_parameters(share * self.theta)
 
     def flow(self, x: State, u: Control) -> Flow:
         """Everything about one instant, from slip to forces."""
         model, zero = self.universal, jnp.zeros_like(x.V)
-        _, acting = model.act(model.start(STEP), u, x.V, STEP)
+        _, acting = model.apply_actuators(model.start(STEP), u, x.V, STEP)
         return model.flow(x, acting, Place(zero, zero, zero, zero), Aux(jnp.stack([zero, zero]), zero))
 
     def __call__(self, x: State, u: Control) -> State:
@@ -104,22 +104,22 @@ def beyond_peak(car: AnyCar, x: State, u: Control) -> Array:
 def build_car(vehicle: VehicleConfig) -> AnyCar:
     """The car that `vehicle` describes: the nominal one, with those of its named effects that act in steady use."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
-    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not missing(EFFECTS[name]))
+    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not exclusion_reason(EFFECTS[name]))
     if not names:
         return vehicle.build()
-    each = [(effect.name, p) for effect in effects_named(names) for p in effect.parameters]
+    each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
     scale = jnp.asarray([p.scale(vehicle) for _, p in each])
     theta = jnp.asarray([values[name, p.name] for name, p in each]) / scale
     return Extended(vehicle.build(), names, scale, theta)
 
 
-def named_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
+def actuator_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
     """Time constants of steering and drive that were named, 0 where none was [s]."""
     found = {one.effect: one.value for one in vehicle.effects}
     return jnp.asarray([found.get(name, 0.0) for name in LAGS])
 
 
-def missing(effect: Effect) -> str:
+def exclusion_reason(effect: Effect) -> str:
     """Why `effect` is not part of the car in steady use; empty where it is."""
     if effect.station == "sensor":
         return "it belongs to the sensors"
@@ -133,10 +133,12 @@ def missing(effect: Effect) -> str:
     return ""
 
 
-def notes(vehicle: VehicleConfig) -> list[str]:
+def unmodelled_effects(vehicle: VehicleConfig) -> list[str]:
     """One sentence for each named effect that planner, equilibria and MPC do not have in their car."""
     named = [effect for effect in EFFECTS.values() if effect.name in _named(vehicle)]
-    return [f"{effect.name} is not in the car: {missing(effect)}." for effect in named if missing(effect)]
+    return [
+        f"{effect.name} is not in the car: {exclusion_reason(effect)}." for effect in named if exclusion_reason(effect)
+    ]
 
 
 def _named(vehicle: VehicleConfig) -> set[str]:

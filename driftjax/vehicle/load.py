@@ -8,8 +8,8 @@ from typing import Any
 import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
-from driftjax.vehicle.effect import Parameter, effects_named
-from driftjax.vehicle.parameters import FoundParameter, VehicleConfig
+from driftjax.vehicle.effect import Parameter, effects_by_name
+from driftjax.vehicle.parameters import EffectParameterValue, VehicleConfig
 
 ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
 SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
@@ -38,7 +38,7 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
     matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
     vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix)
-    return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
+    return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
 def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
@@ -61,10 +61,10 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
     return value
 
 
-def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[FoundParameter, ...]:
+def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:
     """Every parameter of the effects `written`, in the catalogue's order."""
     try:
-        effects = effects_named(tuple(map(str, written)))
+        effects = effects_by_name(tuple(map(str, written)))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
     found = []
@@ -77,7 +77,7 @@ def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple
             if p.name not in values:
                 raise BadInput(f"{where}: {effect.name} lacks '{p.name}'; add it, 0 is neutral.")
             at = f"{where}: {effect.name}.{p.name}"
-            found.append(FoundParameter(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
+            found.append(EffectParameterValue(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
     return tuple(found)
 
 
@@ -100,7 +100,7 @@ def _number(written: Any, where: str) -> float:
     return float(written)
 
 
-def _covariance(written: Any, found: tuple[FoundParameter, ...], where: str) -> tuple[tuple[float, ...], ...]:
+def _covariance(written: Any, found: tuple[EffectParameterValue, ...], where: str) -> tuple[tuple[float, ...], ...]:
     """The matrix, checked against the parameters `found`."""
     parts, names = _mapping(written, where), [one.name for one in found]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:

@@ -10,7 +10,7 @@ from driftjax.vehicle.single_track import SingleTrack
 
 
 @dataclass(frozen=True)
-class FoundParameter:
+class EffectParameterValue:
     """One parameter of an effect that a diagnosis named, SI."""
 
     effect: str
@@ -62,7 +62,7 @@ class VehicleConfig:
 
     combined_slip: float = 0.0
     """How much the drive force takes from the rear lateral force: 0 as published, 1 a friction circle [-]."""
-    effects: tuple[FoundParameter, ...] = ()
+    effects: tuple[EffectParameterValue, ...] = ()
     """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
     covariance: tuple[tuple[float, ...], ...] = ()
     """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
@@ -88,7 +88,7 @@ class VehicleConfig:
         upper = np.array([self.delta_max, self.Fxr_max])
         return lower, upper, np.array([self.delta_rate_max, self.Fxr_rate_max])
 
-    def with_slip(self, combined_slip: float | None) -> "VehicleConfig":
+    def with_combined_slip(self, combined_slip: float | None) -> "VehicleConfig":
         """This car with another friction ellipse; None is a friction circle, but leaves an extended car as it is.
 
         What a diagnosis named is the difference to the nominal car that it was given, ellipse included.

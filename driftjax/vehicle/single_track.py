@@ -13,7 +13,7 @@ LATERAL_FLOOR = 0.04  # square of the share of lateral force that no drive force
 V_FLOOR = 1e-3  # speed below which beta_dot is held finite [m/s]
 
 
-def lateral_left(used: Array) -> Array:
+def lateral_share(used: Array) -> Array:
     """Share of its lateral force that an axle keeps when drive takes `used` of the squared friction [-]."""
     return jnp.sqrt(jnp.maximum(1 - used, LATERAL_FLOOR))
 
@@ -61,7 +61,7 @@ class SingleTrack(eqx.Module):
         """Lateral force of front and rear axle in the wheel frames [N], left positive."""
         alpha_f, alpha_r = self.slip_angles(x, u)
         used = self.combined_slip * u.Fxr / (self.tyre.mu * self.Fzr)
-        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * lateral_left(used**2)
+        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * lateral_share(used**2)
 
     def __call__(self, x: State, u: Control) -> State:
         """Time derivative of `x` (Eq. 1)."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.vehicle.effect.base import Effect, Station
-from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, accelerate, axle_forces, enter, rates
+from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, add_accelerations, axle_forces, initial_flow, rates
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import SingleTrack
 
@@ -30,7 +30,7 @@ class Universal(eqx.Module):
             at += len(effect.parameters)
         return found
 
-    def at(self, theta: Float[Array, " K"]) -> "Universal":
+    def with_parameters(self, theta: Float[Array, " K"]) -> "Universal":
         """The same car with other parameters, in typical sizes."""
         return eqx.tree_at(lambda car: car.theta, self, theta)
 
@@ -48,8 +48,8 @@ class Universal(eqx.Module):
 
     def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         """Everything about one instant, from slip to forces."""
-        flow = self._through("slip", enter(self.car, x, u, place, aux))
-        flow = self._through("load", accelerate(flow))
+        flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
+        flow = self._through("load", add_accelerations(flow))
         flow = axle_forces(self._through("friction", flow))
         return self._through("force", flow)
 
@@ -61,7 +61,7 @@ class Universal(eqx.Module):
         """Memory of the actuators at rest, for steps of `dt` [s]."""
         return tuple(effect.start(dt) for effect in self.effects if effect.station == "command")
 
-    def act(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
+    def apply_actuators(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
         """What the actuators make of command `u` held over one step `dt` [s] at speed `V` (its mean), and memory."""
         values, new = self.values(), []
         commands = [effect for effect in self.effects if effect.station == "command"]
@@ -73,17 +73,17 @@ class Universal(eqx.Module):
     @property
     def _delays(self) -> np.ndarray:
         """Indices of the parameters that are delays of V, beta and r; none where no effect makes any."""
-        return np.flatnonzero([effect.late for effect in self.effects for _ in effect.parameters])
+        return np.flatnonzero([effect.sensor_delay for effect in self.effects for _ in effect.parameters])
 
-    def delayed(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:
+    def split_delays(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:
         """Whole steps `dt` [s] by which sensors tell V, beta and r late, and the car with the rest of the delays."""
         at = self._delays
         if not len(at):
             return jnp.zeros(3), self
         whole = jnp.floor(self.theta[at] * self.scale[at] / dt)
-        return whole, self.at(self.theta.at[at].add(-whole * dt / self.scale[at]))
+        return whole, self.with_parameters(self.theta.at[at].add(-whole * dt / self.scale[at]))
 
-    def lateness(self) -> Float[Array, "3"]:
+    def sensor_delays(self) -> Float[Array, "3"]:
         """Times by which the sensors tell V, beta and r late [s]."""
         at = self._delays
         return self.theta[at] * self.scale[at] if len(at) else jnp.zeros(3)
@@ -102,7 +102,7 @@ def base_car(nominal: SingleTrack) -> Car:
     )  # fmt: skip
 
 
-def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
+def universal_car(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
     """The car with these effects, all neutral."""
     scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
     return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)), substeps)

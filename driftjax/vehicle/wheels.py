@@ -10,7 +10,7 @@ SPEED_FLOOR = 1e-3  # added in quadrature to the travelling speed of a wheel, fo
 SATURATION_MAX = 8.0  # bounds that rise, so that an explicit step stays stable in any wheelspin [-]
 
 
-def quickening(saturation: Array) -> Array:
+def relaxation_speedup(saturation: Array) -> Array:
     r"""How many times shorter the relaxation length is at `saturation` q: $\sqrt{(1+q^2)/(1+(q/q_{max})^2)}$."""
     return jnp.sqrt((1 + saturation**2) / (1 + (saturation / SATURATION_MAX) ** 2))
 
@@ -42,7 +42,7 @@ class Wheels(eqx.Module):
         divided by `quickening` at `saturation` q, since a sliding tyre loads its carcass no further.
         """
         speed = jnp.sqrt(v**2 + w**2 + SPEED_FLOOR**2)
-        quicker = quickening(saturation)
+        quicker = relaxation_speedup(saturation)
         kappa_rate = (omega * self.radius - v - speed * kappa) * quicker / self.relaxation_long
         return kappa_rate, (w - speed * alpha) * quicker / self.relaxation
 

@@ -16,7 +16,7 @@ _FOUND: list[Effect] = [module.EFFECT for module in _MODULES if hasattr(module, 
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in sorted(_FOUND, key=lambda one: one.number)}
 
 
-def effects_named(names: tuple[str, ...]) -> tuple[Effect, ...]:
+def effects_by_name(names: tuple[str, ...]) -> tuple[Effect, ...]:
     """The effects of these names, in the catalogue's order; raises `BadInput` for a name it does not hold."""
     unknown = sorted(set(names) - set(EFFECTS))
     if unknown:

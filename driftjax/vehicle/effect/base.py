@@ -98,7 +98,7 @@ class Effect:
     """Whether it acts by what went before, beyond the state and the memory of a command: rates at rest are nominal."""
     start: Callable[[float], Any] = no_memory
     """Memory of a command effect at rest."""
-    late: bool = False
+    sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
 
     def __repr__(self) -> str:

@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="Ljung 1999",
     sentence="some measurements are late",
     kinematic=True,
-    late=True,
+    sensor_delay=True,
 )

@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.core import Control, State
 from driftjax.tyre import SimplifiedPacejka
-from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_left
+from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_share
 
 ROLL_GRIP = 0.04  # grip lost to lateral load transfer at 1 g, which the nominal friction, steady, already holds [-]
 CREEP = 0.02  # width of the smooth sign of the forward speed, over sqrt(g L) [-]
@@ -105,17 +105,17 @@ def axle_forces(flow: Flow) -> Flow:
     car = flow.car
     front = SimplifiedPacejka(flow.muf, car.Bf, car.Cf).lateral(flow.alpha_f, flow.Fzf)
     rear = SimplifiedPacejka(flow.mur, car.Br, car.Cr).lateral(flow.alpha_r, flow.Fzr)
-    left = lambda Fx, mu, Fz: lateral_left(car.ellipse * (Fx / (mu * Fz)) ** 2)
+    left = lambda Fx, mu, Fz: lateral_share(car.ellipse * (Fx / (mu * Fz)) ** 2)
     return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
 
 
-def forward(flow: Flow) -> Array:
+def forward_sign(flow: Flow) -> Array:
     """Smooth sign of the forward speed, for what resists rolling [-]."""
     along = flow.x.V * jnp.cos(flow.x.beta)
     return along / jnp.sqrt(along**2 + (CREEP * flow.car.unit_speed) ** 2)
 
 
-def enter(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
+def initial_flow(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
     """Slip angles, static loads and friction, before any effect of the stations after `car`."""
     alpha_f, alpha_r = car.nominal.slip_angles(x, u)
     zero = jnp.zeros_like(x.V)
@@ -125,7 +125,7 @@ def enter(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
     )  # fmt: skip
 
 
-def accelerate(flow: Flow) -> Flow:
+def add_accelerations(flow: Flow) -> Flow:
     """`flow` with the accelerations that tyre forces at its present loads give the body, for the load transfer."""
     flow, sin, cos = axle_forces(flow), jnp.sin(flow.u.delta), jnp.cos(flow.u.delta)
     ax = (flow.Fxr + flow.Fxf * cos - flow.Fyf * sin) / flow.car.m
