@@ -1,4 +1,4 @@
-"""What a process needs before JAX computes: double precision, one thread per program, a compilation cache.
+"""Process settings to make before JAX computes: double precision, one thread per program, a compilation cache.
 
 `import driftjax` calls `setup()`. JAX need not be imported for it, so that `driftjax --help` stays fast.
 """
@@ -39,7 +39,7 @@ def setup(*, cache: str | Path | None = None, threads: int | None = None) -> Non
 
 
 def dispatch_inline() -> None:
-    """Let the calling thread compute, as several threads beside each other need it; JAX reads no variable for this."""
+    """Run CPU programs in the calling thread, as parallel threads need; no environment variable sets this."""
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", False)
@@ -77,6 +77,6 @@ def _set_threads(threads: int | None) -> None:
 
 
 def _client_started() -> bool:
-    """Whether JAX has a backend in this process; reads no attribute of JAX where it has not been imported."""
+    """Return whether JAX has a backend in this process, without importing JAX."""
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bool(bridge and bridge.backends_are_initialized())

@@ -1,4 +1,4 @@
-"""Records, results, integrators and config files; knows nothing above it."""
+"""Shared records, solver results, integrators and config files; imports nothing of the layers above."""
 
 from driftjax.core.atomic import write_atomically as write_atomically
 from driftjax.core.config import find_config as find_config

@@ -1,4 +1,4 @@
-"""Exact Gaussian processes of fixed, padded size: fit, predict, pick the points worth keeping. No cars."""
+"""Exact Gaussian processes of fixed, padded size: fit, predict, select informative data. Independent of cars."""
 
 from driftjax.gp.any_kernel import KernelGP as KernelGP
 from driftjax.gp.any_kernel import fit_kernel as fit_kernel

@@ -1,4 +1,4 @@
-"""Which rows of a long record to keep: the most informative ones, up to a size."""
+"""Select the most informative rows of a data set, up to a given size."""
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,11 @@ def select_dictionary(
     noise: float | Array = 0.1,
     kernel: str = "se",
 ) -> tuple[Array, Array, Array]:
-    """At most `size` rows of `Z` (N, nf), `Y` (N, D) where `mask`, and the mask of those kept.
+    """Return at most `size` rows of `Z` (N, nf) and `Y` (N, D) where `mask`, and the mask of the rows returned.
 
-    Greedy: each next row is the one whose value is least known given the rows kept so far (largest conditional
-    variance of a unit GP with `lengthscale` in standard deviations of the inputs and `noise` per row), which is
-    a pivoted Cholesky factorisation. The noise keeps the recursion well posed.
+    Greedy: the next row is the one with the largest conditional variance given the rows selected so far, of a unit GP
+    with `lengthscale` in standard deviations of the inputs and `noise` per row: a pivoted Cholesky factorisation. The
+    noise keeps the recursion well conditioned.
     """
     N = Z.shape[0]
     mask = mask.astype(bool)

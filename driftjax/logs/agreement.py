@@ -1,4 +1,4 @@
-"""Whether the channels of a log agree with each other, whatever the car: slopes, offsets, time shifts."""
+"""Consistency of the channels of a log, independent of the car: slopes, offsets, time shifts."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -9,16 +9,16 @@ from scipy.signal import savgol_filter
 from driftjax.logs.log import Run
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
-MAX_SHIFT = 0.5  # time shift looked for, either way [s]
+MAX_SHIFT = 0.5  # largest time shift, either way [s]
 MAX_LATERAL_ACCELERATION = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
 SLOW = 0.1  # share of the top speed below which angles are noise
-MIN_SAMPLES = 50  # samples from which anything is told
+MIN_SAMPLES = 50  # samples that a check needs
 
 Channels = dict[str, np.ndarray]
 
 
 class Agreement(NamedTuple):
-    """How one channel follows what the others say of it: channel = slope x other + offset, `shift` later."""
+    """Regression of a channel on its prediction from others: channel = slope x other + offset, `shift` later."""
 
     channel: str
     other: str  # in words
@@ -26,13 +26,13 @@ class Agreement(NamedTuple):
     num: int  # samples compared
     slope: float
     offset: float  # [unit]
-    rest: float  # RMS of what is left [unit]
+    rest: float  # RMS residual [unit]
     correlation: float
     shift: float  # by which the channel is late [s]
 
 
 class Check(NamedTuple):
-    """A channel, and what it should equal."""
+    """A channel and the quantity that it should equal."""
 
     channel: str
     other: str
@@ -42,7 +42,7 @@ class Check(NamedTuple):
 
 
 def _course(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
-    """Sideslip, and the direction of travel less the heading."""
+    """Return the sideslip, and the course less the heading."""
     angle = np.arctan2(rate["y"], rate["x"]) - y["psi"]
     return y["beta"], np.angle(np.exp(1j * angle))
 
@@ -65,7 +65,7 @@ CHECKS = (
 
 
 def steering_check(wheelbase: float) -> Check:
-    """Yaw rate against V tan(delta) / L, in gentle driving."""
+    """Return the check of the yaw rate against V tan(delta) / L at low lateral acceleration."""
 
     def pair(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
         gentle = np.abs(y["V"] * y["r"]) < MAX_LATERAL_ACCELERATION
@@ -75,7 +75,7 @@ def steering_check(wheelbase: float) -> Check:
 
 
 def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agreement]:
-    """Every check that all `runs` have the columns for; that of the steering where the wheelbase [m] is known."""
+    """Return every check whose columns all `runs` have; the steering check needs the wheelbase [m]."""
     has = set.intersection(*(set(run.extra) for run in runs))
     checks = [check for check in CHECKS if set(check.needs) <= has]
     checks += [] if wheelbase is None else [steering_check(wheelbase)]
@@ -85,7 +85,7 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
-    """Channels of a run and their rates, both from parabolas over `WINDOW`; NaN near gaps and at low speed."""
+    """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN near gaps and at low speed."""
     raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
     num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
     if len(run.t) < num:
@@ -97,7 +97,7 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
 
 
 def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:
-    """One check over all runs, None where too little was measured or nothing moves."""
+    """Evaluate one check over all runs; None if there are too few samples or a channel is constant."""
     y, x = (np.concatenate(column) for column in zip(*pairs, strict=True))
     both = np.isfinite(y) & np.isfinite(x)
     if both.sum() < MIN_SAMPLES or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
@@ -110,7 +110,7 @@ def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt:
 
 
 def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
-    """Time [s] by which the first channel of each pair follows the second: where their correlation is largest."""
+    """Return the time [s] by which the first channel of each pair follows the second (largest correlation)."""
     most = max(round(MAX_SHIFT / dt), 1)
     shifts = np.arange(-most, most + 1)
     score = np.array([_correlation(pairs, int(k), most) for k in shifts])
@@ -123,7 +123,7 @@ def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
 
 
 def _correlation(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) -> float:
-    """Correlation of y(t + k) with x(t) over all runs, of the samples that every shift has."""
+    """Return the correlation of y(t + k) with x(t) over all runs, on the samples that all shifts share."""
     rows = []
     for y, x in pairs:
         if len(y) > 2 * most:

@@ -1,4 +1,4 @@
-"""What is wrong with a measured run, told in one sentence that names the file, the row or column, and the remedy."""
+"""Checks of measured runs; each error is one sentence that names the file, the row or column, and the remedy."""
 
 from collections.abc import Mapping
 
@@ -17,7 +17,7 @@ SLOW = 0.1  # share of the run's top speed below which sideslip is noise
 
 
 def check_time(run: RawRun) -> float:
-    """Sample time [s] of a run of two rows or more; raises `BadInput` where time does not increase steadily."""
+    """Return the sample time [s] of a run of two rows or more; raises `BadInput` if time is not steadily increasing."""
     t, label = run.values["t"], run.labels["t"]
     remedy = "time must increase within a run: sort the rows, or name each run in a column of its own"
     run.reject("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
@@ -33,9 +33,9 @@ def check_time(run: RawRun) -> float:
 
 
 def invalid_sideslip(run: RawRun) -> np.ndarray:
-    """Where beta says nothing: past a right angle near standstill.
+    """Return where beta is invalid: beyond a right angle near standstill.
 
-    At any speed where beta is the direction of vx, vy, whose unit is sure: the car rolls backwards.
+    If beta was computed from vx, vy, whose unit is certain, at any speed: the car rolls backwards.
     """
     V = np.nan_to_num(run.values["V"])
     doubtful = V < SLOW * V.max(initial=0.0) if run.beta_mapped else np.ones(V.shape, bool)
@@ -43,7 +43,7 @@ def invalid_sideslip(run: RawRun) -> np.ndarray:
 
 
 def check_values(run: RawRun) -> None:
-    """Raise `BadInput` where a channel is empty, stuck, negative or in another unit."""
+    """Raise `BadInput` if a channel is empty, stuck, negative or in another unit."""
     for name in CHANNELS[1:]:
         values = run.values[name][np.isfinite(run.values[name])]
         if not values.size:
@@ -64,13 +64,13 @@ def check_values(run: RawRun) -> None:
 
 
 def count_missing(run: RawRun) -> str:
-    """How many values of which channels are missing, as `2 of V, 5 of delta`; empty where none are."""
+    """Return the number of missing values per channel as `2 of V, 5 of delta`; empty if none."""
     counts = {name: int(np.isnan(run.values[name]).sum()) for name in (*MEASURED, *COMMANDS)}
     return ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
 
 
 def check_rates(sample_times: Mapping[str, float]) -> None:
-    """Raise `BadInput` where two of the named runs differ in sample rate by more than 1 %."""
+    """Raise `BadInput` if two of the named runs differ in sample rate by more than 1 %."""
     (first, reference), *others = sample_times.items()
     for name, dt in others:
         if abs(reference / dt - 1) > UNIFORM:

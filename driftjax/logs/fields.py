@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 QUATERNION = ("x", "y", "z", "w")
-ABSENT = object()  # what a message has no place for
+ABSENT = object()  # the message has no such field
 
 
 def get_field(part: Any, step: str | int) -> Any:
-    """Field or item `step` of `part`: None where it is not set, `ABSENT` where there is no such thing.
+    """Return field or item `step` of `part`: None if it is not set, `ABSENT` if there is no such field.
 
     `yaw` of a quaternion is its heading [rad].
     """
@@ -27,7 +27,7 @@ def get_field(part: Any, step: str | int) -> Any:
 
 
 def message_fields(part: Any) -> Mapping[str, Any]:
-    """Fields by name; none where `part` is no message."""
+    """Return the fields by name; empty if `part` is not a message."""
     if isinstance(part, dict):
         return part
     if is_dataclass(part):
@@ -36,12 +36,12 @@ def message_fields(part: Any) -> Mapping[str, Any]:
 
 
 def is_list(part: Any) -> bool:
-    """Whether `part` has items by number."""
+    """Return whether `part` has items by number."""
     return isinstance(part, Sequence | np.ndarray) and not isinstance(part, str | bytes)
 
 
 def is_number(part: Any) -> bool:
-    """Whether `part` is one value; true and false count as 1 and 0."""
+    """Return whether `part` is one value; true and false count as 1 and 0."""
     return isinstance(part, bool | int | float | np.number | np.bool_)
 
 

@@ -1,4 +1,4 @@
-"""Measured logs: runs in the log format, read from tables and recordings, checked and put on an even time base."""
+"""Measured logs: runs in the log format, read from tables and recordings, checked and evenly sampled."""
 
 import csv
 import dataclasses
@@ -23,7 +23,7 @@ CHUNK_SIZE = 2**20  # bytes
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run at an even sample time; arrays (n,), NaN where a measured value is missing."""
+    """One run with an even sample time; arrays (n,), NaN where a measured value is missing."""
 
     name: str
     t: np.ndarray
@@ -57,12 +57,14 @@ class Log:
 
     @property
     def rows(self) -> int:
-        """Samples in all runs."""
+        """Number of samples in all runs."""
         return sum(len(run.t) for run in self.runs)
 
     def select_runs(self, patterns: Sequence[str]) -> "Log":
-        """The runs that match one of the `patterns` (`*` stands for anything) with their name, or with that of the run
-        they are a part of; all, where there is none."""
+        """Return the runs whose name, or the name before `@` of a split run, matches a pattern; all runs if no pattern.
+
+        `*` matches anything.
+        """
         if not patterns:
             return self
         called = lambda name: any(fnmatchcase(name, pattern) for pattern in patterns)
@@ -73,7 +75,7 @@ class Log:
         return dataclasses.replace(self, runs=kept)
 
     def split_runs(self, seconds: float | None) -> "Log":
-        """Runs as parts of about so many `seconds`, called run@begin, so that some of a long one can be held out."""
+        """Return runs split into parts of about `seconds`, named run@begin, so that some can be held out."""
         if seconds is None:
             return self
         parts = [part for run in self.runs for part in _cut(run, max(round(seconds / run.dt), 2))]
@@ -124,7 +126,7 @@ def read_log(
 
 
 def _cut(run: Run, num: int) -> list[Run]:
-    """`run` in parts of at least `num` samples; one shorter than twice that stays whole."""
+    """Split `run` into parts of at least `num` samples; a run shorter than twice that stays whole."""
     edges = list(range(0, len(run.t) - num + 1, num)) or [0]
     parts = []
     for start, stop in zip(edges, [*edges[1:], len(run.t)], strict=True):
@@ -142,7 +144,7 @@ def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | No
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """What a file holds, or all files of a folder, a piece at a time: recordings may be larger than memory."""
+    """Yield the bytes of a file, or of all files of a folder, in chunks: recordings may exceed the memory."""
     for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
         with file_errors(file), file.open("rb") as stream:
             while piece := stream.read(CHUNK_SIZE):
@@ -163,7 +165,7 @@ def _free_name(name: str, taken: Container[str]) -> str:
 
 
 def write_log(path: Path, runs: Sequence[Run]) -> None:
-    """Write runs in the log format, as CSV or Parquet by the suffix of `path`, either whole or not at all.
+    """Write runs in the log format, as CSV or Parquet by the suffix of `path`, atomically.
 
     Missing values become empty cells; numbers keep every digit.
     """

@@ -1,4 +1,4 @@
-"""MCAP files: messages of ROS 1 and 2, JSON and protobuf."""
+"""Read MCAP files: messages of ROS 1 and 2, JSON and protobuf."""
 
 import json
 from collections.abc import Callable, Collection, Iterator
@@ -16,7 +16,7 @@ ROS = {"cdr": "ros2msg", "ros1": "ros1msg"}  # encodings of messages with those 
 
 
 def mcap_topics(path: Path) -> list[str]:
-    """Topics of the file."""
+    """Return the topics of the file."""
     with library_errors(path, KIND, REMEDY), path.open("rb") as stream:
         reader = _mcap(path, "mcap.reader").make_reader(stream)
         summary = reader.get_summary()
@@ -26,7 +26,7 @@ def mcap_topics(path: Path) -> list[str]:
 
 
 def mcap_messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
-    """Messages of these topics, by time of receipt."""
+    """Yield the messages of these topics, by time of receipt."""
     decoders = dict[int, Callable[[bytes], Any]]()
     with library_errors(path, KIND, REMEDY), path.open("rb") as stream:
         reader = _mcap(path, "mcap.reader").make_reader(stream, validate_crcs=True)

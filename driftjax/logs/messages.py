@@ -1,4 +1,4 @@
-"""Messages of ROS bags and MCAP files as columns called `topic.field.subfield` or `topic.list[2]`."""
+"""Messages of ROS bags and MCAP files as columns named `topic.field.subfield` or `topic.list[2]`."""
 
 import re
 from collections import defaultdict
@@ -26,7 +26,7 @@ class Message(NamedTuple):
 
 
 class ColumnPath(NamedTuple):
-    """Where the values of a column stand."""
+    """Path of a column's values within the messages of a topic."""
 
     column: str
     topic: str
@@ -41,7 +41,7 @@ def read_series(
     read: Callable[[Collection[str]], Iterable[Message]],
     stamps: Stamps,
 ) -> dict[str, Series]:
-    """The columns `names`; `read` gives the messages of some of the recording's `topics`."""
+    """Return the columns `names`; `read` yields the messages of some of the recording's `topics`."""
     places = defaultdict[str, list[ColumnPath]](list)
     for name in names:
         place = _place(path, name, topics)
@@ -87,7 +87,7 @@ def _place(path: Path, name: str, topics: Collection[str]) -> ColumnPath:
 
 
 def _value(path: Path, place: ColumnPath, content: Any) -> Any:
-    """Number at `place`, None where it is missing, `ABSENT` where this message lacks it though others may have it."""
+    """Return the number at `place`: None if missing, `ABSENT` if only this message lacks the field."""
     part = content
     for step in place.steps:
         outside, part = part, get_field(part, step)
@@ -106,7 +106,7 @@ def _value(path: Path, place: ColumnPath, content: Any) -> Any:
 
 
 def _no_field(path: Path, place: ColumnPath, content: Any) -> BadInput:
-    """What to say of a message that has nothing at `place`."""
+    """Return the error for a message without a value at `place`."""
     part, name = content, place.topic
     for step in place.steps:
         outside, part = part, get_field(part, step)

@@ -1,4 +1,4 @@
-"""From a run as it stands in its file to parts at an even sample time."""
+"""Convert a raw run to evenly sampled segments."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from driftjax.logs.raw import RawRun
 
 
 class Segment(NamedTuple):
-    """A stretch of a run without long gaps."""
+    """A part of a run without long gaps."""
 
     t: np.ndarray
     """Time [s], even."""
@@ -22,9 +22,9 @@ class Segment(NamedTuple):
 
 
 def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[Segment]:
-    """The run, checked, cut at long gaps, on an even time base, thinned to `rate` [Hz].
+    """Return the segments of a run: checked, split at long gaps, evenly sampled, thinned to `rate` [Hz].
 
-    What was repaired or left out goes to `notes`, in sentences. Raises `BadInput` as `driftjax.logs.checks` does.
+    Repairs and omissions are appended to `notes` as sentences. Raises `BadInput` as in `driftjax.logs.checks`.
     """
     run = raw.select_rows(np.isfinite(raw.values["t"]))
     if lost := len(raw.lines) - len(run.lines):
@@ -51,7 +51,7 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:
-    """The run with beta missing where it says nothing; raises `BadInput` where a channel cannot be right."""
+    """Return the run with invalid beta set to missing; raises `BadInput` for an implausible channel."""
     void = invalid_sideslip(run)
     if void.any():
         notes.append(
@@ -66,7 +66,7 @@ def _checked(run: RawRun, notes: list[str]) -> RawRun:
 
 
 def _hold_commands(run: RawRun, dt: float, notes: list[str]) -> RawRun:
-    """Short gaps of the commands held, rows in long ones left out."""
+    """Hold commands over short gaps and drop the rows in long ones."""
     known, held = np.ones(len(run.lines), bool), 0
     for name in COMMANDS:
         values, there = sampling.hold_commands(run.values["t"], run.values[name], dt)

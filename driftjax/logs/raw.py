@@ -1,4 +1,4 @@
-"""Runs as they stand in a log: its rows mapped to channels, filtered and told apart."""
+"""Raw runs of a log: rows mapped to channels, filtered and separated."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from driftjax.logs.table import Table
 
 @dataclass(frozen=True, eq=False)
 class RawRun:
-    """One run as it stands in its file."""
+    """One run as stored in its file."""
 
     path: Path
     name: str
@@ -31,15 +31,15 @@ class RawRun:
         return f"{self.path}, run '{self.name}'"
 
     def select_rows(self, rows: np.ndarray | slice) -> "RawRun":
-        """Some of the rows."""
+        """Return the run with some of the rows."""
         return replace(self, lines=self.lines[rows], values={name: y[rows] for name, y in self.values.items()})
 
     def with_channels(self, **values: np.ndarray) -> "RawRun":
-        """The run with other values in some channels."""
+        """Return the run with new values of some channels."""
         return replace(self, values=self.values | values)
 
     def reject(self, name: str, bad: np.ndarray, unit: str, remedy: str) -> None:
-        """Raise `BadInput` at the first row where `bad` holds for channel `name`."""
+        """Raise `BadInput` at the first row where `bad` is true for channel `name`."""
         if np.any(bad):
             i = int(np.argmax(bad))
             what = f"{self.labels[name]} is {self.values[name][i]:g} {unit}"
@@ -47,7 +47,7 @@ class RawRun:
 
 
 def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[RawRun]:
-    """The runs of one log, in order of their first rows; what was left out goes to `notes`."""
+    """Return the runs of one log, in order of their first rows; omissions are appended to `notes`."""
     path = table.path
     if columns is None:
         columns = standard_columns(table)

@@ -1,4 +1,4 @@
-"""Time stamps of messages: those in their headers, or the times of receipt."""
+"""Time stamps of messages: from their headers, or the times of receipt."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ REMEDY = "write 'stamps: receipt' in the column map"
 
 
 def header_stamp(content: Any) -> int | None:
-    """Time stamp in `header.stamp` or `timestamp` of a message [ns], None where there is none."""
+    """Return the time stamp in `header.stamp` or `timestamp` of a message [ns], None if there is none."""
     stamp = get_field(get_field(content, "header"), "stamp")
     stamp = get_field(content, "timestamp") if stamp is ABSENT else stamp
     whole, rest = ([get_field(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
@@ -28,9 +28,9 @@ def header_stamp(content: Any) -> int | None:
 def message_times(
     path: Path, received: Mapping[str, Sequence[int]], stamped: Mapping[str, Sequence[int | None]], stamps: Stamps
 ) -> dict[str, np.ndarray]:
-    """Time of every message by topic [s], from the first message on.
+    """Return the time of every message by topic [s], from the first message on.
 
-    By header where `stamps` says so and the topic has one. Raises `BadInput` where that makes two clocks of one.
+    Uses header stamps if `stamps` says so and the topic has them. Raises `BadInput` if the clocks then differ.
     """
     times = {topic: np.array(own, np.int64) for topic, own in received.items()}
     late = dict.fromkeys(times, 0.0)

@@ -1,4 +1,4 @@
-"""netCDF and JSON files that are either whole or absent."""
+"""Read and write netCDF and JSON files; writing is atomic."""
 
 import json
 import math
@@ -22,7 +22,7 @@ def write_netcdf(path: Path, data: xr.Dataset) -> None:
 
 
 def read_netcdf(path: Path) -> xr.Dataset:
-    """The whole dataset in memory; raises `BadInput` that names the file."""
+    """Read the whole dataset into memory; raises `BadInput` that names the file."""
     try:
         with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
             return data.load()
@@ -39,7 +39,7 @@ def write_json(path: Path, values: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds; raises `BadInput` that names the file."""
+    """Read a JSON file; raises `BadInput` that names the file."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -49,7 +49,7 @@ def read_json(path: Path) -> Any:
 
 
 def to_json_types(value: Any) -> Any:
-    """`value` in JSON's own types: arrays as lists, paths as strings, non-finite numbers as None."""
+    """Return `value` in JSON types: arrays as lists, paths as strings, non-finite numbers as None."""
     if isinstance(value, dict):
         return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, str | bool | None):

@@ -1,4 +1,4 @@
-"""Cars: the paper's nominal single track and the plant that stands in for the real one."""
+"""Cars: the paper's nominal single track, extended cars, and the double-track plant."""
 
 from driftjax.vehicle.corrected import Corrected as Corrected
 from driftjax.vehicle.corrected import Residual as Residual

@@ -1,4 +1,4 @@
-"""Vehicle YAML files, read and written: a nominal car, and the effects that a diagnosis named."""
+"""Read and write vehicle YAML files: a nominal car, and the effects named by a diagnosis."""
 
 import dataclasses
 import math
@@ -62,7 +62,7 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
 
 
 def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:
-    """Every parameter of the effects `written`, in the catalogue's order."""
+    """Return every parameter of the effects `written`, in the catalogue's order."""
     try:
         effects = effects_by_name(tuple(map(str, written)))
     except BadInput as error:
@@ -82,7 +82,7 @@ def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple
 
 
 def _value(written: Any, parameter: Parameter, vehicle: VehicleConfig, where: str) -> tuple[float, float | None]:
-    """Value and half-width of its interval, from a number or {value, ci95_half}."""
+    """Return the value and half-width of its interval, from a number or {value, ci95_half}."""
     parts = written if isinstance(written, dict) else {"value": written}
     if "value" not in parts or parts.keys() - {"value", "ci95_half"}:
         raise BadInput(f"{where} holds {', '.join(map(str, parts))}; it takes 'value' and, if known, 'ci95_half'.")
@@ -101,7 +101,7 @@ def _number(written: Any, where: str) -> float:
 
 
 def _covariance(written: Any, found: tuple[EffectParameterValue, ...], where: str) -> tuple[tuple[float, ...], ...]:
-    """The matrix, checked against the parameters `found`."""
+    """Return the matrix, checked against the parameters `found`."""
     parts, names = _mapping(written, where), [one.name for one in found]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
