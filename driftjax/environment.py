@@ -1,4 +1,4 @@
-"""What a process needs before JAX computes: double precision, one thread per program, a compilation cache.
+"""Process settings to make before JAX computes: double precision, one thread per program, a compilation cache.
 
 `import driftjax` calls `setup()`. JAX need not be imported for it, so that `driftjax --help` stays fast.
 """
@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 # XLA's flag for programs that round alike on any number of threads: loops cut into parts for them round otherwise.
-WHOLE_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
+SERIAL_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
 CACHE = "~/.cache/driftjax"
 
 
@@ -39,7 +39,7 @@ def setup(*, cache: str | Path | None = None, threads: int | None = None) -> Non
 
 
 def dispatch_inline() -> None:
-    """Let the calling thread compute, as several threads beside each other need it; JAX reads no variable for this."""
+    """Run CPU programs in the calling thread, as parallel threads need; no environment variable sets this."""
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", False)
@@ -72,11 +72,11 @@ def _set_threads(threads: int | None) -> None:
         )
         return
     flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.setdefault("NPROC", "1") == "1" and WHOLE_LOOPS not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {WHOLE_LOOPS}".strip()
+    if os.environ.setdefault("NPROC", "1") == "1" and SERIAL_LOOPS not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {SERIAL_LOOPS}".strip()
 
 
 def _client_started() -> bool:
-    """Whether JAX has a backend in this process; reads no attribute of JAX where it has not been imported."""
+    """Return whether JAX has a backend in this process, without importing JAX."""
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bool(bridge and bridge.backends_are_initialized())

@@ -9,7 +9,7 @@ from driftjax.core import elementary
 from driftjax.solve.materialise import materialised
 from driftjax.solve.sparse import jacobian
 
-X = jnp.linspace(0.1, 0.9, elementary.FEW)
+X = jnp.linspace(0.1, 0.9, elementary.MIN_VECTOR_SIZE)
 
 
 def helped(x):
@@ -21,7 +21,9 @@ def helped(x):
 
 def primitives():
     """`elementary` defines primitives: jax.extend.core.Primitive and jax.interpreters.{ad,batching,mlir}."""
-    value, slope = jax.jit(jax.vmap(jax.value_and_grad(lambda x: elementary.sin(x * jnp.ones(elementary.FEW))[0])))(X)
+    value, slope = jax.jit(
+        jax.vmap(jax.value_and_grad(lambda x: elementary.sin(x * jnp.ones(elementary.MIN_VECTOR_SIZE))[0]))
+    )(X)
     np.testing.assert_allclose(value, np.sin(X), rtol=1e-14)
     np.testing.assert_allclose(slope, np.cos(X), rtol=1e-14)
 

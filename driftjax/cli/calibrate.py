@@ -13,7 +13,7 @@ from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.effect import effects_named
+from driftjax.vehicle.effect import effects_by_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Calibrate:
     def __post_init__(self) -> None:
         check_held_out(self.held_out)
         require(bool(self.effects), "key 'effects' is empty; name the effects to fit.")
-        effects_named(self.effects)
+        effects_by_name(self.effects)
 
 
 def run(argv: list[str]) -> int:

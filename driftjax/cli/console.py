@@ -15,7 +15,7 @@ from driftjax.cli.front import Terminated
 from driftjax.core import BadInput, write_atomically
 from driftjax.core.config import require_finite
 from driftjax.store import RunFolder
-from driftjax.vehicle import VehicleConfig, notes
+from driftjax.vehicle import VehicleConfig, unmodelled_effects
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -52,7 +52,7 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
     try:
         return work()
     except BadInput:
-        if not folder.holds_results():
+        if not folder.has_results():
             folder.discard()
         raise
     except (KeyboardInterrupt, Terminated) as stop:
@@ -69,7 +69,7 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
 
 def tell(vehicle: VehicleConfig) -> None:
     """Print which effects of an extended car are not in the car that is planned and controlled with."""
-    for note in notes(vehicle):
+    for note in unmodelled_effects(vehicle):
         print(f"note: {note}", flush=True)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, tell, typed, within
-from driftjax.core import BadInput, from_dict, merged, read_yaml
+from driftjax.core import BadInput, from_dict, merge_config, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.run import check_files, learn
@@ -60,7 +60,7 @@ def defaults(car: str | None, file: str | None) -> LearnConfig:
     """The car's shipped options with those of the YAML `file` put in."""
     written = read_yaml(Path(file)) if file else {}
     base = to_dict(load_learn_config(car or str(written.get("car", "sedan"))))
-    return from_dict(LearnConfig, merged(base, written), file or "defaults")
+    return from_dict(LearnConfig, merge_config(base, written), file or "defaults")
 
 
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:

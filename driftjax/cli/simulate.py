@@ -47,7 +47,7 @@ def run(argv: list[str]) -> int:
     typed_in = typed(Simulate, argv, "driftjax simulate", defaults(early["config"]))
     vehicle = load_vehicle(typed_in.vehicle)
     try:
-        vehicle = vehicle.with_slip(typed_in.combined_slip)
+        vehicle = vehicle.with_combined_slip(typed_in.combined_slip)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
     own = tuple(f"{one.name}={one.value!r}" for one in vehicle.effects)

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, peek, progress, typed, within
-from driftjax.core import BadInput, from_dict, merged, read_yaml
+from driftjax.core import BadInput, from_dict, merge_config, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.run import check_files
@@ -55,7 +55,7 @@ def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
     written = read_yaml(Path(file)) if file else {}
     learn = load_learn_config(car or str((written.get("learn") or {}).get("car", "sedan")))
     base = to_dict(TuneConfig(learn=learn)) | (QUICK if quick else {})
-    return from_dict(TuneConfig, merged(base, written), file or "defaults")
+    return from_dict(TuneConfig, merge_config(base, written), file or "defaults")
 
 
 def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.gp import bounded
+from driftjax.gp import bound_mean
 from driftjax.gp.expansion import Expansion, expansions, pairs
 from driftjax.solve.lane_ocp import Components
 from driftjax.solve.sparse import Matrix, hessian
@@ -68,7 +68,7 @@ def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:
     mean, near = expansions(residual.gp, z)
     wide = lambda a: a.T.reshape(3, *[1] * (z[0].ndim - 1), len(a))
     reach, gate = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.gate)
-    value = lambda m, n: gate * (bounded(m, n, reach) if residual.bounded else m)
+    value = lambda m, n: gate * (bound_mean(m, n, reach) if residual.bounded else m)
     n = jnp.broadcast_to(near.value, mean.value.shape)
     (by_m, by_n), ((mm, mn), (_, nn)) = hessian(value, mean.value, n)
     dm, dn = mean.gradient, near.gradient

@@ -1,13 +1,13 @@
-"""Records, results, integrators and config files; knows nothing above it."""
+"""Shared records, solver results, integrators and config files; imports nothing of the layers above."""
 
 from driftjax.core.atomic import write_atomically as write_atomically
 from driftjax.core.config import find_config as find_config
-from driftjax.core.config import flat as flat
+from driftjax.core.config import flatten_config as flatten_config
 from driftjax.core.config import from_dict as from_dict
-from driftjax.core.config import merged as merged
-from driftjax.core.config import put as put
+from driftjax.core.config import merge_config as merge_config
 from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
+from driftjax.core.config import set_option as set_option
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
 from driftjax.core.integrate import rk4_loop as rk4_loop

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent."""
+"""Write files atomically: a file is either complete or absent."""
 
 import os
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, sync it to the disk, then put it in place of `path`."""
+    """Write `path` atomically: `write` fills a temporary file in its folder, which is synced and then renamed."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     os.close(handle)
     temporary = Path(name)

@@ -1,6 +1,6 @@
-"""Smooth functions of a few variables minimised within bounds; the only module that imports jaxopt.
+"""Bounded minimisation of smooth functions of a few variables; the only module that imports jaxopt.
 
-jaxopt is no longer developed: it is pinned, and whoever replaces it replaces this module.
+jaxopt is no longer developed: it is pinned; a replacement of it replaces this module only.
 """
 
 import warnings
@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from driftjax.core.results import RESULTS
 
-WORST = 1e30  # takes the place of a value that is not finite, so that the line search turns back from it
+WORST = 1e30  # takes the place of a value that is not finite, so that the line search rejects it
 
 
 def _solver(function: Callable, **options: Any) -> Any:
@@ -27,7 +27,7 @@ def _solver(function: Callable, **options: Any) -> Any:
 
 
 class Minimum(eqx.Module):
-    """Where a bounded minimisation ended."""
+    """End point of a bounded minimisation."""
 
     x: Float[Array, " n"]
     value: Float[Array, ""]

@@ -1,4 +1,4 @@
-"""Dataclass configs to and from YAML: unknown keys and wrong types are errors that name the key."""
+"""Convert dataclass configs to and from YAML; unknown keys and wrong types raise errors that name the key."""
 
 import dataclasses
 import functools
@@ -16,14 +16,14 @@ T = TypeVar("T")
 
 
 def configs_dir() -> Path:
-    """Folder of the shipped YAML files: beside the package in a checkout, inside it in a wheel."""
+    """Return the folder of the shipped YAML files: beside the package in a checkout, inside it in a wheel."""
     package = Path(__file__).resolve().parent.parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
 
 def find_config(kind: str, name: str | Path) -> Path:
-    """Path of `name`: a file as typed, else `configs/<kind>/<name>.yaml`.
+    """Return the path of `name`: a file path as given, else `configs/<kind>/<name>.yaml`.
 
     Raises `BadInput` when neither exists, listing what does.
     """
@@ -38,7 +38,7 @@ def find_config(kind: str, name: str | Path) -> Path:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file; raises `BadInput` that names the file when it holds anything else."""
+    """Read the mapping in a YAML file; raises `BadInput` that names the file if it holds anything else."""
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -129,12 +129,12 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
 
 def require_finite(config: Any) -> None:
     """Raise `BadInput` where an option of a config, or of one within it, is a number that is none."""
-    for name, value in flat(to_dict(config)).items():
+    for name, value in flatten_config(to_dict(config)).items():
         require(not isinstance(value, float) or math.isfinite(value), f"key '{name}' is {value}; give a finite number.")
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """Plain mapping of a config, ready for YAML (tuples become lists, paths strings)."""
+    """Return a config as a plain mapping for YAML (tuples become lists, paths strings)."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -146,15 +146,15 @@ def to_dict(config: Any) -> dict[str, Any]:
     return plain(dataclasses.asdict(config))
 
 
-def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """`base` with the values of `over` put in, key by key in nested mappings."""
-    both = {key: merged(base[key], value) for key, value in over.items()
+def merge_config(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return `base` updated with the values of `over`, recursively in nested mappings."""
+    both = {key: merge_config(base[key], value) for key, value in over.items()
             if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
     return base | over | both
 
 
-def flat(config: dict[str, Any]) -> dict[str, Any]:
-    """The plain mapping `config` with one key per value: `gp.size` for nested keys, `path.Q.0` for entries of lists."""
+def flatten_config(config: dict[str, Any]) -> dict[str, Any]:
+    """Return `config` with one key per value: `gp.size` for nested keys, `path.Q.0` for entries of lists."""
 
     def pairs(name: str, value: Any) -> list[tuple[str, Any]]:
         if not isinstance(value, dict | list) or not value:
@@ -165,8 +165,8 @@ def flat(config: dict[str, Any]) -> dict[str, Any]:
     return dict(pair for key, value in config.items() for pair in pairs(str(key), value))
 
 
-def put(config: dict[str, Any], name: str, value: Any) -> None:
-    """Set, in place, the value or branch that `flat` calls `name`; raises `BadInput` where there is none."""
+def set_option(config: dict[str, Any], name: str, value: Any) -> None:
+    """Set, in place, the value or branch with the flattened name `name`; raises `BadInput` for an unknown name."""
     branch: Any = config
     *way, last = name.split(".")
     for part in way:
@@ -175,7 +175,7 @@ def put(config: dict[str, Any], name: str, value: Any) -> None:
 
 
 def _key(branch: Any, part: str, name: str) -> Any:
-    """The key or index of `branch` that is written `part`, on the way to option `name`."""
+    """Return the key or index of `branch` written as `part` in the option name `name`."""
     inside = branch if isinstance(branch, dict) else range(len(branch)) if isinstance(branch, list) else ()
     keys = {str(key): key for key in inside}
     if part not in keys:

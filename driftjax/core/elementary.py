@@ -26,7 +26,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.typing import ArrayLike
 
-FEW = 64  # numbers below which a polynomial gains nothing
+MIN_VECTOR_SIZE = 64  # numbers below which a polynomial gains nothing
 
 
 class _Table(NamedTuple):
@@ -76,27 +76,27 @@ _TABLES = {np.dtype("float32"): _FLOAT32, np.dtype("float64"): _FLOAT64}
 
 
 def sin(x: ArrayLike) -> Array:
-    """Sine of `x` [rad]; half the work of `sincos`."""
+    """Return the sine of `x` [rad]; half the work of `sincos`."""
     return _sin(*_floats(x))
 
 
 def cos(x: ArrayLike) -> Array:
-    """Cosine of `x` [rad]."""
+    """Return the cosine of `x` [rad]."""
     return _sincos(*_floats(x))[1]
 
 
 def sincos(x: ArrayLike) -> tuple[Array, Array]:
-    """Sine and cosine of `x` [rad], which share most of their work."""
+    """Return the sine and cosine of `x` [rad], which share most of their work."""
     return tuple(_sincos(*_floats(x)))
 
 
 def arctan(x: ArrayLike) -> Array:
-    """Arc tangent of `x` [rad], within pi/2 of zero."""
+    """Return the arc tangent of `x` [rad], in [-pi/2, pi/2]."""
     return _arctan(*_floats(x))
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> Array:
-    """Angle of the point (`x`, `y`) [rad], from -pi to pi; signed zeros and infinities are those of IEEE 754.
+    """Return the angle of the point (`x`, `y`) [rad] in [-pi, pi]; signed zeros and infinities follow IEEE 754.
 
     Coordinates beyond half the largest number overflow. At the origin the value is finite and the derivative NaN.
     """
@@ -104,7 +104,7 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> Array:
 
 
 def _floats(*values: ArrayLike) -> list[Array]:
-    """Arrays of one floating type, float32 or float64."""
+    """Return the arguments as arrays of one floating type, float32 or float64."""
     kind = jnp.result_type(*values)
     if not jnp.issubdtype(kind, jnp.floating):
         kind = jnp.result_type(float) if jnp.issubdtype(kind, jnp.integer) else kind
@@ -114,7 +114,7 @@ def _floats(*values: ArrayLike) -> list[Array]:
 
 
 def _polynomial(z: Array, coefficients: tuple[float, ...]) -> Array:
-    """Sum of c_i z^i by Estrin's scheme, whose chain of dependent operations is short."""
+    """Return sum_i c_i z^i by Estrin's scheme, whose chain of dependent operations is short."""
     terms: list[Array | float] = list(coefficients)
     while len(terms) > 1:
         pairs = zip(terms[::2], [*terms[1::2], *[None] * (len(terms) % 2)], strict=True)
@@ -124,7 +124,7 @@ def _polynomial(z: Array, coefficients: tuple[float, ...]) -> Array:
 
 
 def _reduced(x: Array, quarters: Array, table: _Table) -> Array:
-    """`x` less `quarters` quarter turns; 0 where `x` is so large that this is no longer an angle."""
+    """Return `x` less `quarters` quarter turns; 0 if `x` is too large to be an angle."""
     r = x
     for part in table.half_pi:
         r = r - quarters * part
@@ -132,7 +132,7 @@ def _reduced(x: Array, quarters: Array, table: _Table) -> Array:
 
 
 def _odd(x: Array, coefficients: tuple[float, ...]) -> Array:
-    """x + x^3 p(x^2)."""
+    """Return x + x^3 p(x^2)."""
     z = x * x
     return x + x * z * _polynomial(z, coefficients)
 
@@ -157,7 +157,7 @@ def _polynomial_of_sincos(x: Array) -> tuple[Array, Array]:
 
 
 def _octant(small: Array, large: Array, table: _Table) -> tuple[Array, Array]:
-    """arctan(small / large) for 0 <= small <= large, as an angle and the number of times pi/4 that is added to it."""
+    """Return arctan(small / large), 0 <= small <= large, as an angle and the number of times pi/4 to add to it."""
     infinite = small == jnp.inf  # both are
     beyond = infinite | (small > math.tan(math.pi / 8) * large)
     top = jnp.where(infinite, 0, jnp.where(beyond, small - large, small))
@@ -166,13 +166,13 @@ def _octant(small: Array, large: Array, table: _Table) -> tuple[Array, Array]:
 
 
 def _turned(angle: Array, eighths: Array, table: _Table) -> Array:
-    """`angle` + `eighths` pi/4."""
+    """Return `angle` + `eighths` pi/4."""
     high, low = table.quarter_pi
     return eighths * high + (angle + eighths * low)
 
 
 def _signed(size: Array, like: Array, table: _Table) -> Array:
-    """`size` >= 0 with the sign of `like`, that of a zero too."""
+    """Return `size` >= 0 with the sign of `like`, including signed zeros."""
     bits, least = lambda a: lax.bitcast_convert_type(a, table.bits), np.iinfo(table.bits).min
     return lax.bitcast_convert_type(bits(size) | (bits(like) & least), size.dtype)
 
@@ -196,7 +196,7 @@ def _polynomial_of_arctan2(y: Array, x: Array) -> Array:
 
 
 def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., Any], slope: Callable[..., Any]) -> Any:
-    """Primitive of arrays of one shape and type that becomes `polynomial` or XLA's `own` when it is compiled.
+    """Return a primitive of arrays of one shape and type, compiled as `polynomial` or as XLA's `own` function.
 
     `slope(primals, tangents)` are its values and their derivatives. A rule of the primitive itself, unlike that of a
     `custom_jvp`, is not lost where a loop is differentiated twice.
@@ -205,7 +205,7 @@ def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., A
     several = primitive.multiple_results = name == "sincos"
 
     def lowered(context: Any, *operands: Any) -> Any:
-        few = math.prod(context.avals_in[0].shape) < FEW
+        few = math.prod(context.avals_in[0].shape) < MIN_VECTOR_SIZE
         return mlir.lower_fun(own if few else polynomial, multiple_results=several)(context, *operands)
 
     def batched(args: Any, axes: Any) -> Any:

@@ -1,5 +1,5 @@
-"""Bad input, told in one sentence."""
+"""The error for invalid user input."""
 
 
 class BadInput(Exception):
-    """What a person typed cannot be used; the message names file, row or key and the remedy (exit code 2)."""
+    """Invalid user input; the message is one sentence that names file, row or key and the remedy (exit code 2)."""

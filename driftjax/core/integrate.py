@@ -13,17 +13,17 @@ T = TypeVar("T")
 
 
 def axpy(a: ArrayLike, x: T, y: T) -> T:
-    """a x + y, leaf by leaf."""
+    """Return a x + y, leaf by leaf."""
     return jax.tree.map(lambda p, q: a * p + q, x, y)
 
 
 def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
-    """One step of the classical Runge-Kutta method of order 4 for x_dot = f(x), step `dt` [s]."""
+    """Return the state after one step of the classical Runge-Kutta method of order 4, x_dot = f(x), step `dt` [s]."""
     return rk4_ends(f, x, dt)[0]
 
 
 def rk4_ends(f: Callable[[T], T], x: T, dt: float | Array) -> tuple[T, T, T]:
-    """The same step, with the slopes at its begin and at its end."""
+    """Return the state after the same step, and the slopes at its beginning and end."""
     k1 = f(x)
     k2 = f(axpy(dt / 2, k1, x))
     k3 = f(axpy(dt / 2, k2, x))
@@ -31,12 +31,12 @@ def rk4_ends(f: Callable[[T], T], x: T, dt: float | Array) -> tuple[T, T, T]:
     return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4), k1, k4
 
 
-# of the four slopes in steps: where each is taken along the one before, its share in the step
+# of the four slopes: distance along the previous slope in steps, and weight in the step
 RK4_INTO, RK4_WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
 
 
 def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, along: Any = None) -> Array:
-    """The step of `rk4_step` for x_dot = f(x, p), with the four slopes taken in a loop; `along` holds four rows of p.
+    """Return the step of `rk4_step` for x_dot = f(x, p), computed in a loop; `along` holds one row of p per slope.
 
     A quarter of the program, and so of what derivatives of it take to compile; XLA cannot then do the first slopes
     again for each use of the later ones either, which in second derivatives costs most of the time.
@@ -53,34 +53,34 @@ def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, alon
 
 
 def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
-    """One step of Heun's method of order 2 for x_dot = f(x), step `dt` [s]."""
+    """Return the state after one step of Heun's method of order 2 for x_dot = f(x), step `dt` [s]."""
     k1 = f(x)
     k2 = f(axpy(dt, k1, x))
     return axpy(dt / 2, axpy(1.0, k1, k2), x)
 
 
-def remaining(lag: Array, dt: Array) -> Array:
-    """exp(-dt / lag), 0 for a lag of 0; its derivatives are finite."""
+def lag_decay(lag: Array, dt: Array) -> Array:
+    """Return exp(-dt / lag), 0 for a lag of 0; its derivatives are finite."""
     slow = lag > 1e-6 * dt
     return jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
 
 
 def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array, Array]:
-    """Mean over a step `dt` [s] and end of it of a first-order lag of time constant `lag` [s] towards `target`.
+    """Return mean and end value, over a step `dt` [s], of a first-order lag `lag` [s] towards `target`.
 
-    Exact for a target held over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
+    Exact for a constant target over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
     """
-    left = remaining(lag, dt)
-    mean = (1 - left) * lag / dt
-    return target + (value - target) * mean, target + (value - target) * left
+    decay = lag_decay(lag, dt)
+    mean = (1 - decay) * lag / dt
+    return target + (value - target) * mean, target + (value - target) * decay
 
 
-def lag_tilt(lag: Array, dt: Array) -> Array:
-    """Slope of exp(-t / `lag`) over a step `dt` [s], as half the rise of the straight line with the same first moment.
+def lag_slope(lag: Array, dt: Array) -> Array:
+    """Return half the rise over a step `dt` [s] of the straight line with the first moment of exp(-t / `lag`).
 
-    The line through the mean (`lag_step` of 1 towards 0) with this tilt acts on what integrates it as the exponential
+    The line through the mean (`lag_step` of 1 towards 0) with this slope acts on an integrator as the exponential
     does, up to third order in the step; 0 for a lag of 0.
     """
-    left = remaining(lag, dt)
+    decay = lag_decay(lag, dt)
     q = lag / dt
-    return 6 * q**2 * (1 - left) - 3 * q * (1 + left)
+    return 6 * q**2 * (1 - decay) - 3 * q * (1 + decay)

@@ -1,4 +1,4 @@
-"""Records that every layer shares."""
+"""Records that all layers share: state, control and GP input."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ Scalar = Float[Array, ""]
 
 
 def as_float(value: ArrayLike) -> Array:
-    """Field converter: a float array, so that a new value never means a new compile."""
+    """Convert to a float array (field converter), so that a new value does not cause a new compilation."""
     return jnp.asarray(value, dtype=jnp.result_type(float))
 
 
@@ -31,5 +31,5 @@ class Control(NamedTuple):
 
 
 def features(x: State, u: Control) -> Array:
-    """GP input z = (V, beta, r, delta, Fxr), stacked on the last axis (Wu et al. 2025, Sec. IV-B)."""
+    """Return the GP input z = (V, beta, r, delta, Fxr), stacked on the last axis (Wu et al. 2025, Sec. IV-B)."""
     return jnp.stack([x.V, x.beta, x.r, u.delta, u.Fxr], axis=-1)

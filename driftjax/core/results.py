@@ -1,10 +1,10 @@
-"""One vocabulary of outcomes, in sentences (extends optimistix's, so that inner failures keep their words)."""
+"""Outcomes of iterative solvers, each with a sentence (extends `optimistix.RESULTS`, so inner failures keep theirs)."""
 
 import optimistix as optx
 
 
 class RESULTS(optx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
-    """Outcome of an iterative verb; compare with `==`, never by text."""
+    """Outcome of an iterative solver; compare with `==`, never by text."""
 
     not_converged = "The solver stopped before its tolerance; give it a closer guess or more iterations."
     stalled = "The line search found no descent; the last feasible iterate is returned."

@@ -22,7 +22,7 @@ from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig, write_vehicle
-from driftjax.vehicle.effect import EFFECTS, Effect, effects_named
+from driftjax.vehicle.effect import EFFECTS, Effect, effects_by_name
 
 USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
 
@@ -107,7 +107,7 @@ def calibrate(
     check_held_out(held_out)
     require(bool(effects), "key 'effects' is empty; name the effects to fit.")
     runs, names = log.runs, tuple(effects)
-    wanted = {effect.name for effect in effects_named(names)}
+    wanted = {effect.name for effect in effects_by_name(names)}
     task = posed(vehicle, catalogue, runs)
     members = tuple(i for i, effect in enumerate(task.effects) if effect.name in wanted)
     lost = [task.effects[i].name for i in members if not task.asked[task.columns((i,))].all()]

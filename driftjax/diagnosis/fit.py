@@ -24,7 +24,7 @@ from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Effect
 from driftjax.vehicle.single_track import G
-from driftjax.vehicle.universal import Universal, universal
+from driftjax.vehicle.universal import Universal, universal_car
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
@@ -85,7 +85,7 @@ def posed(
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
     """
     data = pieces(vehicle, runs)
-    model = universal(vehicle, effects, substeps(vehicle, runs))
+    model = universal_car(vehicle, effects, substeps(vehicle, runs))
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])

@@ -55,7 +55,7 @@ def ahead_of(
 
     Both (starts, num, 3), SI. A `residual` is added to the rates.
     """
-    model = model.at(theta)
+    model = model.with_parameters(theta)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
     step = jnp.asarray(dt)
 

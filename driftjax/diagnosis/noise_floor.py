@@ -38,7 +38,7 @@ def strays(
 
     Drives start at samples `starts` about the states `z` with the covariances `P`; predictions know no disturbance.
     """
-    model, step = model.at(theta), jnp.asarray(dt)
+    model, step = model.with_parameters(theta), jnp.asarray(dt)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
     left = jnp.exp(-dt / noise[6])
     kick = jnp.sqrt(1 - left**2) * noise[3:6]

@@ -78,7 +78,7 @@ def aligned(model: Universal, run: Track, dt: float) -> Track:
 
     Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
     """
-    T, whole = len(run.y), model.delayed(dt)[0].astype(int)
+    T, whole = len(run.y), model.split_delays(dt)[0].astype(int)
     at = jnp.arange(T)[:, None] + whole
     of = lambda column: jnp.where(at < T, jnp.take_along_axis(column, jnp.minimum(at, T - 1), axis=0), 0.0)
     y, seen = of(run.y), of(run.seen)
@@ -96,7 +96,7 @@ def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
 
 def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
     """The observer along one run."""
-    model, step = model.at(theta), jnp.asarray(dt)
+    model, step = model.with_parameters(theta), jnp.asarray(dt)
     run = aligned(model, run, dt)
     u, z = started(model, run, dt)
 
@@ -213,13 +213,13 @@ class Local(NamedTuple):
 
 def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> Local:
     """Derivatives at single samples of `path` (leading axis)."""
-    car, step = model.at(theta), jnp.asarray(dt)
-    late_by = car.delayed(step)[1].lateness() / step
+    car, step = model.with_parameters(theta), jnp.asarray(dt)
+    late_by = car.split_delays(step)[1].sensor_delays() / step
 
     def one(path: Path, place: Place):
         by = move_with_derivatives(car, path.z, path.u, place, step, path.d).by
         A, by_u, push, by_theta = jnp.split(by, (6, 10, 13), axis=1)
-        sensed = lambda x, p: told(model.at(p), x, path.rates, step)
+        sensed = lambda x, p: told(model.with_parameters(p), x, path.rates, step)
         D, F = jax.jacrev(sensed, (0, 1))(path.before[:3], theta)
         slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
         return Local(A, by_u, by_theta, D, F, slip, push, late_by)
@@ -231,8 +231,8 @@ def by_commands(model: Universal, theta: Array, run: Track, dt: float) -> tuple[
     """Derivatives by theta of the commands acting (T, 4, K), and of state and what is felt at the start (6, K)."""
     stations = [effect.station for effect in model.effects for _ in effect.parameters]
     columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
-    run = aligned(model.at(theta), run, dt)
-    value = lambda p: started(model.at(p), run, dt)
+    run = aligned(model.with_parameters(theta), run, dt)
+    value = lambda p: started(model.with_parameters(p), run, dt)
     each = jax.vmap(lambda d: jax.jvp(lambda p: value(p)[0], (theta,), (d,))[1])(jnp.eye(len(theta))[columns])
     by_u = jnp.zeros((len(run.y), 4, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
     return by_u, jax.jacrev(lambda p: value(p)[1])(theta)

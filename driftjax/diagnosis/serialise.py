@@ -12,7 +12,7 @@ from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.show import Show, show_json
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
-from driftjax.vehicle import FoundParameter, VehicleConfig
+from driftjax.vehicle import EffectParameterValue, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def extended_car(
     scale, columns = np.asarray(task.model.scale), task.columns(members)
     width = dict(zip(columns, half_widths(task, last, members), strict=True))
     found = [
-        FoundParameter(task.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
+        EffectParameterValue(task.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
         for i in sorted(members)
         for p, k in zip(task.effects[i].parameters, task.columns((i,)), strict=True)
     ]

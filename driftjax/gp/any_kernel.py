@@ -20,7 +20,7 @@ Kernel = Callable[[PyTree, Float[Array, " nf"], Float[Array, " nf"]], Float[Arra
 
 
 class KernelGP(eqx.Module):
-    """GP conditioned on `Z` and `y`, in their units, with zero prior mean and how its fit went."""
+    """GP conditioned on `Z` and `y`, in their units, with zero prior mean, and the diagnostics of its fit."""
 
     kernel: Kernel = eqx.field(static=True)
     parameters: PyTree  # of the kernel, as the bounds of the fit
@@ -52,7 +52,7 @@ def _covariance(kernel: Kernel, parameters: PyTree, noise: Array, Z: Array) -> A
 
 
 def _likelihood(K: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Log marginal likelihood (Rasmussen and Williams 2006, Eq. 2.30), alpha and the Cholesky factor."""
+    """Return the log marginal likelihood (Rasmussen and Williams 2006, Eq. 2.30), alpha and the Cholesky factor."""
     L = jnp.linalg.cholesky(K)
     alpha = cho_solve((L, True), y)
     return -0.5 * y @ alpha - jnp.sum(jnp.log(jnp.diagonal(L))) - 0.5 * y.size * jnp.log(2 * jnp.pi), alpha, L
@@ -78,7 +78,7 @@ def fit_kernel(
     and `upper`, all positive; bounds of the `noise` are in the units of `y`. The search runs in their logarithms, from
     the middle of the bounds and `num_restarts` - 1 random points, until the projected gradient per data row is at most
     `tolerance`. `result` is that of the best start: `not_positive_definite` where the covariance has no Cholesky factor
-    at any, `non_finite` where data or kernel are not finite, or as `minimise_within` tells.
+    at any, `non_finite` where data or kernel are not finite, or the result of `minimise_within`.
     """
     low, unravel = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (lower, noise[0])))
     high, _ = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (upper, noise[1])))

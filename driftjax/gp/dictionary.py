@@ -1,11 +1,11 @@
-"""Which rows of a long record to keep: the most informative ones, up to a size."""
+"""Select the most informative rows of a data set, up to a given size."""
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.model import scales
+from driftjax.gp.model import data_scales
 
 
 def select_dictionary(
@@ -18,15 +18,15 @@ def select_dictionary(
     noise: float | Array = 0.1,
     kernel: str = "se",
 ) -> tuple[Array, Array, Array]:
-    """At most `size` rows of `Z` (N, nf), `Y` (N, D) where `mask`, and the mask of those kept.
+    """Return at most `size` rows of `Z` (N, nf) and `Y` (N, D) where `mask`, and the mask of the rows returned.
 
-    Greedy: each next row is the one whose value is least known given the rows kept so far (largest conditional
-    variance of a unit GP with `lengthscale` in standard deviations of the inputs and `noise` per row), which is
-    a pivoted Cholesky factorisation. The noise keeps the recursion well posed.
+    Greedy: the next row is the one with the largest conditional variance given the rows selected so far, of a unit GP
+    with `lengthscale` in standard deviations of the inputs and `noise` per row: a pivoted Cholesky factorisation. The
+    noise keeps the recursion well conditioned.
     """
     N = Z.shape[0]
     mask = mask.astype(bool)
-    X = jnp.where(mask[:, None], Z, 0.0) / scales(Z, Y, mask)[0] / lengthscale
+    X = jnp.where(mask[:, None], Z, 0.0) / data_scales(Z, Y, mask)[0] / lengthscale
     k = jax.vmap(lambda p, q: KERNELS[kernel](jnp.sum((p - q) ** 2)), in_axes=(0, None))
 
     def keep(step, carry):

@@ -1,4 +1,4 @@
-"""The mean of a GP with first and second derivatives at many points of many lanes at once, by matrix products."""
+"""Mean of a GP with first and second derivatives at many points of a batch of GPs, by matrix products."""
 
 import functools
 from collections.abc import Sequence
@@ -27,23 +27,23 @@ class Expansion(NamedTuple):
 class _Sums(NamedTuple):
     """Sums over the data m of amount_m and a derivative of the kernel in q, times products of the data's inputs."""
 
-    value: Float[Array, "*lanes P"]
-    S: Float[Array, "*lanes 1+nf P"]  # first derivative: times 1, a_i
-    R: Float[Array, "*lanes 1+nf+pairs P"]  # second derivative: times 1, a_i, a_i a_j
+    value: Float[Array, "*batch P"]
+    S: Float[Array, "*batch 1+nf P"]  # first derivative: times 1, a_i
+    R: Float[Array, "*batch 1+nf+pairs P"]  # second derivative: times 1, a_i, a_i a_j
 
 
 def pairs(nf: int) -> list[tuple[int, int]]:
-    """Entries of a symmetric matrix in the order of `Expansion.hessian`."""
+    """Return the index pairs of a symmetric matrix in the order of `Expansion.hessian`."""
     return [(i, j) for i in range(nf) for j in range(i, nf)]
 
 
 def expansions(gp: GP, z: Sequence[Array]) -> tuple[Expansion, Expansion]:
-    """Mean (D outputs) and nearness (one), as `GP.mean` and `GP.fade` have them.
+    """Return the expansions of the mean (D outputs) and of the nearness of data, as in `GP.mean` and `GP.fade`.
 
-    Leaves of `gp` have a leading axis of lanes, of 1 where all share it; `z` are the inputs, arrays (..., lanes). All
-    points of a lane go through one product of matrices, or of all lanes.
+    Leaves of `gp` have a leading batch axis, of size 1 if shared; `z` are the inputs, arrays (..., batch). All points
+    of a batch entry go through one matrix product, or all points of the batch if the GP is shared.
     """
-    inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale[:, None]  # (lanes, D, nf)
+    inverse = jnp.exp(-gp.hyper.log_lengthscale) / gp.scale[:, None]  # (batch, D, nf)
     size = jnp.exp(2 * gp.hyper.log_amplitude) * gp.output_scale
     amounts = size[:, :, None] * jnp.where(gp.mask[:, None], gp.alpha, 0.0)
     mean = _sum_of_kernels(gp.kernel, gp.Z, inverse, amounts, z)
@@ -52,16 +52,16 @@ def expansions(gp: GP, z: Sequence[Array]) -> tuple[Expansion, Expansion]:
 
 
 def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Sequence[Array]) -> Expansion:
-    """Sums of amounts_m k(|inverse (z - Z_m)|^2), per output.
+    """Return the sums of amounts_m k(|inverse (z - Z_m)|^2), per output.
 
     Derivatives are moments of the data about the point; as moments about their centre they are one product of matrices
     for all points. One output after the other: products of a batch of matrices take several times longer on a CPU.
     """
     shape, nf = z[0].shape, len(z)
-    lanes, centre = len(Z), jnp.mean(Z, axis=1)
-    points = jnp.stack(z).reshape(nf, -1, lanes).T  # (lanes, P, nf)
+    batch, centre = len(Z), jnp.mean(Z, axis=1)
+    points = jnp.stack(z).reshape(nf, -1, batch).T  # (batch, P, nf)
     back = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:-1], *shape)
-    along = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:], *[1] * (len(shape) - 1), lanes)
+    along = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:], *[1] * (len(shape) - 1), batch)
     sums = vmap_batch(functools.partial(_sums, kernel))
     found = [jax.tree.map(back, sums(Z, centre, inverse[:, k], amounts[:, k], points)) for k in range(inverse.shape[1])]
     value, S, R = (jnp.stack(parts) for parts in zip(*found, strict=True))
@@ -78,7 +78,7 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Se
 
 
 def _sums(kernel: str, Z: Array, centre: Array, inverse: Array, amounts: Array, z: Array) -> _Sums:
-    """Of one output and one lane: Z (M, nf), z (P, nf)."""
+    """Return the sums for one output and one batch entry: Z (M, nf), z (P, nf)."""
     nf = len(centre)
     a, b = ((Z - centre) * inverse).T, ((z - centre) * inverse).T  # (nf, M), (nf, P)
     products = jnp.stack([a[i] * a[j] for i, j in pairs(nf)])
@@ -95,7 +95,7 @@ def _sums(kernel: str, Z: Array, centre: Array, inverse: Array, amounts: Array, 
 
 
 def _squares(a: Float[Array, "nf M"], b: Float[Array, "nf P"]) -> Float[Array, "M P"]:
-    """Squared distances of all columns, by one product of matrices: absolute errors as of the largest square."""
+    """Return the squared distances of all columns by one matrix product; absolute errors scale with the largest."""
     square = lambda c: jnp.sum(c**2, axis=0)[None]
     rows = jnp.concatenate([-2 * a, square(a), jnp.ones_like(a[:1])])
     return rows.T @ jnp.concatenate([b, jnp.ones_like(b[:1]), square(b)])

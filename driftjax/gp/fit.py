@@ -1,4 +1,4 @@
-"""Hyper-parameters by maximum marginal likelihood, several starts per output."""
+"""Hyper-parameters by maximum marginal likelihood, with several starts per output."""
 
 from typing import Any
 
@@ -14,9 +14,9 @@ from driftjax.core.bounded import Minimum
 from driftjax.environment import require_float64
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
-from driftjax.gp.model import GP, Hyper, condition, scales, squares
+from driftjax.gp.model import GP, Hyper, condition, data_scales, squared_differences
 from driftjax.gp.optimise import minimise
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
 LOWER = (0.1, 0.05, 1e-3)
@@ -30,7 +30,7 @@ ROUGH, FINE = 1e-2, 2e-3  # tolerances of the projected gradient per row, on the
 
 
 class FitResult(eqx.Module):
-    """A fitted GP and how the fit went, per output."""
+    """A fitted GP and the diagnostics of the fit, per output."""
 
     gp: GP
     log_marginal_likelihood: Array  # (D,) of the best start, on the rows used for the fit, scaled outputs
@@ -49,7 +49,7 @@ def _hyper(x: Array) -> Hyper:
 
 
 def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array, ...]:
-    """At most `size` random rows of `columns` and then `mask`, data first."""
+    """Return at most `size` random rows of `columns` and then of `mask`, data first."""
     if mask.shape[0] <= size:
         return *columns, mask
     score = jnp.where(mask, jax.random.uniform(key, mask.shape), -1.0)
@@ -58,7 +58,7 @@ def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array,
 
 
 def _starts(D: int, nf: int, num_restarts: int, previous: GP | None, key: Array) -> Array:
-    """(D, restarts, nf + 2): the previous fit, or unit scales; then random ones."""
+    """Return the starts (D, restarts, nf + 2): the previous fit, or unit scales, then random ones."""
     share = jax.random.uniform(key, (D, num_restarts, nf + 2))
     low, high = _vector(START_LOWER, nf), _vector(START_UPPER, nf)
     first = jnp.broadcast_to(_vector((1.0, 1.0, 0.1), nf), (D, nf + 2))
@@ -69,16 +69,16 @@ def _starts(D: int, nf: int, num_restarts: int, previous: GP | None, key: Array)
 
 
 def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **options: Any) -> Minimum:
-    """The best end of each output from `starts` (D, restarts, nf + 2), on scaled rows `X`, `T`, `basis`, `mask`.
+    """Return the best optimum per output from `starts` (D, restarts, nf + 2), on scaled rows `X`, `T`, `basis`, `mask`.
 
-    One fit after the other: batched, each would wait for the slowest, and batched factorisations are slow on a CPU.
+    The fits run in sequence: in a batch each would wait for the slowest, and batched factorisations are slow on a CPU.
     """
     *basis, mask = rest
-    held = [directions(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
-    T = unclaimed(T, basis[0], mask) if basis else T
+    held = [orthonormal_basis(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
+    T = project_out(T, basis[0], mask) if basis else T
     rows = jnp.maximum(jnp.sum(mask), 1)
     X = jnp.where(mask[:, None], X - jnp.sum(jnp.where(mask[:, None], X, 0.0), axis=0) / rows, 0.0)
-    pairs = squares(X)
+    pairs = squared_differences(X)
 
     def output(data: tuple[Array, ...]) -> Minimum:
         starts, y, *Q = data
@@ -127,19 +127,19 @@ def fit(
     basis: Array | None = None,
     key: Array,
 ) -> FitResult:
-    """GP of inputs `Z` (M, nf) and targets `Y` (M, D) in rows where `mask`; all M rows are conditioned on.
+    """Return the GP of inputs `Z` (M, nf) and targets `Y` (M, D), conditioned on all rows where `mask`.
 
-    Hyper-parameters maximise the marginal likelihood of at most `num_fit` random rows; a start at `previous`
-    (fitted earlier, same shapes) saves iterations. `shortest` bounds the length scales from below, in standard
-    deviations of the inputs: what varies faster is then left to the noise. `basis` (M, D, k) holds the directions of
-    known causes, to which the GP is orthogonal at its data. `result` is `non_finite` where every start failed.
+    Hyper-parameters maximise the marginal likelihood of at most `num_fit` random rows; a warm start from `previous`
+    (an earlier fit of the same shapes) saves iterations. `shortest` bounds the length scales from below, in standard
+    deviations of the inputs: faster variation is attributed to noise. `basis` (M, D, k) holds the directions of known
+    effects, to which the GP is orthogonal at its data. `result` is `non_finite` if every start failed.
     """
     key_rows, key_few, key_starts = jax.random.split(key, 3)
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
-    scale, output_scale = scales(Z, Y, mask)
+        Y = project_out(Y, basis, mask)
+    scale, output_scale = data_scales(Z, Y, mask)
     columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
     columns = _subset(mask, num_fit, key_rows, *columns)
     low, high = _vector((shortest, *LOWER[1:]), Z.shape[1]), _vector(UPPER, Z.shape[1])

@@ -1,4 +1,4 @@
-"""Correlation of one pair of points from q, the square of their distance in length scales; stationary, k(0) = 1."""
+"""Stationary correlation functions of q, the squared distance of two points in length scales; k(0) = 1."""
 
 from collections.abc import Callable
 
@@ -8,18 +8,18 @@ from jax import Array
 
 
 def squared_exponential(q: Array) -> Array:
-    """exp(-q / 2) (Rasmussen and Williams 2006, Eq. 4.9)."""
+    """Return exp(-q / 2) (Rasmussen and Williams 2006, Eq. 4.9)."""
     return jnp.exp(-0.5 * q)
 
 
 def _root(q: Array) -> Array:
-    """sqrt(q) whose derivative at 0 is 0 instead of infinite."""
+    """Return sqrt(q), with derivative 0 instead of infinity at 0."""
     positive = q > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, q, 1.0)), 0.0)
 
 
 def _matern52(q: Array) -> Array:
-    """(1 + r + r^2/3) exp(-r), r = sqrt(5 q) (Rasmussen and Williams 2006, Eq. 4.17)."""
+    """Return (1 + r + r^2/3) exp(-r), r = sqrt(5 q) (Rasmussen and Williams 2006, Eq. 4.17)."""
     r = _root(5.0 * q)
     return (1.0 + r + r**2 / 3.0) * jnp.exp(-r)
 

@@ -8,7 +8,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.model import JITTER, Hyper, gram, separation
+from driftjax.gp.model import JITTER, Hyper, gram, squared_distances
 
 
 class Derivatives(NamedTuple):
@@ -23,33 +23,34 @@ class _Solved(NamedTuple):
     value: Array
     L: Array  # (M, M) Cholesky factor of the covariance
     alpha: Array  # (M,) its solution for the targets
-    held: Array | None  # (k, k) Cholesky factor of Q'KQ
+    projected: Array | None  # (k, k) Cholesky factor of Q'KQ
 
 
 def _solved(K: Array, y: Array, mask: Array, Q: Array | None) -> _Solved:
-    """log p(y) of zero-mean targets with covariance `K`, 0 where masked (Rasmussen and Williams 2006, Eq. 2.30)."""
+    """Return log p(y) for zero mean and covariance `K`, 0 where masked (Rasmussen and Williams 2006, Eq. 2.30)."""
     n = jnp.sum(mask).astype(y.dtype)
     L = jnp.linalg.cholesky(K)
     alpha = cho_solve((L, True), y)
-    value, held = -0.5 * y @ alpha - jnp.sum(jnp.log(jnp.diagonal(L))), None
+    value, projected = -0.5 * y @ alpha - jnp.sum(jnp.log(jnp.diagonal(L))), None
     if Q is not None:
         present = jnp.sum(Q**2, axis=0)  # columns of Q are of length 1 or 0
-        held = jnp.linalg.cholesky(Q.T @ K @ Q + jnp.diag(1 - present))
-        value, n = value + jnp.sum(jnp.log(jnp.diagonal(held))), n - jnp.sum(present)
-    return _Solved(value - 0.5 * n * jnp.log(2 * jnp.pi), L, alpha, held)
+        projected = jnp.linalg.cholesky(Q.T @ K @ Q + jnp.diag(1 - present))
+        value, n = value + jnp.sum(jnp.log(jnp.diagonal(projected))), n - jnp.sum(present)
+    return _Solved(value - 0.5 * n * jnp.log(2 * jnp.pi), L, alpha, projected)
 
 
 def likelihood(kernel: str, hyper: Hyper, pairs: Array, y: Array, mask: Array, Q: Array | None = None) -> Array:
-    """Log marginal likelihood of ONE output from `squares(X)` and scaled targets `y` (M,), 0 where masked.
+    """Return the log marginal likelihood of ONE output; `pairs` are `squared_differences(X)`, `y` (M,) scaled targets.
 
-    With the directions `Q` (M, k) of known causes it is that of what they leave, P y = y, under the orthogonal GP: the
-    determinant of its covariance in the other directions is that of K + noise P over that of Q'KQ.
+    Targets are 0 where masked. With the directions `Q` (M, k) of known effects it is the likelihood of the projected
+    targets P y = y under the orthogonal GP: the determinant of its covariance in the other directions is that of
+    K + noise P over that of Q'KQ.
     """
     return _solved(gram(kernel, hyper, pairs, mask, Q), y, mask, Q).value
 
 
 def _weighted(S: Array, X: Array, V: Array) -> Array:
-    """(M, nf): the products with V (M,) of the matrices S_ab (x_a - x_b)^2, one per input of X (M, nf)."""
+    """Return (M, nf): products with V (M,) of the matrices S_ab (x_a - x_b)^2, one per input of X (M, nf)."""
     columns = jnp.concatenate([V[:, None], V[:, None] * X, V[:, None] * X**2], axis=1)
     still, first, second = jnp.split(S @ columns, [1, 1 + X.shape[1]], axis=1)
     return X**2 * still - 2 * X * first + second
@@ -58,18 +59,18 @@ def _weighted(S: Array, X: Array, V: Array) -> Array:
 def derivatives(
     kernel: str, hyper: Hyper, X: Array, pairs: Array, y: Array, mask: Array, Q: Array | None = None
 ) -> Derivatives:
-    """`likelihood` and its derivatives for centred scaled inputs `X` (M, nf) with `pairs = squares(X)`.
+    """Return `likelihood` with its derivatives for centred scaled inputs `X` (M, nf), `pairs = squared_differences(X)`.
 
     With M = K^-1 - Q (Q'KQ)^-1 Q' the gradient is tr((alpha alpha' - M) dK) / 2 (Rasmussen and Williams 2006,
     Eq. 5.9) and the average information alpha' dK_i M dK_j alpha / 2 (Gilmour, Thompson and Cullis 1995, whose fixed
-    effects are K Q). No dK of a length scale is ever formed: it is a weight times (x_a - x_b)^2.
+    effects are K Q). The dK of a length scale is never formed: it is a weight times (x_a - x_b)^2.
     """
-    value, L, alpha, held = _solved(gram(kernel, hyper, pairs, mask, Q), y, mask, Q)
+    value, L, alpha, projected = _solved(gram(kernel, hyper, pairs, mask, Q), y, mask, Q)
     inverse = cho_solve((L, True), jnp.eye(y.size, dtype=y.dtype))
-    if Q is not None and held is not None:
-        inverse = inverse - Q @ cho_solve((held, True), Q.T)
+    if Q is not None and projected is not None:
+        inverse = inverse - Q @ cho_solve((projected, True), Q.T)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
-    q = separation(hyper, pairs)
+    q = squared_distances(hyper, pairs)
     correlation, slope = jax.jvp(KERNELS[kernel], (q,), (jnp.ones_like(q),))
     both = mask[:, None] & mask[None, :]
     signal = jnp.where(both, amplitude * correlation, 0.0)

@@ -1,4 +1,4 @@
-"""Exact Gaussian process with fixed-size, padded data: predict, condition, and the empty one."""
+"""Exact Gaussian process with padded data of fixed size: predict, condition, and the GP without data."""
 
 import equinox as eqx
 import jax
@@ -7,7 +7,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
@@ -15,18 +15,18 @@ JITTER = 100.0  # added to the diagonal, in units of eps times the signal varian
 
 
 def saturate(x: Array) -> Array:
-    """x / (1 + x^4)^(1/4): x to 1.5 % up to 1/2, and never beyond 1."""
+    """Return x / (1 + x^4)^(1/4): x within 1.5 % up to 1/2, and at most 1 in magnitude."""
     return x * jax.lax.rsqrt(jnp.sqrt(1 + x**4))
 
 
-def faded(near: Array) -> Array:
-    """1 where the nearness of all data is large, 0 where there is none."""
+def fade_factor(near: Array) -> Array:
+    """Return the fade factor: 1 where the summed nearness of the data is large, 0 far from all data."""
     return -jnp.expm1(-FADE_RATE * near)
 
 
-def bounded(mean: Array, near: Array, reach: Array) -> Array:
-    """`mean` faded out where the nearness of the data is small, and never beyond `reach`; smooth."""
-    return reach * saturate(faded(near) * mean / reach)
+def bound_mean(mean: Array, near: Array, reach: Array) -> Array:
+    """Return `mean` faded out far from the data and limited to `reach` in magnitude; smooth."""
+    return reach * saturate(fade_factor(near) * mean / reach)
 
 
 class Hyper(eqx.Module):
@@ -37,23 +37,23 @@ class Hyper(eqx.Module):
     log_noise: Array  # (D,), log of the standard deviation of the noise
 
 
-def squares(X: Array) -> Array:
-    """(nf, M, M): squared difference of every pair of scaled inputs `X` (M, nf), per input."""
+def squared_differences(X: Array) -> Array:
+    """Return (nf, M, M): squared difference of every pair of scaled inputs `X` (M, nf), per input."""
     return jax.vmap(lambda x: (x[:, None] - x[None, :]) ** 2)(X.T)
 
 
-def separation(hyper: Hyper, pairs: Array) -> Array:
-    """(M, M): squared distance of every pair, in length scales of ONE output, from `squares(X)`."""
+def squared_distances(hyper: Hyper, pairs: Array) -> Array:
+    """Return (M, M): squared distances in length scales of ONE output; `pairs` by `squared_differences`."""
     return jnp.tensordot(jnp.exp(-2 * hyper.log_lengthscale), pairs, axes=1)
 
 
 def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array, Q: Array | None = None) -> Array:
-    """K + noise of ONE output from `squares(X)`; a masked row is one of the identity, which is exact.
+    """Return the Gram matrix K + noise of ONE output; `pairs` by `squared_differences`, identity in masked rows.
 
-    The squares do not depend on the hyper-parameters, so that many starts and outputs share them. In the directions
-    `Q` (M, k) the GP is held at 0, which is known without noise: see `orthogonal`.
+    The squared differences do not depend on the hyper-parameters, so starts and outputs share them. In the directions
+    `Q` (M, k) the GP is constrained to 0, which is observed without noise: see `orthogonal`.
     """
-    q = separation(hyper, pairs)
+    q = squared_distances(hyper, pairs)
     amplitude, noise = jnp.exp(2 * hyper.log_amplitude), jnp.exp(2 * hyper.log_noise)
     jitter = JITTER * jnp.finfo(q.dtype).eps * amplitude
     K = jnp.where(mask[:, None] & mask[None, :], amplitude * KERNELS[kernel](q), 0.0)
@@ -64,8 +64,8 @@ def gram(kernel: str, hyper: Hyper, pairs: Array, mask: Array, Q: Array | None =
 class GP(eqx.Module):
     """Exact GP, one per output, zero prior mean (Wu et al. 2025, Sec. III-B; Rasmussen and Williams 2006).
 
-    Everything goes in and comes out in the raw units of the data. Rows with a false `mask` do not exist. Where known
-    causes have a basis, P below is the projector of `orthogonal`; else it is the identity.
+    Inputs and outputs are in the raw units of the data. Rows with a false `mask` are padding. If known effects have a
+    basis, P below is the projector of `orthogonal`; else it is the identity.
     """
 
     kernel: str = eqx.field(static=True)  # name in `KERNELS`
@@ -80,7 +80,7 @@ class GP(eqx.Module):
     L: Array  # (D, M, M) Cholesky factor of K + noise P, scaled
 
     def correlations(self, z: Array) -> Array:
-        """(D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
+        """Return (D, M): k(z, Z_i) over the signal variance, 0 for masked rows."""
         inverse = jnp.exp(-self.hyper.log_lengthscale) / self.scale
         q = jnp.square(inverse) @ jnp.square(z - self.Z).T
         return jnp.where(self.mask, KERNELS[self.kernel](q), 0.0)
@@ -90,50 +90,50 @@ class GP(eqx.Module):
         return size * jnp.sum(correlations * self.alpha, axis=-1)
 
     def mean(self, z: Array) -> Array:
-        """(D,): posterior mean at one input `z` (nf,); O(D M nf), no solves."""
+        """Return the posterior mean (D,) at one input `z` (nf,); O(D M nf), no solves."""
         return self._mean(self.correlations(z))
 
     def gradient(self, z: Array) -> Array:
-        """(D, nf): derivative of the posterior mean by the input `z` (nf,)."""
+        """Return the derivative (D, nf) of the posterior mean in the input `z` (nf,)."""
         return jax.jacfwd(self.mean)(z)
 
     def _nearness(self, z: Array) -> Array:
-        """(M,): nearness of each data point, 1 at distance zero."""
+        """Return the nearness (M,) of every data point, 1 at distance zero."""
         offset = (z - self.Z) / (FADE_LENGTH * self.scale)
         return jnp.where(self.mask, jnp.exp(-0.5 * jnp.sum(offset**2, axis=-1)), 0.0)
 
     def fade(self, z: Array) -> Array:
-        """Scalar: 1 near data, falling smoothly to 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
-        return faded(jnp.sum(self._nearness(z)))
+        """Return the fade factor: 1 near data, smoothly 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
+        return fade_factor(jnp.sum(self._nearness(z)))
 
     def bounded_mean(self, z: Array) -> Array:
-        """(D,): mean times fade, within twice the largest target seen: what a controller may trust far from data.
+        """Return the mean (D,) times the fade factor, limited to twice the largest target: safe for a controller.
 
         Smooth: a hard limit has a kink at which a solver of optimality conditions cannot converge.
         """
-        return bounded(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
+        return bound_mean(self.mean(z), jnp.sum(self._nearness(z)), self.reach)
 
     @property
     def reach(self) -> Array:
-        """(D,): twice the largest target seen, which no `bounded_mean` exceeds."""
+        """Limit (D,) of `bounded_mean`: twice the largest target."""
         largest = jnp.maximum(-self.lower, self.upper)
         return jnp.where(largest > 0, 2 * largest, 1.0)
 
     @property
     def prior_variance(self) -> Array:
-        """(D,): latent variance without data."""
+        """Latent variance (D,) without data."""
         return jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale**2
 
     def variance(self, z: Array) -> Array:
-        """(D,): posterior variance of the latent function (without the noise) at one input `z` (nf,)."""
+        """Return the posterior variance (D,) of the latent function (without the noise) at one input `z` (nf,)."""
         k = jnp.exp(2 * self.hyper.log_amplitude)[:, None] * self.correlations(z)
         v = jax.vmap(lambda L, k: solve_triangular(L, k, lower=True))(self.L, k)
         latent = jnp.exp(2 * self.hyper.log_amplitude) - jnp.sum(v**2, axis=-1)
         return jnp.maximum(latent, 0.0) * self.output_scale**2  # rounding may leave -1e-16
 
 
-def scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
-    """Standard deviation of each input, root mean square of each output over the data; 1 where it is 0."""
+def data_scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
+    """Return the standard deviation of each input and the root mean square of each output; 1 where it is 0."""
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     n = jnp.maximum(jnp.sum(mask), 1)
     weight = mask[:, None] / n
@@ -155,29 +155,29 @@ def condition(
     kernel: str,
     basis: Array | None = None,
 ) -> GP:
-    """GP that has seen `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters.
+    """Return the GP conditioned on `Z` (M, nf) and targets `Y` (M, D) where `mask`, with given hyper-parameters.
 
-    At these data it is orthogonal to `basis` (M, D, k), the directions of known causes; see `orthogonal`.
+    At these data it is orthogonal to `basis` (M, D, k), the directions of known effects; see `orthogonal`.
     """
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
+        Y = project_out(Y, basis, mask)
 
-    pairs = squares(Z / scale)
+    pairs = squared_differences(Z / scale)
 
     def factor(hyper: Hyper, y: Array, *Q: Array) -> tuple[Array, Array]:
         L = jnp.linalg.cholesky(gram(kernel, hyper, pairs, mask, *Q))
         return L, cho_solve((L, True), y)
 
-    held = () if basis is None else (directions(basis, mask),)
+    held = () if basis is None else (orthonormal_basis(basis, mask),)
     L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T, *held)
     lower, upper = jnp.min(Y, axis=0, initial=0.0), jnp.max(Y, axis=0, initial=0.0)
     return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)
 
 
 def zero_gp(M: int, nf: int, D: int, kernel: str = "se") -> GP:
-    """GP without data: mean 0 everywhere, in the shapes of one fitted on `M` rows (so nothing recompiles)."""
+    """Return a GP without data: mean 0, in the shapes of one fitted on `M` rows (so nothing recompiles)."""
     dtype = jnp.result_type(float)
     hyper = Hyper(jnp.zeros((D, nf), dtype), jnp.zeros(D, dtype), jnp.full(D, jnp.log(0.1), dtype))
     Z, Y, mask = jnp.zeros((M, nf), dtype), jnp.zeros((M, D), dtype), jnp.zeros(M, bool)

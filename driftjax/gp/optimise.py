@@ -1,4 +1,4 @@
-"""Bounded minimisation by damped Newton steps, of functions that come with their gradient and a curvature."""
+"""Bounded minimisation by damped Newton steps, for functions given with gradient and curvature."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -29,7 +29,7 @@ class _State(NamedTuple):
 
 
 def _step(gradient: Array, curvature: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Step (n,) in low <= 0 <= high that minimises the quadratic model, nearly, and the decrease it promises."""
+    """Return a step (n,) in low <= 0 <= high that nearly minimises the quadratic model, and its predicted decrease."""
     held = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     step = jnp.zeros_like(gradient)
     for _ in range(CLAMPS):
@@ -43,12 +43,12 @@ def _step(gradient: Array, curvature: Array, low: Array, high: Array) -> tuple[A
 
 
 def _error(x: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Largest element of the projected gradient."""
+    """Return the largest element of the projected gradient."""
     return jnp.max(jnp.abs(x - jnp.clip(x - gradient, lower, upper)))
 
 
 def _next(s: _State, found: tuple[Array, Array, Array], lower: Array, upper: Array) -> _State:
-    """The state after `found` at the trial point, which is taken if it is lower: with the next trial point."""
+    """Return the next solver state: accept the trial point if its value is lower, and choose the next trial point."""
     first = s.num_steps < 0
     finite = jnp.all(jnp.array([jnp.all(jnp.isfinite(part)) for part in found]))
     better = first | (finite & (found[0] < s.value))
@@ -73,7 +73,7 @@ def minimise(
     max_iterations: int = 30,
     tolerance: float = 1e-3,
 ) -> Minimum:
-    """Local minimum with lower <= x <= upper (n,) from one start, never above it.
+    """Return a local minimum with lower <= x <= upper (n,) from one start; its value never exceeds the start's.
 
     `evaluate(x)` returns value, gradient (n,) and a positive semi-definite approximation (n, n) of the Hessian. Steps
     are damped as by Levenberg and Marquardt (Nocedal and Wright 2006, Sec. 10.3), with the variables at bounds held

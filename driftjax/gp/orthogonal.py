@@ -1,4 +1,4 @@
-r"""What a GP leaves to known causes: at its data it is orthogonal to the directions in which these can act.
+r"""Gaussian processes orthogonal, at their data, to the directions of known effects.
 
 Known causes change output y of n data by J c, J (n, k), whatever c is. A GP beside them can say J c too, so that it
 takes what is theirs. Conditioned on $J^T g(X) = 0$ it cannot (Plumlee 2017; Plumlee and Joseph 2018, their integral
@@ -18,7 +18,7 @@ DEPENDENT = 1e-10  # share of the largest squared singular value below which a d
 
 
 def _orthonormal(J: Float[Array, "M k"]) -> Float[Array, "k k"]:
-    """T for which J T has orthonormal columns that span those of J; zero columns for what depends on others."""
+    """Return T such that J T has orthonormal columns spanning those of J; zero columns for dependent directions."""
     size = jnp.sqrt(jnp.sum(J**2, axis=0))
     unit = jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1.0), 0.0)
     values, vectors = jnp.linalg.eigh(unit[:, None] * (J.T @ J) * unit)
@@ -30,15 +30,15 @@ def _rows(basis: Float[Array, "M D k"], mask: Array) -> Float[Array, "D M k"]:
     return jnp.moveaxis(jnp.where(mask[:, None, None], basis, 0.0), 1, 0)
 
 
-def directions(basis: Float[Array, "M D k"], mask: Array) -> Float[Array, "D M k"]:
-    """Orthonormal directions Q of each output over the rows in `mask`, from its J; 0 in rows and columns to spare."""
+def orthonormal_basis(basis: Float[Array, "M D k"], mask: Array) -> Float[Array, "D M k"]:
+    """Return orthonormal directions Q of each output over the rows in `mask`, from its J; padding is 0."""
     return jax.vmap(lambda J: J @ _orthonormal(J))(_rows(basis, mask))
 
 
-def claimed(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"]) -> Float[Array, "N D"]:
-    """What the known causes make of N points with the basis `elsewhere`, fitted to the data by least squares.
+def predict_known_effects(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"]) -> Float[Array, "N D"]:
+    """Return the contribution of the known effects at N points with basis `elsewhere`, fitted by least squares.
 
-    Each output for itself. Data are targets `Y` (M, D) with their `basis` (M, D, k) where `mask`.
+    Outputs are fitted separately. Data are targets `Y` (M, D) with their `basis` (M, D, k) where `mask`.
     """
 
     def one(J: Array, y: Array, other: Array) -> Array:
@@ -49,7 +49,7 @@ def claimed(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"
     return jax.vmap(one, out_axes=1)(_rows(basis, mask), targets, jnp.moveaxis(elsewhere, 1, 0))
 
 
-def unclaimed(Y: Array, basis: Array, mask: Array) -> Float[Array, "M D"]:
-    """P y of each output: the targets less what known causes can say of them; 0 outside `mask`."""
+def project_out(Y: Array, basis: Array, mask: Array) -> Float[Array, "M D"]:
+    """Return P y of each output: the targets less their projection on the known effects; 0 outside `mask`."""
     rows = jnp.where(mask[:, None, None], basis, 0.0)
-    return jnp.where(mask[:, None], Y - claimed(Y, rows, mask, rows), 0.0)
+    return jnp.where(mask[:, None], Y - predict_known_effects(Y, rows, mask, rows), 0.0)

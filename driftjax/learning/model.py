@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.gp import GP, claimed, condition, fit, scales, select_dictionary, unclaimed, zero_gp
+from driftjax.gp import GP, condition, data_scales, fit, predict_known_effects, project_out, select_dictionary, zero_gp
 from driftjax.learning.config import GPConfig
 from driftjax.vehicle import Residual, no_residual
 
@@ -95,12 +95,12 @@ def trust(gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfi
         train = select_dictionary(Z, Y, mask & away, config.size, kernel=config.kernel)
         left = Y
         if claim is None:
-            rest = condition(*train, gp.hyper, *scales(*train), config.kernel)
+            rest = condition(*train, gp.hyper, *data_scales(*train), config.kernel)
         else:
             inputs, targets, kept = train
             basis = claim(inputs)
-            left = Y - claimed(targets, basis, kept, claim(Z))
-            scale = scales(inputs, unclaimed(targets, basis, kept), kept)
+            left = Y - predict_known_effects(targets, basis, kept, claim(Z))
+            scale = data_scales(inputs, project_out(targets, basis, kept), kept)
             rest = condition(*train, gp.hyper, *scale, config.kernel, basis)
         values = (jax.vmap(rest.bounded_mean)(Z), left)
         return tuple(jnp.where(test[:, None], one, 0.0) for one in values)  # pyright: ignore[reportReturnType]

@@ -109,7 +109,7 @@ def claims(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]
 
     def at(z: Array) -> Array:
         x, u = State(z[0], z[1], z[2]), Control(z[3], z[4])
-        return jax.jacfwd(lambda theta: jnp.stack(car.at(theta)(x, u)))(car.theta)
+        return jax.jacfwd(lambda theta: jnp.stack(car.with_parameters(theta)(x, u)))(car.theta)
 
     return jax.vmap(at)
 

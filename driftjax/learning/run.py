@@ -87,7 +87,7 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
             folder.write_stage(name, data, _dump(after))
     found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
     folder.write_json("results", found)
-    folder.collect()
+    folder.write_laps()
     report("done", len(names) + 1, len(names) + 1)
     return found
 

@@ -27,10 +27,10 @@ from driftjax.vehicle import (
     AnyCar,
     Residual,
     VehicleConfig,
+    actuator_lags,
     build_car,
     draw_plants,
     load_vehicle,
-    named_lags,
 )
 from driftjax.vehicle.single_track import G
 
@@ -102,7 +102,7 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
 
     A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
     """
-    vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
+    vehicle = load_vehicle(config.vehicle).with_combined_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
     lap = plan(track, vehicle, load_plan_config(config.plan))
     if not bool(lap.result == RESULTS.successful):
@@ -127,7 +127,7 @@ def build(
     vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
     lanes, plants, keys = lay_out(config, on, float(track.length))
     return Scenario(
-        config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
+        config, vehicle, nominal, actuator_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
         lanes, plants, keys, load_sensors(config.sensors),
         entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
     )  # fmt: skip

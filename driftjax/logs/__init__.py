@@ -1,4 +1,4 @@
-"""Measured logs: readers of tables and recordings, column maps, sampling and checks."""
+"""Measured logs: read tables and recordings, map columns, resample, check."""
 
 from driftjax.logs.columns import CHANNELS as CHANNELS
 from driftjax.logs.columns import ColumnMap as ColumnMap

@@ -1,4 +1,4 @@
-"""Whether the channels of a log agree with each other, whatever the car: slopes, offsets, time shifts."""
+"""Consistency of the channels of a log, independent of the car: slopes, offsets, time shifts."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -9,16 +9,16 @@ from scipy.signal import savgol_filter
 from driftjax.logs.log import Run
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
-LATEST = 0.5  # time shift looked for, either way [s]
-GENTLE = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
+MAX_SHIFT = 0.5  # largest time shift, either way [s]
+MAX_LATERAL_ACCELERATION = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
 SLOW = 0.1  # share of the top speed below which angles are noise
-FEWEST = 50  # samples from which anything is told
+MIN_SAMPLES = 50  # samples that a check needs
 
 Channels = dict[str, np.ndarray]
 
 
 class Agreement(NamedTuple):
-    """How one channel follows what the others say of it: channel = slope x other + offset, `shift` later."""
+    """Regression of a channel on its prediction from others: channel = slope x other + offset, `shift` later."""
 
     channel: str
     other: str  # in words
@@ -26,13 +26,13 @@ class Agreement(NamedTuple):
     num: int  # samples compared
     slope: float
     offset: float  # [unit]
-    rest: float  # RMS of what is left [unit]
+    rest: float  # RMS residual [unit]
     correlation: float
     shift: float  # by which the channel is late [s]
 
 
 class Check(NamedTuple):
-    """A channel, and what it should equal."""
+    """A channel and the quantity that it should equal."""
 
     channel: str
     other: str
@@ -42,7 +42,7 @@ class Check(NamedTuple):
 
 
 def _course(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
-    """Sideslip, and the direction of travel less the heading."""
+    """Return the sideslip, and the course less the heading."""
     angle = np.arctan2(rate["y"], rate["x"]) - y["psi"]
     return y["beta"], np.angle(np.exp(1j * angle))
 
@@ -64,28 +64,28 @@ CHECKS = (
 )  # fmt: skip
 
 
-def steering(wheelbase: float) -> Check:
-    """Yaw rate against V tan(delta) / L, in gentle driving."""
+def steering_check(wheelbase: float) -> Check:
+    """Return the check of the yaw rate against V tan(delta) / L at low lateral acceleration."""
 
     def pair(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
-        gentle = np.abs(y["V"] * y["r"]) < GENTLE
+        gentle = np.abs(y["V"] * y["r"]) < MAX_LATERAL_ACCELERATION
         return np.where(gentle, y["r"], np.nan), y["V"] * np.tan(y["delta"]) / wheelbase
 
-    return Check("r", f"V tan(delta) / L below {GENTLE:g} m/s^2", "rad/s", (), pair)
+    return Check("r", f"V tan(delta) / L below {MAX_LATERAL_ACCELERATION:g} m/s^2", "rad/s", (), pair)
 
 
 def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agreement]:
-    """Every check that all `runs` have the columns for; that of the steering where the wheelbase [m] is known."""
+    """Return every check whose columns all `runs` have; the steering check needs the wheelbase [m]."""
     has = set.intersection(*(set(run.extra) for run in runs))
     checks = [check for check in CHECKS if set(check.needs) <= has]
-    checks += [] if wheelbase is None else [steering(wheelbase)]
-    smoothed = [smooth(run) for run in runs]
-    found = [agreement(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
+    checks += [] if wheelbase is None else [steering_check(wheelbase)]
+    smoothed = [smooth_channels(run) for run in runs]
+    found = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
     return [one for one in found if one is not None]
 
 
-def smooth(run: Run) -> tuple[Channels, Channels]:
-    """Channels of a run and their rates, both from parabolas over `WINDOW`; NaN near gaps and at low speed."""
+def smooth_channels(run: Run) -> tuple[Channels, Channels]:
+    """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN near gaps and at low speed."""
     raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
     num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
     if len(run.t) < num:
@@ -96,22 +96,22 @@ def smooth(run: Run) -> tuple[Channels, Channels]:
     return {name: of(y, 0) for name, y in raw.items()}, {name: of(y, 1) for name, y in raw.items()}
 
 
-def agreement(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:
-    """One check over all runs, None where too little was measured or nothing moves."""
+def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:
+    """Evaluate one check over all runs; None if there are too few samples or a channel is constant."""
     y, x = (np.concatenate(column) for column in zip(*pairs, strict=True))
     both = np.isfinite(y) & np.isfinite(x)
-    if both.sum() < FEWEST or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
+    if both.sum() < MIN_SAMPLES or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
         return None
     slope, offset = np.polyfit(x[both], y[both], 1)
     rest = float(np.sqrt(np.mean((y - slope * x - offset)[both] ** 2)))
     correlation = float(np.corrcoef(x[both], y[both])[0, 1])
     return Agreement(check.channel, check.other, check.unit, int(both.sum()), float(slope), float(offset), rest,
-                     correlation, late_by(pairs, dt))  # fmt: skip
+                     correlation, time_shift(pairs, dt))  # fmt: skip
 
 
-def late_by(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
-    """Time [s] by which the first channel of each pair follows the second: where their correlation is largest."""
-    most = max(round(LATEST / dt), 1)
+def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
+    """Return the time [s] by which the first channel of each pair follows the second (largest correlation)."""
+    most = max(round(MAX_SHIFT / dt), 1)
     shifts = np.arange(-most, most + 1)
     score = np.array([_correlation(pairs, int(k), most) for k in shifts])
     k = int(np.nanargmax(score))
@@ -123,7 +123,7 @@ def late_by(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
 
 
 def _correlation(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) -> float:
-    """Correlation of y(t + k) with x(t) over all runs, of the samples that every shift has."""
+    """Return the correlation of y(t + k) with x(t) over all runs, on the samples that all shifts share."""
     rows = []
     for y, x in pairs:
         if len(y) > 2 * most:
@@ -131,4 +131,4 @@ def _correlation(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) 
             rows.append(np.stack([y[at + k], x[at]]))
     y, x = np.concatenate(rows, axis=1) if rows else np.zeros((2, 0))
     both = np.isfinite(y) & np.isfinite(x)
-    return float(np.corrcoef(y[both], x[both])[0, 1]) if both.sum() >= FEWEST else np.nan
+    return float(np.corrcoef(y[both], x[both])[0, 1]) if both.sum() >= MIN_SAMPLES else np.nan

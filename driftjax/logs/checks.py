@@ -1,4 +1,4 @@
-"""What is wrong with a measured run, told in one sentence that names the file, the row or column, and the remedy."""
+"""Checks of measured runs; each error is one sentence that names the file, the row or column, and the remedy."""
 
 from collections.abc import Mapping
 
@@ -17,10 +17,10 @@ SLOW = 0.1  # share of the run's top speed below which sideslip is noise
 
 
 def check_time(run: RawRun) -> float:
-    """Sample time [s] of a run of two rows or more; raises `BadInput` where time does not increase steadily."""
+    """Return the sample time [s] of a run of two rows or more; raises `BadInput` if time is not steadily increasing."""
     t, label = run.values["t"], run.labels["t"]
     remedy = "time must increase within a run: sort the rows, or name each run in a column of its own"
-    run.refuse("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
+    run.reject("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
     dt = sample_time(t)
     if dt > MAX_SAMPLE_TIME:
         raise BadInput(f"{run.where}: {label} steps by {dt:g}, which looks like milliseconds; write seconds.")
@@ -32,10 +32,10 @@ def check_time(run: RawRun) -> float:
     return dt
 
 
-def void_sideslip(run: RawRun) -> np.ndarray:
-    """Where beta says nothing: past a right angle near standstill.
+def invalid_sideslip(run: RawRun) -> np.ndarray:
+    """Return where beta is invalid: beyond a right angle near standstill.
 
-    At any speed where beta is the direction of vx, vy, whose unit is sure: the car rolls backwards.
+    If beta was computed from vx, vy, whose unit is certain, at any speed: the car rolls backwards.
     """
     V = np.nan_to_num(run.values["V"])
     doubtful = V < SLOW * V.max(initial=0.0) if run.beta_mapped else np.ones(V.shape, bool)
@@ -43,7 +43,7 @@ def void_sideslip(run: RawRun) -> np.ndarray:
 
 
 def check_values(run: RawRun) -> None:
-    """Raise `BadInput` where a channel is empty, stuck, negative or in another unit."""
+    """Raise `BadInput` if a channel is empty, stuck, negative or in another unit."""
     for name in CHANNELS[1:]:
         values = run.values[name][np.isfinite(run.values[name])]
         if not values.size:
@@ -55,22 +55,22 @@ def check_values(run: RawRun) -> None:
             )
     values = run.values
     remedy = "speed is not negative: leave out rows driven backwards"
-    run.refuse("V", values["V"] < 0, "m/s", remedy)
+    run.reject("V", values["V"] < 0, "m/s", remedy)
     remedy = "this looks like degrees: write radians, or give a column map with a factor"
-    run.refuse("beta", np.abs(values["beta"]) > MAX_ANGLE, "rad", remedy)
-    run.refuse("delta", np.abs(values["delta"]) > MAX_ANGLE, "rad", remedy)
+    run.reject("beta", np.abs(values["beta"]) > MAX_ANGLE, "rad", remedy)
+    run.reject("delta", np.abs(values["delta"]) > MAX_ANGLE, "rad", remedy)
     remedy = "this looks like degrees per second: write radians per second, or give a column map with a factor"
-    run.refuse("r", np.abs(values["r"]) > MAX_YAW_RATE, "rad/s", remedy)
+    run.reject("r", np.abs(values["r"]) > MAX_YAW_RATE, "rad/s", remedy)
 
 
-def missing(run: RawRun) -> str:
-    """How many values of which channels are missing, as `2 of V, 5 of delta`; empty where none are."""
+def count_missing(run: RawRun) -> str:
+    """Return the number of missing values per channel as `2 of V, 5 of delta`; empty if none."""
     counts = {name: int(np.isnan(run.values[name]).sum()) for name in (*MEASURED, *COMMANDS)}
     return ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
 
 
 def check_rates(sample_times: Mapping[str, float]) -> None:
-    """Raise `BadInput` where two of the named runs differ in sample rate by more than 1 %."""
+    """Raise `BadInput` if two of the named runs differ in sample rate by more than 1 %."""
     (first, reference), *others = sample_times.items()
     for name, dt in others:
         if abs(reference / dt - 1) > UNIFORM:

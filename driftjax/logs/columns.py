@@ -1,4 +1,4 @@
-"""Column maps: which foreign column is which channel of a log, which rows count, and what stands for the force."""
+"""Column maps: source columns of the channels, row conditions, and the source of the force."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Stamps = Literal["header", "receipt"]
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel: `factor` times the foreign column plus `offset`, in SI units and radians, left positive."""
+    """One channel: `factor` times the source column plus `offset`, in SI units and radians, left positive."""
 
     name: str
     """Channel of the log format."""
@@ -36,7 +36,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Condition:
-    """Rows count where the foreign column has one of `values`, or lies between `min` and `max`."""
+    """Condition on rows: the source column has one of `values`, or lies between `min` and `max`."""
 
     column: str
     """Foreign column."""
@@ -47,8 +47,8 @@ class Condition:
     max: float | None = None
     """Greatest value that passes [unit of the column]."""
 
-    def holds(self, table: Table) -> np.ndarray:
-        """Which rows of `table` pass."""
+    def matches(self, table: Table) -> np.ndarray:
+        """Return the mask of the rows of `table` that meet the condition."""
         passes = np.ones(len(table.lines), bool)
         if self.values:
             wanted = {_plain(value) for value in self.values}
@@ -62,7 +62,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Drive:
-    """What stands for the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
+    """Model of the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
 
     column: str
     """Foreign column: throttle, or longitudinal acceleration with the mass as factor."""
@@ -76,7 +76,7 @@ class Drive:
     """Foreign column that the force is multiplied by, such as 1 while the motor is enabled, else 0."""
 
     def force(self, table: Table, vx: np.ndarray) -> np.ndarray:
-        """Force [N] in every row at forward speed `vx` [m/s]."""
+        """Return the force [N] in every row at forward speed `vx` [m/s]."""
         value = table.numbers(self.column)
         value = value if self.above is None else np.maximum(value - self.above, 0.0)
         value = value if self.times is None else value * table.numbers(self.times)
@@ -121,11 +121,11 @@ class ColumnMap:
         )
 
     def skips(self, line: int) -> bool:
-        """Whether line `line` of a CSV, from 1, is to be passed over."""
+        """Return whether to skip line `line` of a CSV, counted from 1."""
         return line <= self.skip_rows if isinstance(self.skip_rows, int) else line in self.skip_rows
 
     def labels(self) -> dict[str, str]:
-        """What messages call each channel."""
+        """Return the name of each channel in messages."""
         named = {c.name: f"column '{c.column}'" + (f" ({c.name})" if c.column != c.name else "") for c in self.columns}
         force = {} if self.Fxr_from is None else {"Fxr": f"column '{self.Fxr_from.column}' (Fxr)"}
         source = " and ".join(f"'{c.column}'" for c in self.columns if c.name in VELOCITIES)
@@ -133,14 +133,14 @@ class ColumnMap:
 
 
 def first_missing(names: Iterable[str]) -> str | None:
-    """First channel that the channels `names` lack; vx, vy give V, beta."""
+    """Return the first channel missing from `names`; vx, vy provide V, beta."""
     have = set(names)
     have |= {"V", "beta"} if have.issuperset(VELOCITIES) else set()
     return next((name for name in CHANNELS if name not in have), None)
 
 
 def load_columns(name: str | Path) -> ColumnMap:
-    """Column map from a YAML file, or a shipped one by name (`dart_jetracer`, `ferrari_250lm`, `genesis_g80`)."""
+    """Load a column map from a YAML file, or a shipped one by name (`dart_jetracer`, `genesis_g80`, ...)."""
     path = find_config("columns", name)
     values = read_yaml(path)
     values["columns"] = [
@@ -157,8 +157,8 @@ def load_columns(name: str | Path) -> ColumnMap:
     return from_dict(ColumnMap, values, str(path))
 
 
-def own_columns(table: Table) -> ColumnMap:
-    """The map of a file that is in the log format already."""
+def standard_columns(table: Table) -> ColumnMap:
+    """Return the column map of a file in the log format."""
     names = [name for name in (*CHANNELS, *VELOCITIES, *EXTRA) if name in table]
     if (lacks := first_missing(names)) is not None:
         instead = " (or vx and vy)" if lacks in ("V", "beta") else ""
@@ -169,8 +169,8 @@ def own_columns(table: Table) -> ColumnMap:
     return ColumnMap(tuple(Channel(name, name) for name in names), (RUN,) if RUN in table else ())
 
 
-def channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
-    """Every channel that the map gives, V and beta and Fxr among them, from rows of `table`."""
+def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
+    """Return all mapped channels of `table`, including V, beta and Fxr."""
     values = {c.name: c.factor * table.numbers(c.column) + c.offset for c in columns.columns}
     vx, vy = (values.pop(name, None) for name in VELOCITIES)
     if vx is not None and vy is not None:
@@ -188,7 +188,7 @@ def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
 
 
 def _plain(value: float | str) -> float | str:
-    """A number where the text is one, so that 1, 1.0 and '1' are the same."""
+    """Return a number if the text is one, so that 1, 1.0 and '1' are equal."""
     try:
         return float(value)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Libraries that only some logs need: asked for by extra, and their refusals told in one sentence."""
+"""Optional libraries for some log formats: import by extra, and convert their errors to one sentence."""
 
 import importlib
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from driftjax.core import BadInput
 
 
 def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
-    """The module that `path`, of this kind, needs; raises `BadInput` that names the extra where it is not installed."""
+    """Import a module for reading `path`; raises `BadInput` that names the extra if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -21,8 +21,8 @@ def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
 
 
 @contextmanager
-def readable(path: Path, kind: str, remedy: str) -> Iterator[None]:
-    """Raise `BadInput` with `remedy` where a library cannot read `path`: damaged bytes make it raise anything."""
+def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
+    """Raise `BadInput` with `remedy` if a library cannot read `path`: damaged bytes can raise any exception."""
     try:
         yield
     except BadInput:

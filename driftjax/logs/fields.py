@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 QUATERNION = ("x", "y", "z", "w")
-ABSENT = object()  # what a message has no place for
+ABSENT = object()  # the message has no such field
 
 
-def inside(part: Any, step: str | int) -> Any:
-    """Field or item `step` of `part`: None where it is not set, `ABSENT` where there is no such thing.
+def get_field(part: Any, step: str | int) -> Any:
+    """Return field or item `step` of `part`: None if it is not set, `ABSENT` if there is no such field.
 
     `yaw` of a quaternion is its heading [rad].
     """
     if isinstance(step, int):
         return part[step] if is_list(part) and step < len(part) else ABSENT
-    there = fields(part)
+    there = message_fields(part)
     if step not in there:
         return _yaw(part) if step == "yaw" and all(name in there for name in QUATERNION) else ABSENT
     if isinstance(part, dict):
@@ -26,8 +26,8 @@ def inside(part: Any, step: str | int) -> Any:
     return None if unset else getattr(part, step)
 
 
-def fields(part: Any) -> Mapping[str, Any]:
-    """Fields by name; none where `part` is no message."""
+def message_fields(part: Any) -> Mapping[str, Any]:
+    """Return the fields by name; empty if `part` is not a message."""
     if isinstance(part, dict):
         return part
     if is_dataclass(part):
@@ -36,17 +36,17 @@ def fields(part: Any) -> Mapping[str, Any]:
 
 
 def is_list(part: Any) -> bool:
-    """Whether `part` has items by number."""
+    """Return whether `part` has items by number."""
     return isinstance(part, Sequence | np.ndarray) and not isinstance(part, str | bytes)
 
 
 def is_number(part: Any) -> bool:
-    """Whether `part` is one value; true and false count as 1 and 0."""
+    """Return whether `part` is one value; true and false count as 1 and 0."""
     return isinstance(part, bool | int | float | np.number | np.bool_)
 
 
 def _yaw(quaternion: Any) -> Any:
-    parts = [inside(quaternion, name) for name in QUATERNION]
+    parts = [get_field(quaternion, name) for name in QUATERNION]
     if not all(map(is_number, parts)):
         return None if None in parts else ABSENT
     x, y, z, w = parts

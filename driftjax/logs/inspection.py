@@ -1,4 +1,4 @@
-"""What is in a log: channels with ranges and gaps, rates, and whether the channels agree with each other."""
+"""Summary of a log: channels with ranges and gaps, rates, and consistency of the channels."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ UNITS = {"V": "m/s", "beta": "rad", "r": "rad/s", "delta": "rad", "Fxr": "N", "x
 
 @dataclass(frozen=True)
 class Inspection:
-    """Channels of a log and how they agree; `str` is the table that the command line prints."""
+    """Channels of a log and their consistency; `str` is the table that the command line prints."""
 
     log: Log
     channels: dict[str, dict[str, Any]]
@@ -24,7 +24,7 @@ class Inspection:
     """How each channel follows what the others say of it, whatever the car."""
 
     def content(self) -> dict[str, Any]:
-        """Return all of it as JSON, as inspection.json holds it."""
+        """Return the contents of inspection.json."""
         runs = {run.name: {"seconds": len(run.t) * run.dt, "rate_Hz": 1 / run.dt} for run in self.log.runs}
         return {"sha256": self.log.sha256, "rows": self.log.rows, "notes": list(self.log.notes), "runs": runs,
                 "channels": self.channels, "agreement": [one._asdict() for one in self.agreement]}  # fmt: skip
@@ -51,7 +51,7 @@ def inspect(log: Log, wheelbase: float | None = None) -> Inspection:
 
 
 def _channels(log: Log) -> dict[str, dict[str, Any]]:
-    """Unit, range, and share missing of every channel, over all runs that have it."""
+    """Return unit, range and missing share of every channel over all runs that have it."""
     parts = {name: [getattr(run, name) for run in log.runs] for name in CHANNELS[1:]}
     for run in log.runs:
         for name, values in run.extra.items():

@@ -1,4 +1,4 @@
-"""Measured logs: runs in the log format, read from tables and recordings, checked and put on an even time base."""
+"""Measured logs: runs in the log format, read from tables and recordings, checked and evenly sampled."""
 
 import csv
 import dataclasses
@@ -13,17 +13,17 @@ import numpy as np
 from driftjax.core import BadInput, write_atomically
 from driftjax.logs.checks import check_rates
 from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap, load_columns
-from driftjax.logs.prepare import Part, parts
+from driftjax.logs.prepare import Segment, prepare_segments
 from driftjax.logs.raw import raw_runs
 from driftjax.logs.recording import read_recording, recording_kind
-from driftjax.logs.table import Table, parse_table, read_bytes, reading
+from driftjax.logs.table import Table, file_errors, parse_table, read_bytes
 
-PIECE = 2**20  # bytes
+CHUNK_SIZE = 2**20  # bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run at an even sample time; arrays (n,), NaN where a measured value is missing."""
+    """One run with an even sample time; arrays (n,), NaN where a measured value is missing."""
 
     name: str
     t: np.ndarray
@@ -57,12 +57,14 @@ class Log:
 
     @property
     def rows(self) -> int:
-        """Samples in all runs."""
+        """Number of samples in all runs."""
         return sum(len(run.t) for run in self.runs)
 
-    def only(self, patterns: Sequence[str]) -> "Log":
-        """The runs that match one of the `patterns` (`*` stands for anything) with their name, or with that of the run
-        they are a part of; all, where there is none."""
+    def select_runs(self, patterns: Sequence[str]) -> "Log":
+        """Return the runs whose name, or the name before `@` of a split run, matches a pattern; all runs if no pattern.
+
+        `*` matches anything.
+        """
         if not patterns:
             return self
         called = lambda name: any(fnmatchcase(name, pattern) for pattern in patterns)
@@ -72,8 +74,8 @@ class Log:
             raise BadInput(f"runs: no run is called {' or '.join(patterns)}; the log holds {names}.")
         return dataclasses.replace(self, runs=kept)
 
-    def cut(self, seconds: float | None) -> "Log":
-        """Runs as parts of about so many `seconds`, called run@begin, so that some of a long one can be held out."""
+    def split_runs(self, seconds: float | None) -> "Log":
+        """Return runs split into parts of about `seconds`, named run@begin, so that some can be held out."""
         if seconds is None:
             return self
         parts = [part for run in self.runs for part in _cut(run, max(round(seconds / run.dt), 2))]
@@ -89,8 +91,8 @@ def read_log(
 ) -> Log:
     """Read the runs of all `paths` in the log format, or in that of a column map; raises `BadInput` in one sentence.
 
-    `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.only`) after `cut`
-    has split long runs into parts of so many seconds (see `Log.cut`).
+    `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.select_runs`) after `cut`
+    has split long runs into parts of so many seconds (see `Log.split_runs`).
 
     A log is a CSV or Parquet file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or MDF file.
     A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
@@ -114,17 +116,17 @@ def read_log(
             raise BadInput(f"{path}: holds the same as {twin}; give each log once.")
         for raw in raw_runs(_table(path, kind, content, columns, notes), columns, notes):
             name = raw.name if raw.name not in read else f"{path.stem}/{raw.name}"
-            for part in parts(raw, columns.rate if columns else None, notes):
+            for part in prepare_segments(raw, columns.rate if columns else None, notes):
                 free = _free_name(name, read)
                 read[free] = _run(free, part)
     if not read:
         raise BadInput(f"{', '.join(map(str, paths))}: no run has two samples in a row; give a longer log.")
     check_rates({name: run.dt for name, run in read.items()})
-    return Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes)).cut(cut).only(runs)
+    return Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes)).split_runs(cut).select_runs(runs)
 
 
 def _cut(run: Run, num: int) -> list[Run]:
-    """`run` in parts of at least `num` samples; one shorter than twice that stays whole."""
+    """Split `run` into parts of at least `num` samples; a run shorter than twice that stays whole."""
     edges = list(range(0, len(run.t) - num + 1, num)) or [0]
     parts = []
     for start, stop in zip(edges, [*edges[1:], len(run.t)], strict=True):
@@ -142,14 +144,14 @@ def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | No
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """What a file holds, or all files of a folder, a piece at a time: recordings may be larger than memory."""
+    """Yield the bytes of a file, or of all files of a folder, in chunks: recordings may exceed the memory."""
     for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
-        with reading(file), file.open("rb") as stream:
-            while piece := stream.read(PIECE):
+        with file_errors(file), file.open("rb") as stream:
+            while piece := stream.read(CHUNK_SIZE):
                 yield piece
 
 
-def _run(name: str, part: Part) -> Run:
+def _run(name: str, part: Segment) -> Run:
     main = {key: part.values[key] for key in CHANNELS[1:]}
     extra = {key: part.values[key] for key in EXTRA if key in part.values}
     return Run(name, part.t, **main, dt=part.dt, extra=extra)
@@ -163,7 +165,7 @@ def _free_name(name: str, taken: Container[str]) -> str:
 
 
 def write_log(path: Path, runs: Sequence[Run]) -> None:
-    """Write runs in the log format, as CSV or Parquet by the suffix of `path`, either whole or not at all.
+    """Write runs in the log format, as CSV or Parquet by the suffix of `path`, atomically.
 
     Missing values become empty cells; numbers keep every digit.
     """

@@ -1,4 +1,4 @@
-"""MCAP files: messages of ROS 1 and 2, JSON and protobuf."""
+"""Read MCAP files: messages of ROS 1 and 2, JSON and protobuf."""
 
 import json
 from collections.abc import Callable, Collection, Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra, readable
+from driftjax.logs.extras import import_extra, library_errors
 from driftjax.logs.messages import Message
 from driftjax.logs.rosbag import ros_decoder
 
@@ -16,8 +16,8 @@ ROS = {"cdr": "ros2msg", "ros1": "ros1msg"}  # encodings of messages with those 
 
 
 def mcap_topics(path: Path) -> list[str]:
-    """Topics of the file."""
-    with readable(path, KIND, REMEDY), path.open("rb") as stream:
+    """Return the topics of the file."""
+    with library_errors(path, KIND, REMEDY), path.open("rb") as stream:
         reader = _mcap(path, "mcap.reader").make_reader(stream)
         summary = reader.get_summary()
         if summary is not None:
@@ -26,9 +26,9 @@ def mcap_topics(path: Path) -> list[str]:
 
 
 def mcap_messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
-    """Messages of these topics, by time of receipt."""
+    """Yield the messages of these topics, by time of receipt."""
     decoders = dict[int, Callable[[bytes], Any]]()
-    with readable(path, KIND, REMEDY), path.open("rb") as stream:
+    with library_errors(path, KIND, REMEDY), path.open("rb") as stream:
         reader = _mcap(path, "mcap.reader").make_reader(stream, validate_crcs=True)
         for schema, channel, message in reader.iter_messages(topics=topics):
             if channel.id not in decoders:

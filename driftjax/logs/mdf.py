@@ -1,4 +1,4 @@
-"""MDF files (versions 3 and 4): channels by name, or by `group:name` where several have that name."""
+"""Read MDF files (versions 3 and 4): channels by name, or by `group:name` if several have that name."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra, readable
-from driftjax.logs.series import Series, similar
+from driftjax.logs.extras import import_extra, library_errors
+from driftjax.logs.series import Series, similar_names
 
 KIND = "MDF file"
 UNFINISHED = b"UnFinMF "
@@ -18,13 +18,13 @@ REMEDY = "write it again, or export the measurement anew"
 
 
 def mdf_channels(path: Path) -> list[str]:
-    """Names of all channels but the time stamps of each group."""
+    """Return the names of all channels except the time stamps of each group."""
     with _opened(path) as mdf:
         return sorted(name for name, places in mdf.channels_db.items() if _values(mdf, places))
 
 
 def mdf_series(path: Path, names: Iterable[str]) -> dict[str, Series]:
-    """The channels `names`; time stamps count from the start of the measurement."""
+    """Return the channels `names`; time stamps count from the start of the measurement."""
     with _opened(path) as mdf:
         return {name: _series(path, mdf, name) for name in names}
 
@@ -36,7 +36,7 @@ def _opened(path: Path) -> Iterator[Any]:
     with path.open("rb") as stream:
         if stream.read(len(UNFINISHED)) == UNFINISHED:
             raise BadInput(f"{path}: the recorder did not finish the {KIND}; finalise it with its tool or asammdf.")
-        with readable(path, KIND, REMEDY):
+        with library_errors(path, KIND, REMEDY):
             asammdf.blocks.utils.count_channel_groups(stream)  # where this fails, MDF would also print a traceback
             stream.seek(0)
             mdf = asammdf.MDF(stream)  # given the path, it would do so wherever it fails
@@ -45,13 +45,13 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _values(mdf: Any, places: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Of places (group, channel), those that are not the time stamps of the group."""
+    """Return the places (group, channel) that are not the time stamps of the group."""
     return [(group, channel) for group, channel in places if mdf.masters_db.get(group) != channel]
 
 
 def _series(path: Path, mdf: Any, name: str) -> Series:
     group, channel = _place(path, mdf, name)
-    with readable(path, KIND, REMEDY):
+    with library_errors(path, KIND, REMEDY):
         signal = mdf.get(group=group, index=channel, raw=True).physical(ignore_value2text_conversions=True)
     samples = signal.samples
     if samples.dtype.kind not in "biuf" or samples.ndim != 1:
@@ -61,14 +61,14 @@ def _series(path: Path, mdf: Any, name: str) -> Series:
 
 
 def _place(path: Path, mdf: Any, name: str) -> tuple[int, int]:
-    """Group and number of the channel called `name`, `group name:name` or `group number:name`."""
+    """Return group and number of the channel named `name`, `group name:name` or `group number:name`."""
     places = _values(mdf, mdf.channels_db.get(name, ()))
     if not places and ":" in name:
         group, _, own = name.partition(":")
         places = [(i, k) for i, k in _values(mdf, mdf.channels_db.get(own, ())) if group in (str(i), _group(mdf, i))]
     if not places:
         raise BadInput(
-            f"{path}: has no channel '{name}'; it has {similar(name, mdf.channels_db)}; correct the column map."
+            f"{path}: has no channel '{name}'; it has {similar_names(name, mdf.channels_db)}; correct the column map."
         )
     if len(places) > 1:
         own = mdf.groups[places[0][0]].channels[places[0][1]].name
@@ -78,5 +78,5 @@ def _place(path: Path, mdf: Any, name: str) -> tuple[int, int]:
 
 
 def _group(mdf: Any, number: int) -> str:
-    """Name of a group of channels; its number where it has none, as in MDF3."""
+    """Return the name of a group of channels; its number if it has none, as in MDF3."""
     return getattr(mdf.groups[number].channel_group, "acq_name", "") or str(number)

@@ -1,4 +1,4 @@
-"""Messages of ROS bags and MCAP files as columns called `topic.field.subfield` or `topic.list[2]`."""
+"""Messages of ROS bags and MCAP files as columns named `topic.field.subfield` or `topic.list[2]`."""
 
 import re
 from collections import defaultdict
@@ -10,9 +10,9 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import Stamps
-from driftjax.logs.fields import ABSENT, fields, inside, is_list, is_number
-from driftjax.logs.series import Series, similar
-from driftjax.logs.stamps import header_stamp, seconds
+from driftjax.logs.fields import ABSENT, get_field, is_list, is_number, message_fields
+from driftjax.logs.series import Series, similar_names
+from driftjax.logs.stamps import header_stamp, message_times
 
 
 class Message(NamedTuple):
@@ -25,8 +25,8 @@ class Message(NamedTuple):
     """A dict of JSON, a dataclass of ROS or a protobuf message."""
 
 
-class Place(NamedTuple):
-    """Where the values of a column stand."""
+class ColumnPath(NamedTuple):
+    """Path of a column's values within the messages of a topic."""
 
     column: str
     topic: str
@@ -34,15 +34,15 @@ class Place(NamedTuple):
     """Fields by name and items of lists by number, from the outside in."""
 
 
-def series_of(
+def read_series(
     path: Path,
     names: Iterable[str],
     topics: Collection[str],
     read: Callable[[Collection[str]], Iterable[Message]],
     stamps: Stamps,
 ) -> dict[str, Series]:
-    """The columns `names`; `read` gives the messages of some of the recording's `topics`."""
-    places = defaultdict[str, list[Place]](list)
+    """Return the columns `names`; `read` yields the messages of some of the recording's `topics`."""
+    places = defaultdict[str, list[ColumnPath]](list)
     for name in names:
         place = _place(path, name, topics)
         places[place.topic].append(place)
@@ -61,7 +61,7 @@ def series_of(
         for place in group:
             if all(value is ABSENT for value in values[place.column]):
                 raise _no_field(path, place, first[topic])
-    t = seconds(path, received, stamped, stamps)
+    t = message_times(path, received, stamped, stamps)
     return {
         place.column: Series(topic, t[topic], _array(values[place.column]))
         for topic, group in places.items()
@@ -69,28 +69,28 @@ def series_of(
     }
 
 
-def _place(path: Path, name: str, topics: Collection[str]) -> Place:
+def _place(path: Path, name: str, topics: Collection[str]) -> ColumnPath:
     found = [topic for topic in topics if name.startswith(f"{topic}.")]
     if not topics:
         raise BadInput(f"{path}: holds no messages; record it again.")
     if not found:
         raise BadInput(
             f"{path}: column '{name}' names no topic there and a field of it; "
-            f"write topic.field with a topic such as {similar(name, topics)}."
+            f"write topic.field with a topic such as {similar_names(name, topics)}."
         )
     topic = max(found, key=len)
     rest = name[len(topic) :]
     if not re.fullmatch(r"(\.[^.\[\]]+|\[\d+\])+", rest):
         raise BadInput(f"{path}: column '{name}' is no topic.field; write it as in '{topic}.field.list[0]'.")
     steps = re.findall(r"\[(\d+)\]|([^.\[\]]+)", rest)
-    return Place(name, topic, tuple(int(number) if number else word for number, word in steps))
+    return ColumnPath(name, topic, tuple(int(number) if number else word for number, word in steps))
 
 
-def _value(path: Path, place: Place, content: Any) -> Any:
-    """Number at `place`, None where it is missing, `ABSENT` where this message lacks it though others may have it."""
+def _value(path: Path, place: ColumnPath, content: Any) -> Any:
+    """Return the number at `place`: None if missing, `ABSENT` if only this message lacks the field."""
     part = content
     for step in place.steps:
-        outside, part = part, inside(part, step)
+        outside, part = part, get_field(part, step)
         if part is ABSENT and not isinstance(outside, dict) and not is_list(outside):
             raise _no_field(path, place, content)  # ROS and protobuf have the same fields in every message
         if part is None or part is ABSENT:
@@ -99,19 +99,19 @@ def _value(path: Path, place: Place, content: Any) -> Any:
         return part
     if isinstance(part, str | bytes):
         raise BadInput(f"{path}: column '{place.column}' holds text, such as {part!r}; map a field that is a number.")
-    within = "[0]" if is_list(part) else f".{next(iter(fields(part)), 'field')}"
+    within = "[0]" if is_list(part) else f".{next(iter(message_fields(part)), 'field')}"
     raise BadInput(
         f"{path}: column '{place.column}' is no number but has parts; map one, such as '{place.column}{within}'."
     )
 
 
-def _no_field(path: Path, place: Place, content: Any) -> BadInput:
-    """What to say of a message that has nothing at `place`."""
+def _no_field(path: Path, place: ColumnPath, content: Any) -> BadInput:
+    """Return the error for a message without a value at `place`."""
     part, name = content, place.topic
     for step in place.steps:
-        outside, part = part, inside(part, step)
+        outside, part = part, get_field(part, step)
         if part is ABSENT:
-            there = similar(str(step), (one for one in fields(outside) if not one.startswith("__")))
+            there = similar_names(str(step), (one for one in message_fields(outside) if not one.startswith("__")))
             has = f"has {there}" if there else f"is a list of {len(outside)}" if is_list(outside) else "has no parts"
             return BadInput(f"{path}: column '{place.column}' is not there; '{name}' {has}; correct the column map.")
         name += f"[{step}]" if isinstance(step, int) else f".{step}"

@@ -1,17 +1,17 @@
-"""From a run as it stands in its file to parts at an even sample time."""
+"""Convert a raw run to evenly sampled segments."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from driftjax.logs import sampling
-from driftjax.logs.checks import check_time, check_values, missing, void_sideslip
+from driftjax.logs.checks import check_time, check_values, count_missing, invalid_sideslip
 from driftjax.logs.columns import COMMANDS
 from driftjax.logs.raw import RawRun
 
 
-class Part(NamedTuple):
-    """A stretch of a run without long gaps."""
+class Segment(NamedTuple):
+    """A part of a run without long gaps."""
 
     t: np.ndarray
     """Time [s], even."""
@@ -21,12 +21,12 @@ class Part(NamedTuple):
     """Sample time [s]."""
 
 
-def parts(raw: RawRun, rate: float | None, notes: list[str]) -> list[Part]:
-    """The run, checked, cut at long gaps, on an even time base, thinned to `rate` [Hz].
+def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[Segment]:
+    """Return the segments of a run: checked, split at long gaps, evenly sampled, thinned to `rate` [Hz].
 
-    What was repaired or left out goes to `notes`, in sentences. Raises `BadInput` as `driftjax.logs.checks` does.
+    Repairs and omissions are appended to `notes` as sentences. Raises `BadInput` as in `driftjax.logs.checks`.
     """
-    run = raw.keep(np.isfinite(raw.values["t"]))
+    run = raw.select_rows(np.isfinite(raw.values["t"]))
     if lost := len(raw.lines) - len(run.lines):
         notes.append(f"{raw.where}: rows without a time were left out: {lost}.")
     if len(run.lines) < 2:
@@ -34,9 +34,9 @@ def parts(raw: RawRun, rate: float | None, notes: list[str]) -> list[Part]:
         return []
     dt = check_time(run)
     run = _checked(run, notes)
-    factor = 1 if rate is None else sampling.thinning(dt, rate, run.where)
+    factor = 1 if rate is None else sampling.thinning_factor(dt, rate, run.where)
     run = _hold_commands(run, dt, notes)
-    stretches = [run.keep(rows) for rows in sampling.pieces(run.values["t"], dt)]
+    stretches = [run.select_rows(rows) for rows in sampling.split_at_gaps(run.values["t"], dt)]
     long = [stretch for stretch in stretches if np.ptp(stretch.values["t"]) > (factor - sampling.SLACK) * dt]
     if short := sum(len(stretch.lines) for stretch in stretches) - sum(len(stretch.lines) for stretch in long):
         notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
@@ -47,47 +47,47 @@ def parts(raw: RawRun, rate: float | None, notes: list[str]) -> list[Part]:
     if factor == 1:
         return found
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
-    return [Part(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in found]
+    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in found]
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:
-    """The run with beta missing where it says nothing; raises `BadInput` where a channel cannot be right."""
-    void = void_sideslip(run)
+    """Return the run with invalid beta set to missing; raises `BadInput` for an implausible channel."""
+    void = invalid_sideslip(run)
     if void.any():
         notes.append(
             f"{run.where}: values of beta past a right angle, near standstill or rolling backwards, "
             f"count as missing: {void.sum()}."
         )
-    run = run.set(beta=np.where(void, np.nan, run.values["beta"]))
+    run = run.with_channels(beta=np.where(void, np.nan, run.values["beta"]))
     check_values(run)
-    if lacking := missing(run):
+    if lacking := count_missing(run):
         notes.append(f"{run.where}: values are missing: {lacking}.")
     return run
 
 
 def _hold_commands(run: RawRun, dt: float, notes: list[str]) -> RawRun:
-    """Short gaps of the commands held, rows in long ones left out."""
+    """Hold commands over short gaps and drop the rows in long ones."""
     known, held = np.ones(len(run.lines), bool), 0
     for name in COMMANDS:
-        values, there = sampling.hold(run.values["t"], run.values[name], dt)
+        values, there = sampling.hold_commands(run.values["t"], run.values[name], dt)
         held += int(np.sum(there & np.isnan(run.values[name])))
         known &= there
-        run = run.set(**{name: values})
+        run = run.with_channels(**{name: values})
     if held:
         notes.append(f"{run.where}: missing commands were taken from the sample before: {held}.")
     if not known.all():
         notes.append(f"{run.where}: rows where a command is missing for longer were left out: {np.sum(~known)}.")
-    return run.keep(known)
+    return run.select_rows(known)
 
 
-def _even(run: RawRun, dt: float) -> Part:
+def _even(run: RawRun, dt: float) -> Segment:
     values = dict(run.values)
     t = values.pop("t")
     if "psi" in values:
         values["psi"] = sampling.unwrap(values["psi"])
     if not sampling.is_uniform(t, dt):
-        t, values = sampling.regular(t, values, COMMANDS, dt)
-    return Part(t, values, dt)
+        t, values = sampling.resample(t, values, COMMANDS, dt)
+    return Segment(t, values, dt)
 
 
 def _note_repairs(raw: RawRun, stretches: list[RawRun], dt: float, notes: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Runs as they stand in a log: its rows mapped to channels, filtered and told apart."""
+"""Raw runs of a log: rows mapped to channels, filtered and separated."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.columns import CHANNELS, EXTRA, RUN, VELOCITIES, ColumnMap, channels, own_columns
+from driftjax.logs.columns import CHANNELS, EXTRA, RUN, VELOCITIES, ColumnMap, map_channels, standard_columns
 from driftjax.logs.table import Table
 
 
 @dataclass(frozen=True, eq=False)
 class RawRun:
-    """One run as it stands in its file."""
+    """One run as stored in its file."""
 
     path: Path
     name: str
@@ -30,16 +30,16 @@ class RawRun:
         """File and run, for messages."""
         return f"{self.path}, run '{self.name}'"
 
-    def keep(self, rows: np.ndarray | slice) -> "RawRun":
-        """Some of the rows."""
+    def select_rows(self, rows: np.ndarray | slice) -> "RawRun":
+        """Return the run with some of the rows."""
         return replace(self, lines=self.lines[rows], values={name: y[rows] for name, y in self.values.items()})
 
-    def set(self, **values: np.ndarray) -> "RawRun":
-        """The run with other values in some channels."""
+    def with_channels(self, **values: np.ndarray) -> "RawRun":
+        """Return the run with new values of some channels."""
         return replace(self, values=self.values | values)
 
-    def refuse(self, name: str, bad: np.ndarray, unit: str, remedy: str) -> None:
-        """Raise `BadInput` at the first row where `bad` holds for channel `name`."""
+    def reject(self, name: str, bad: np.ndarray, unit: str, remedy: str) -> None:
+        """Raise `BadInput` at the first row where `bad` is true for channel `name`."""
         if np.any(bad):
             i = int(np.argmax(bad))
             what = f"{self.labels[name]} is {self.values[name][i]:g} {unit}"
@@ -47,17 +47,17 @@ class RawRun:
 
 
 def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[RawRun]:
-    """The runs of one log, in order of their first rows; what was left out goes to `notes`."""
+    """Return the runs of one log, in order of their first rows; omissions are appended to `notes`."""
     path = table.path
     if columns is None:
-        columns = own_columns(table)
+        columns = standard_columns(table)
         known = (*CHANNELS, *VELOCITIES, *EXTRA, RUN)
         if ignored := [f"'{name}'" for name in table.names if name not in known]:
             notes.append(f"{path}: columns that the log format does not have were left out: {', '.join(ignored)}.")
     elif columns.Fxr_from is not None:
         notes.append(f"{path}: column '{columns.Fxr_from.column}' stands for Fxr, as the column map says.")
     table = _filtered(table, columns, notes)
-    values, labels = channels(table, columns), columns.labels()
+    values, labels = map_channels(table, columns), columns.labels()
     beta_mapped = any(channel.name == "beta" for channel in columns.columns)
     return [
         RawRun(path, name, table.lines[rows], {key: y[rows] for key, y in values.items()}, labels, beta_mapped)
@@ -68,14 +68,14 @@ def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[
 def _filtered(table: Table, columns: ColumnMap, notes: list[str]) -> Table:
     passes = np.ones(len(table.lines), bool)
     for condition in columns.where:
-        passes &= condition.holds(table)
+        passes &= condition.matches(table)
         if not passes.any():
             raise BadInput(
                 f"{table.path}: no row passes the condition on '{condition.column}'; correct the column map."
             )
     if not passes.all():
         notes.append(f"{table.path}: conditions of the column map left out {np.sum(~passes)} of {passes.size} rows.")
-    return table.keep(passes)
+    return table.select_rows(passes)
 
 
 def _rows_of_runs(table: Table, columns: tuple[str, ...]) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Recordings: ROS bags, MCAP and MDF files, whose columns have clocks of their own, as one table on one of them."""
+"""Recordings (ROS bags, MCAP and MDF files), whose columns have their own clocks, as one table on one time base."""
 
 from collections.abc import Iterable
 from itertools import chain
@@ -9,9 +9,9 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs import mcapfile, mdf, rosbag, sampling
 from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
-from driftjax.logs.messages import series_of
-from driftjax.logs.series import Series, check_series, few
-from driftjax.logs.table import Table, reading
+from driftjax.logs.messages import read_series
+from driftjax.logs.series import Series, check_series, quote_names
+from driftjax.logs.table import Table, file_errors
 
 TIME = "time"  # column of a recording that holds the time base
 KINDS = {
@@ -24,8 +24,8 @@ KINDS = {
 
 
 def recording_kind(path: Path) -> str | None:
-    """What kind of recording `path` is, by its first bytes; None for any other file."""
-    with reading(path):
+    """Return the kind of recording of `path`, by its first bytes; None for any other file."""
+    with file_errors(path):
         if path.is_dir():
             if not (path / "metadata.yaml").is_file():
                 raise BadInput(f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; give a bag or a file.")
@@ -38,14 +38,14 @@ def recording_kind(path: Path) -> str | None:
 
 
 def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list[str]) -> Table:
-    """What the map names in a recording of this kind, on the time stamps of one of its channels.
+    """Read the mapped columns of a recording on the time stamps of one of its channels.
 
-    Measured channels are interpolated between their samples, commands held for up to 3 lost ones, and what else the map
-    names, such as columns of conditions, till the next sample; values are missing where samples are.
+    Measured channels are interpolated, commands held over up to 3 lost samples, and other mapped columns, such as
+    those of conditions, held until the next sample; values are missing where samples are.
     """
     if columns is None:
         names = _names(path, kind)
-        holds = few(names, len(names)) or "nothing"
+        holds = quote_names(names, len(names)) or "nothing"
         raise BadInput(f"{path}: a recording needs a column map that says what is what; it holds {holds}.")
     if wrong := [channel.name for channel in columns.columns if channel.column == TIME and channel.name != "t"]:
         raise BadInput(f"{path}: the column map says that {wrong[0]} is '{TIME}', the time stamps; only t can be that.")
@@ -75,11 +75,11 @@ def _series(path: Path, kind: str, names: Iterable[str], stamps: Stamps, notes: 
         rosbag.KIND: lambda topics: rosbag.bag_messages(path, topics, notes),
         mcapfile.KIND: lambda topics: mcapfile.mcap_messages(path, topics),
     }
-    return series_of(path, names, _names(path, kind), read[kind], stamps)
+    return read_series(path, names, _names(path, kind), read[kind], stamps)
 
 
 def _roles(columns: ColumnMap) -> dict[str, str]:
-    """Every column that the map names but the time: measured, command or state."""
+    """Return the role of every mapped column except the time: measured, command or state."""
     drive = columns.Fxr_from
     state = [*columns.run, *(condition.column for condition in columns.where)]
     state += [drive.times] if drive and drive.times else []
@@ -92,7 +92,7 @@ def _roles(columns: ColumnMap) -> dict[str, str]:
 
 
 def _base(found: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -> str:
-    """Column whose time stamps hold: that of the map's base, else the fastest measured, the first of equals."""
+    """Return the column of the time base: the map's base, else the fastest measured, the first of equals."""
     if columns.base is not None:
         return next(channel.column for channel in columns.columns if channel.name == columns.base)
     measured = [name for name, role in roles.items() if role == "measured"]
@@ -101,11 +101,11 @@ def _base(found: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -
 
 
 def _at(times: np.ndarray, series: Series, role: str, turning: float | None) -> np.ndarray:
-    """The series at `times`; `turning` is the factor to radians where the values are a heading."""
+    """Return the series at `times`; `turning` is the factor to radians if the values are a heading."""
     if role == "state":
-        return sampling.latest(times, series.t, series.y, sampling.sample_time(times))
+        return sampling.sample_and_hold(times, series.t, series.y, sampling.sample_time(times))
     dt = sampling.sample_time(series.t)
     if role == "command":
-        return sampling.latest(times, series.t, series.y, dt, lost=sampling.HOLD)
+        return sampling.sample_and_hold(times, series.t, series.y, dt, lost=sampling.HOLD)
     y = series.y if turning is None else sampling.unwrap(turning * series.y) / turning
-    return sampling.between(times, series.t, y, dt)
+    return sampling.interpolate(times, series.t, y, dt)

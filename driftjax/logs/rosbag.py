@@ -1,11 +1,11 @@
-"""ROS bags by way of rosbags: ROS 1 files, and ROS 2 folders or databases with SQLite or MCAP storage."""
+"""Read ROS bags with rosbags: ROS 1 files, and ROS 2 folders or databases with SQLite or MCAP storage."""
 
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
 from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra, readable
+from driftjax.logs.extras import import_extra, library_errors
 from driftjax.logs.messages import Message
 
 KIND = "ROS bag"
@@ -14,14 +14,14 @@ REMEDY = "mend it with 'rosbag reindex' or 'ros2 bag reindex', or record it agai
 
 
 def bag_topics(path: Path) -> list[str]:
-    """Topics of the bag."""
-    with readable(path, KIND, REMEDY), _reader(path) as reader:
+    """Return the topics of the bag."""
+    with library_errors(path, KIND, REMEDY), _reader(path) as reader:
         return sorted(reader.topics)
 
 
 def bag_messages(path: Path, topics: Collection[str], notes: list[str]) -> Iterator[Message]:
-    """Messages of these topics, by time of receipt."""
-    with readable(path, KIND, REMEDY), _reader(path) as reader:
+    """Yield the messages of these topics, by time of receipt."""
+    with library_errors(path, KIND, REMEDY), _reader(path) as reader:
         chosen = [one for one in reader.connections if one.topic in topics]
         decoders = {one.id: _decoder(path, one, notes) for one in chosen}
         if chosen:
@@ -34,7 +34,7 @@ def _reader(path: Path) -> Any:
 
 
 def is_ros1(path: Path) -> bool:
-    """Whether the bag is of ROS 1."""
+    """Return whether the bag is of ROS 1."""
     if path.is_dir():
         return False
     with path.open("rb") as stream:
@@ -61,7 +61,7 @@ def _decoder(path: Path, connection: Any, notes: list[str]) -> Callable[[bytes],
 
 
 def ros_decoder(path: Path, definition: str, name: str, encoding: str) -> Callable[[bytes], Any]:
-    """What decodes ROS messages of type `name` with this text as definition; `encoding` is ros1 or cdr (ROS 2)."""
+    """Return a decoder of ROS messages of type `name` with this definition; `encoding` is ros1 or cdr (ROS 2)."""
     typesys = _rosbags(path, "typesys")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     types = typesys.get_types_from_msg(definition, name)

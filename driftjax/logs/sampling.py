@@ -13,20 +13,20 @@ SLACK = 0.5  # sample times by which jitter may stretch a gap
 
 
 def sample_time(t: np.ndarray) -> float:
-    """Sample time [s]: mean of the steps of `t` that are no gaps, so that rounded time stamps do no harm."""
+    """Return the sample time [s]: mean of the steps of `t` that are not gaps, so rounded time stamps do no harm."""
     steps = np.diff(t)
     middle = float(np.quantile(steps, 0.5, method="lower"))  # a step that there is: two of them may have none between
     return float(f"{np.mean(steps[np.abs(steps - middle) <= SLACK * middle]):.9g}")
 
 
 def jitter(t: np.ndarray, dt: float) -> float:
-    """Deviation of the steps from whole multiples of the sample time that 99 % of them stay within [1]."""
+    """Return the 99 % quantile of the steps' deviation from whole multiples of the sample time [1]."""
     steps = np.diff(t) / dt
     return float(np.quantile(np.abs(steps - np.maximum(np.round(steps), 1)), 0.99))
 
 
-def hold(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """`command` with up to 3 missing samples in a row held, and the rows that then have a value."""
+def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return `command` held over up to 3 missing samples in a row, and the mask of rows with a value."""
     there = np.isfinite(command)
     index = np.arange(len(t))
     last = np.maximum.accumulate(np.where(there, index, -1))
@@ -37,20 +37,20 @@ def hold(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.
     return np.where(held, command[last], command), there | held
 
 
-def pieces(t: np.ndarray, dt: float) -> list[slice]:
-    """Stretches of rows between which t jumps by more than 3 sample times."""
+def split_at_gaps(t: np.ndarray, dt: float) -> list[slice]:
+    """Return the slices of rows between which t jumps by more than 3 sample times."""
     cuts = np.flatnonzero(np.diff(t) > (HOLD + SLACK) * dt) + 1
     edges = [0, *cuts.tolist(), len(t)]
     return [slice(start, stop) for start, stop in zip(edges, edges[1:], strict=False)]
 
 
 def is_uniform(t: np.ndarray, dt: float) -> bool:
-    """Whether every step of `t` is the sample time within 1 %."""
+    """Return whether every step of `t` is the sample time within 1 %."""
     return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
 
 
-def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
-    """Channels at every `dt` from the start: samples that lie there as they are, others between their neighbours.
+def resample(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
+    """Return the channels at every `dt` from the start: samples on the grid unchanged, others interpolated.
 
     Where samples are lost, the channels named in `held` keep their value and the others are missing.
     """
@@ -58,14 +58,14 @@ def regular(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -
     inside = np.minimum(grid, t[-1])  # the last point may lie half a sample time past the last sample
 
     def at_grid(name: str, y: np.ndarray) -> np.ndarray:
-        values = between(inside, t, y, dt)
-        return np.where(np.isnan(values), latest(inside, t, y, dt), values) if name in held else values
+        values = interpolate(inside, t, y, dt)
+        return np.where(np.isnan(values), sample_and_hold(inside, t, y, dt), values) if name in held else values
 
     return grid, {name: at_grid(name, y) for name, y in values.items()}
 
 
-def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.ndarray:
-    """`y`, sampled at `t` about every `dt` [s], at `times`: samples that lie there, else between their neighbours.
+def interpolate(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.ndarray:
+    """Return `y`, sampled at `t` about every `dt` [s], at `times` by linear interpolation; exact at samples.
 
     Missing where samples are lost, before the first and after the last one.
     """
@@ -77,10 +77,10 @@ def between(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float) -> np.nd
     return np.where((after < -UNIFORM * dt) | (before < -UNIFORM * dt), np.nan, values)
 
 
-def latest(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
-    """`y`, sampled at `t` about every `dt` [s], at `times`: the last sample; missing before the first one.
+def sample_and_hold(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: float = np.inf) -> np.ndarray:
+    """Return `y`, sampled at `t` about every `dt` [s], at `times`: the last sample; missing before the first one.
 
-    Where more than `lost` samples in a row are lost, the one before them stays for a sample time less jitter.
+    If more than `lost` samples in a row are lost, the one before them is held for a sample time less jitter.
     """
     last = np.searchsorted(t, times + UNIFORM * dt, side="right") - 1
     following = np.append(t, np.inf)[last + 1]
@@ -90,7 +90,7 @@ def latest(times: np.ndarray, t: np.ndarray, y: np.ndarray, dt: float, lost: flo
 
 
 def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int) -> tuple[np.ndarray, Channels]:
-    """Every `factor`-th sample; channels named in `averaged` as their mean from there to the next one kept."""
+    """Return every `factor`-th sample; channels named in `averaged` as the mean until the next returned sample."""
     starts = np.arange(0, len(t), factor)
     counts = np.diff(np.append(starts, len(t)))
     return t[starts], {
@@ -98,8 +98,8 @@ def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int
     }
 
 
-def thinning(dt: float, rate: float, where: str) -> int:
-    """How many samples of sample time `dt` [s] make one at `rate` [Hz]; raises `BadInput` where none fit."""
+def thinning_factor(dt: float, rate: float, where: str) -> int:
+    """Return the samples of sample time `dt` [s] per sample at `rate` [Hz]; raises `BadInput` if not whole."""
     factor = max(round(1 / (dt * rate)), 1)
     if abs(factor * dt * rate - 1) > UNIFORM:
         nearest = f"{1 / dt:.4g}" if factor == 1 else f"{1 / (dt * factor):.4g}"
@@ -108,7 +108,7 @@ def thinning(dt: float, rate: float, where: str) -> int:
 
 
 def unwrap(angle: np.ndarray) -> np.ndarray:
-    """`angle` [rad] without jumps of 2 pi; missing values stay missing."""
+    """Return `angle` [rad] without jumps of 2 pi; missing values stay missing."""
     there = np.isfinite(angle)
     smooth = angle.copy()
     smooth[there] = np.unwrap(angle[there])

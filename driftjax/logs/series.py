@@ -1,4 +1,4 @@
-"""Columns of a recording, each at the times of its own."""
+"""Columns of a recording, each with its own time stamps."""
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -24,7 +24,7 @@ class Series(NamedTuple):
 
 
 def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
-    """Raise `BadInput` where column `name` is too short, its time does not increase, or a value is infinite."""
+    """Raise `BadInput` if column `name` is too short, its time does not increase, or a value is infinite."""
     source, t, y = series
     if len(t) < fewest:
         raise BadInput(
@@ -44,12 +44,12 @@ def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
         )
 
 
-def similar(name: str, there: Iterable[str]) -> str:
-    """A few of the names that are there, most similar to `name` first."""
+def similar_names(name: str, there: Iterable[str]) -> str:
+    """Return a few of the available names, most similar to `name` first."""
     names = sorted(set(there))
-    return few(get_close_matches(name, names, SHOWN, cutoff=0.0), len(names))
+    return quote_names(get_close_matches(name, names, SHOWN, cutoff=0.0), len(names))
 
 
-def few(names: Sequence[str], num: int) -> str:
-    """The first of `num` names, in quotes."""
+def quote_names(names: Sequence[str], num: int) -> str:
+    """Return the first of `num` names, in quotes."""
     return ", ".join(f"'{one}'" for one in names[:SHOWN]) + (", ..." if num > SHOWN else "")

@@ -1,4 +1,4 @@
-"""Time stamps of messages: those in their headers, or the times of receipt."""
+"""Time stamps of messages: from their headers, or the times of receipt."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import Stamps
-from driftjax.logs.fields import ABSENT, inside, is_number
+from driftjax.logs.fields import ABSENT, get_field, is_number
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -17,20 +17,20 @@ REMEDY = "write 'stamps: receipt' in the column map"
 
 
 def header_stamp(content: Any) -> int | None:
-    """Time stamp in `header.stamp` or `timestamp` of a message [ns], None where there is none."""
-    stamp = inside(inside(content, "header"), "stamp")
-    stamp = inside(content, "timestamp") if stamp is ABSENT else stamp
-    whole, rest = ([inside(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
+    """Return the time stamp in `header.stamp` or `timestamp` of a message [ns], None if there is none."""
+    stamp = get_field(get_field(content, "header"), "stamp")
+    stamp = get_field(content, "timestamp") if stamp is ABSENT else stamp
+    whole, rest = ([get_field(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
     whole, rest = (next(filter(is_number, found), None) for found in (whole, rest))
     return None if whole is None or rest is None else int(whole) * 10**9 + int(rest)
 
 
-def seconds(
+def message_times(
     path: Path, received: Mapping[str, Sequence[int]], stamped: Mapping[str, Sequence[int | None]], stamps: Stamps
 ) -> dict[str, np.ndarray]:
-    """Time of every message by topic [s], from the first message on.
+    """Return the time of every message by topic [s], from the first message on.
 
-    By header where `stamps` says so and the topic has one. Raises `BadInput` where that makes two clocks of one.
+    Uses header stamps if `stamps` says so and the topic has them. Raises `BadInput` if the clocks then differ.
     """
     times = {topic: np.array(own, np.int64) for topic, own in received.items()}
     late = dict.fromkeys(times, 0.0)

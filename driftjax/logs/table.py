@@ -1,4 +1,4 @@
-"""Tables of measured values: CSV and Parquet as named columns, each row with its place in the file."""
+"""Tables of measured values: CSV and Parquet as named columns, each row with its line in the file."""
 
 import csv
 import io
@@ -30,13 +30,13 @@ class Table:
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
-    def keep(self, mask: np.ndarray) -> "Table":
-        """The rows where `mask` holds."""
+    def select_rows(self, mask: np.ndarray) -> "Table":
+        """Return the rows where `mask` is true."""
         columns = (c[mask] if isinstance(c, np.ndarray) else list(compress(c, mask)) for c in self.columns)
         return Table(self.path, self.names, tuple(columns), self.lines[mask])
 
     def numbers(self, name: str) -> np.ndarray:
-        """Column `name` as floats, NaN where a value is missing; raises `BadInput` that names the row."""
+        """Return column `name` as floats, NaN where a value is missing; raises `BadInput` that names the row."""
         column = self._column(name)
         values = column if isinstance(column, np.ndarray) else self._parse(name, column)
         if np.isinf(values).any():
@@ -45,7 +45,7 @@ class Table:
         return values
 
     def words(self, name: str) -> list[str]:
-        """Column `name` as text; whole numbers without a decimal point."""
+        """Return column `name` as text; whole numbers without a decimal point."""
         column = self._column(name)
         if isinstance(column, np.ndarray):
             return ["" if np.isnan(value) else f"{value:.15g}" for value in column]
@@ -74,8 +74,8 @@ class Table:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Raise `BadInput` where the file cannot be read."""
+def file_errors(path: Path) -> Iterator[None]:
+    """Raise `BadInput` if the file cannot be read."""
     try:
         yield
     except FileNotFoundError:
@@ -85,8 +85,8 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """What the file holds; raises `BadInput` where it cannot be read or is empty."""
-    with reading(path):
+    """Return the bytes of the file; raises `BadInput` if it cannot be read or is empty."""
+    with file_errors(path):
         content = path.read_bytes()
     if not content.strip():
         raise BadInput(f"{path}: is empty; give a log with a row of names and rows of numbers.")
@@ -94,7 +94,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def parse_table(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
-    """Table in the bytes of a CSV or Parquet file; `skip` tells which lines of a CSV to pass over."""
+    """Parse a CSV or Parquet file to a table; `skip` says which lines of a CSV to skip."""
     table = _parquet(path, content) if content.startswith(b"PAR1") else _csv(path, content, skip)
     if not table.lines.size:
         raise BadInput(f"{path}: holds names of columns but no rows; give a log with rows of numbers.")
@@ -129,7 +129,7 @@ def _is_blank(cells: list[str]) -> bool:
 
 
 def _delimiter(text: str, skip: Callable[[int], bool]) -> str:
-    """The delimiter that the row of names holds most of."""
+    """Return the delimiter that occurs most in the header row."""
     for number, line in enumerate(io.StringIO(text), start=1):
         if line.strip() and not skip(number) and not line.lstrip().startswith("#"):
             return max(DELIMITERS, key=line.count)

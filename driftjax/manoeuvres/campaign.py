@@ -17,7 +17,7 @@ from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.single_track import G
-from driftjax.vehicle.universal import universal
+from driftjax.vehicle.universal import universal_car
 
 REDRAWS = 5  # how often a run that spins is drawn again
 SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this share of sqrt(g L)
@@ -89,7 +89,7 @@ def driven(
     vehicle: VehicleConfig, theta: Array, manoeuvre: Manoeuvre, conditions: Conditions, seed: Array, dt: float
 ) -> Recording:
     """One manoeuvre with the noise of its seed; samples every `dt` [s]."""
-    plant = universal(vehicle, tuple(EFFECTS.values())).at(theta)
+    plant = universal_car(vehicle, tuple(EFFECTS.values())).with_parameters(theta)
     substeps = max(round(dt / STEP), 1)
     return record(plant, vehicle, manoeuvre, conditions, jax.random.key(seed), dt, substeps)
 

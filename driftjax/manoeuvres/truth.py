@@ -15,7 +15,7 @@ from driftjax.core.config import to_dict
 from driftjax.logs import write_log
 from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
 from driftjax.vehicle import VehicleConfig, load_vehicle
-from driftjax.vehicle.effect import EFFECTS, effects_named
+from driftjax.vehicle.effect import EFFECTS, effects_by_name
 
 
 def effect_strengths(vehicle: VehicleConfig, words: Sequence[str] = ()) -> Float[np.ndarray, "K"]:
@@ -29,7 +29,7 @@ def effect_strengths(vehicle: VehicleConfig, words: Sequence[str] = ()) -> Float
     for word in words:
         target, _, number = word.partition("=")
         name, _, which = target.partition(".")
-        (effect,) = effects_named((name,))
+        (effect,) = effects_by_name((name,))
         known = ", ".join(one.name for one in effect.parameters)
         if which and which not in known.split(", "):
             raise BadInput(f"effect '{word}': {name} has no parameter '{which}'; it has {known}.")
@@ -75,7 +75,7 @@ def read_truth(path: Path) -> tuple[VehicleConfig, Float[np.ndarray, "K"], Campa
     effects = content["effects"]
     if not (isinstance(effects, dict) and all(isinstance(values, dict) for values in effects.values())):
         raise BadInput(f"{path}: key 'effects' is {effects!r}; it needs effects with their parameters.")
-    vehicle = load_vehicle(content["vehicle"]).with_slip(content["combined_slip"])
+    vehicle = load_vehicle(content["vehicle"]).with_combined_slip(content["combined_slip"])
     vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # `effects` of the file holds theirs too
     words = [f"{name}.{key}={value!r}" for name, values in effects.items() for key, value in values.items()]
     return vehicle, effect_strengths(vehicle, tuple(words)), from_dict(Campaign, content["campaign"], str(path))

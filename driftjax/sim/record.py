@@ -15,7 +15,7 @@ from driftjax.core import Control, State
 from driftjax.sim.rollout import SETTLE
 from driftjax.sim.step import settled
 from driftjax.sim.travel import Travel, recall, told, travel
-from driftjax.vehicle.effect.flow import Aux, Place, enter
+from driftjax.vehicle.effect.flow import Aux, Place, initial_flow
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
 
@@ -66,7 +66,7 @@ def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Pla
     those of the forces that show in kinematic parity.
     """
     sin, cos, turn = jnp.sin(x.beta), jnp.cos(x.beta), x.V * (dx.beta + x.r)
-    level = enter(plant.car, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
+    level = initial_flow(plant.car, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
     road, values = level, plant.values()
     for effect in plant.effects:
         if effect.station == "force" and effect.kinematic:
@@ -90,7 +90,7 @@ def record(
     u0 = jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
     def warm(memory, _):
-        return plant.act(memory, Control(u0[0], u0[1]), first.V, h)
+        return plant.apply_actuators(memory, Control(u0[0], u0[1]), first.V, h)
 
     memory, held = jax.lax.scan(warm, plant.start(h), length=round(SETTLE / h))
     zero, reached = jnp.zeros(()), jax.tree.map(lambda a: a[-1], held)

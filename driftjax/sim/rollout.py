@@ -34,7 +34,7 @@ def acting(model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"
 
     def move(memory, row):
         command, speed = row
-        fine = lambda memory, _: model.act(memory, Control(command[0], command[1]), speed, dt / FINE)
+        fine = lambda memory, _: model.apply_actuators(memory, Control(command[0], command[1]), speed, dt / FINE)
         memory, u = jax.lax.scan(fine, memory, length=FINE)
         u = jnp.stack(u)
         return memory, jnp.concatenate([u.mean(axis=1), (u * WHERE).mean(axis=1) / np.mean(WHERE**2)])
@@ -83,8 +83,8 @@ def told(model: Universal, x: Float[Array, "3"], rates: Float[Array, "3 3"], dt:
 
     Within that step the state goes along the cubic through its ends with the rates there.
     """
-    _, model = model.delayed(dt)
-    late, (mean, first, last) = model.lateness() / dt, rates
+    _, model = model.split_delays(dt)
+    late, (mean, first, last) = model.sensor_delays() / dt, rates
     bend = 3 * mean - first - 2 * last  # the cubic is x - dt (late last + late^2 bend + late^3 twist)
     twist = first + last - 2 * mean
     return jnp.stack(model.sense(State(*x), State(*(last + late * bend + late**2 * twist))))

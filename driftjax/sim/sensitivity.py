@@ -66,15 +66,15 @@ def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, pu
 
     def start(v, theta):
         x, felt, acts, *_ = begun(v)
-        found = begin_step(model.at(theta), x, felt, acts, place, dt, State(*v[10:13]))
+        found = begin_step(model.with_parameters(theta), x, felt, acts, place, dt, State(*v[10:13]))
         return jnp.concatenate([found.slip_rate, found.ay[None]])
 
     def force(v, theta, share):
-        car, at, y = model.at(theta), begun(v), State(*v[13:])
+        car, at, y = model.with_parameters(theta), begun(v), State(*v[13:])
         return jnp.stack(rates(car.flow(y, at.acts.at(share), place, lagging(car, at, y, share, dt))))
 
     def reach(v, theta):
-        felt = felt_after(model.at(theta), begun(v), State(*v[13:]), dt)
+        felt = felt_after(model.with_parameters(theta), begun(v), State(*v[13:]), dt)
         return jnp.concatenate([v[13:], felt.slip, felt.ay[None]])
 
     began = join(z, inputs)

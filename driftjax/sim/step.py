@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State, lag_step
-from driftjax.core.integrate import axpy, lag_tilt
+from driftjax.core.integrate import axpy, lag_slope
 from driftjax.vehicle.effect.flow import Aux, Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -88,7 +88,7 @@ def fades(time: Array, share: Array | float, dt: Array) -> Array:
 
     It stands as the straight line of its mean and first moment, so that nothing is left of it without a lag.
     """
-    return lag_step(jnp.ones(()), jnp.zeros(()), time, dt)[0] + (2 * share - 1) * lag_tilt(time, dt)
+    return lag_step(jnp.ones(()), jnp.zeros(()), time, dt)[0] + (2 * share - 1) * lag_slope(time, dt)
 
 
 class Bend(NamedTuple):

@@ -35,7 +35,7 @@ class Travel(NamedTuple):
 
 def recall(model: Universal, x: State, h: float) -> Float[Array, "n 3"]:
     """What `past` holds of a car that has long been in the state `x`, for steps of `h` [s] or longer."""
-    late = any(effect.late for effect in model.effects)
+    late = any(effect.sensor_delay for effect in model.effects)
     return jnp.tile(jnp.stack(x), (math.ceil(LONGEST / h) + 2 if late else 0, 1))
 
 
@@ -43,7 +43,7 @@ def told(model: Universal, now: Travel) -> State:
     """What the sensors tell at this instant, noise apart; between past steps the state is taken for a straight line."""
     if not len(now.past):
         return model.sense(now.x, now.rate)
-    whole, model = model.delayed(now.step)
+    whole, model = model.split_delays(now.step)
     row, channel = jnp.minimum(whole.astype(int), len(now.past) - 2), jnp.arange(3)
     x, before = now.past[row, channel], now.past[row + 1, channel]
     return model.sense(State(*x), State(*((x - before) / now.step)))
@@ -57,7 +57,7 @@ def travel(
 
     Tyres warm up by the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
     """
-    memory, u = model.act(now.memory, command, now.x.V, h)
+    memory, u = model.apply_actuators(now.memory, command, now.x.V, h)
     begun = begin_step(model, now.x, now.felt, held(u), now.place, h, push)
     x, _ = heun_step(rate_during(model, begun, now.place, h, push), (now.x, jnp.zeros(())), h)
     felt = felt_after(model, begun, x, h)

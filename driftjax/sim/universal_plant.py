@@ -15,7 +15,7 @@ from driftjax.sim.record import specific_force
 from driftjax.sim.step import settled
 from driftjax.sim.travel import Travel, recall, told, travel
 from driftjax.vehicle import DoubleTrack, Motion, SingleTrack, VehicleConfig
-from driftjax.vehicle.effect import EFFECTS, Place, effects_named
+from driftjax.vehicle.effect import EFFECTS, Place, effects_by_name
 from driftjax.vehicle.universal import Universal, base_car
 
 
@@ -36,7 +36,7 @@ class UniversalPlant(eqx.Module):
     @property
     def universal(self) -> Universal:
         """The whole pipeline of this car."""
-        return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
+        return Universal(base_car(self.nominal), effects_by_name(self.names), self.scale, self.theta)
 
     def rolling(
         self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0, beta: ArrayLike = 0.0,
@@ -91,7 +91,7 @@ def plant_of(vehicle: VehicleConfig, theta: np.ndarray, lap: float, step: float)
 def plants_of(vehicles: Sequence[VehicleConfig], lap: float, step: float) -> UniversalPlant:
     """The cars that `vehicles` describe, with the effects that their files name, as one batch of plants."""
     names = tuple(name for name in EFFECTS if any(one.effect == name for car in vehicles for one in car.effects))
-    each = [(effect.name, p) for effect in effects_named(names) for p in effect.parameters]
+    each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
 
     def one(vehicle: VehicleConfig) -> UniversalPlant:
         values = {(found.effect, found.parameter): found.value for found in vehicle.effects}

@@ -1,4 +1,4 @@
-"""Batched sequential quadratic programming for optimal control; knows no cars."""
+"""Batched sequential quadratic programming for optimal control; independent of cars."""
 
 from driftjax.solve.implicit import solve as solve
 from driftjax.solve.interior_point import shift as shift

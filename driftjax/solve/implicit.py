@@ -49,7 +49,7 @@ class Factors(NamedTuple):
 
 
 class Change(NamedTuple):
-    """How the optimality conditions at a fixed point change with what the problem is made of."""
+    """Derivative of the optimality conditions at a fixed point in the data of the problem."""
 
     hx: Float[Array, "N nx"]  # gradient of the Lagrangian
     hu: Float[Array, "N nu"]
@@ -80,7 +80,7 @@ def _tangent(primals, tangents):
 
 
 def _change(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> Change:
-    """Derivative of the conditions along `d_theta`, multipliers and slacks eliminated as in the Newton step."""
+    """Return the derivative of the conditions along `d_theta`; multipliers and slacks are eliminated."""
 
     def conditions(ocp, params):
         here = problem_of(ocp, params, it.X, it.U)
@@ -104,13 +104,13 @@ def _change(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> Chan
 
 
 def _along(function: Callable[..., PyTree], theta: tuple, d_theta: tuple) -> PyTree:
-    """Directional derivative; `d_theta` is None where `theta` does not move."""
+    """Return the directional derivative; `d_theta` is None for a constant `theta`."""
     out, d_out = eqx.filter_jvp(function, theta, d_theta)
     return jax.tree.map(lambda y, d: jnp.zeros_like(y) if d is None else d, out, d_out)
 
 
 def factorise(q: Quadratic) -> Factors:
-    """Riccati factors of `q`, without regard to its linear part."""
+    """Return the Riccati factors of `q`, independent of its linear part."""
 
     def backward(P, stage):
         Hxx, Hux, Huu, A, B = stage
@@ -126,7 +126,7 @@ def factorise(q: Quadratic) -> Factors:
 
 
 def _inverse(R: Float[Array, "nu nu"]) -> tuple[Float[Array, "nu nu"], Bool[Array, ""]]:
-    """Inverse of a 1x1 or 2x2 symmetric matrix, and whether it is positive definite.
+    """Return the inverse of a 1x1 or 2x2 symmetric matrix, and whether it is positive definite.
 
     No eigenvalue is raised: weights of active limits cancel in the sweep, and a raised one would not.
     """
@@ -139,7 +139,7 @@ def _inverse(R: Float[Array, "nu nu"]) -> tuple[Float[Array, "nu nu"], Bool[Arra
 
 
 def sweep(q: Quadratic, factors: Factors, change: Change) -> tuple[Float[Array, "N+1 nx"], Float[Array, "N nu"]]:
-    """Steps of states and inputs that make up for `change`; linear in it."""
+    """Return the steps of states and inputs that compensate `change`; linear in it."""
     K, inverse, P, _ = factors
 
     def backward(p, stage):

@@ -68,12 +68,12 @@ class Loop(NamedTuple):
 
 
 def split(params: PyTree) -> tuple[PyTree, PyTree]:
-    """Rows of the stages and of the end, of parameters with N+1 rows."""
+    """Return the rows of the stages and of the end, of parameters with N+1 rows."""
     return jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
 
 
 class Problem(eqx.Module):
-    """One problem with its data: everything below is a function of the iterate alone."""
+    """One problem with its data; its methods depend on the iterate only."""
 
     ocp: AbstractOCP
     stages: PyTree
@@ -100,7 +100,7 @@ class Problem(eqx.Module):
         return Model(cost_x, cost_u, A, B, around, y - X[1:], self.gaps(X, U), grad_N)
 
     def hessian(self, it: Iterate, around: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
-        """Blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
+        """Return the blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
         nx = it.X.shape[1]
 
@@ -118,14 +118,14 @@ class Problem(eqx.Module):
 
 
 def problem_of(ocp: AbstractOCP, params: PyTree, X: Array, U: Array) -> Problem:
-    """`ocp` with the data `params` (N+1 rows); its affine gaps have the same Jacobian at any `X`, `U`."""
+    """Return `ocp` with the data `params` (N+1 rows); its affine gaps have the same Jacobian at any `X`, `U`."""
     stages, last = split(params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
     return Problem(ocp, stages, last, Gx, Gu, jax.jacfwd(ocp.terminal_constraints)(X[-1], last))
 
 
 def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
-    """Newton system with slacks and duals eliminated."""
+    """Return the Newton system with slacks and duals eliminated."""
     damping = jnp.asarray(DAMPING)[caution]
     Hxx, Hux, Huu, HN = problem.hessian(it, m.around, jnp.asarray(CURVATURE)[caution])
     weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
@@ -162,13 +162,13 @@ def _direction(problem: Problem, m: Model, it: Iterate, q: Quadratic, barrier: A
 
 
 def _to_boundary(values: PyTree, steps: PyTree) -> Array:
-    """Longest step in (0, 1] that keeps every value positive by the boundary fraction."""
+    """Return the longest step in (0, 1] that keeps every value positive by the boundary fraction."""
     rates = jax.tree.map(lambda v, d: jnp.max(-d / v, initial=0.0), values, steps)
     return jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12))
 
 
 def _kkt(problem: Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
-    """Scaled optimality error (Waechter and Biegler 2006, Eq. 5) and the worst primal violation."""
+    """Return the scaled optimality error (Waechter and Biegler 2006, Eq. 5) and the largest primal violation."""
     in_costates = jnp.concatenate([jnp.zeros_like(it.costates[:1]), it.costates[:-1]])
     stage_x = m.cost_x + jnp.einsum("kij,ki->kj", m.A, it.costates) - in_costates
     stage_x = stage_x - jnp.einsum("kgi,kg->ki", problem.Gx, it.dual[0])
@@ -185,7 +185,7 @@ def _kkt(problem: Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
 
 
 class Trial(NamedTuple):
-    """A point along the direction."""
+    """Trial point of the line search."""
 
     X: Array
     U: Array
@@ -194,7 +194,7 @@ class Trial(NamedTuple):
 
 
 def _roll(problem: Problem, m: Model, it: Iterate, newton: Direction, length: Array) -> tuple[Array, Array]:
-    """Roll-out of the dynamics under the policy at step `length`; defects shrink by exactly 1 - length."""
+    """Roll out the dynamics under the policy at step `length`; defects shrink by exactly 1 - length."""
 
     def move(x, stage):
         X, U, K, k, defect, p = stage
@@ -222,7 +222,7 @@ def _try(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Directi
 
 
 def _line_search(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, barrier, longest):
-    """Step length by backtracking on the l1 merit function, with its point; 0 where no descent was found."""
+    """Return step length and point by backtracking on the l1 merit function; length 0 without descent."""
     # 1.1 x the largest multiplier makes the l1 penalty exact, so that the Newton step is a descent direction
     worst = [jnp.max(jnp.abs(it.costates + step.costates))]
     worst += [jnp.max(jnp.abs(z + d), initial=0.0) for z, d in zip(it.dual, step.dual, strict=True)]
@@ -271,7 +271,7 @@ def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, toleran
 
 
 def _judge(problem: Problem, m: Model, loop: Loop, options: Options) -> Loop:
-    """How good the iterate is, the barrier parameter that follows from it, and whether to go on."""
+    """Return the residuals of the iterate, the next barrier parameter, and whether to continue."""
     it, moved = loop.it, loop.length > 0
     kkt, violation = _kkt(problem, m, it)
     products = jnp.stack([jnp.sum(s * z) for s, z in zip(it.slack, it.dual, strict=True)])
@@ -283,7 +283,7 @@ def _judge(problem: Problem, m: Model, loop: Loop, options: Options) -> Loop:
 
 
 def _move(problem: Problem, m: Model, loop: Loop) -> Loop:
-    """The next iterate; the same one where no step gave descent."""
+    """Return the next iterate; unchanged if no step gives descent."""
     it, barrier = loop.it, loop.barrier
     step, newton = _direction(problem, m, it, quadratic(problem, m, it, barrier, loop.caution), barrier)
     longest, dual = _to_boundary(it.slack, step.slack), _to_boundary(it.dual, step.dual)
@@ -306,14 +306,14 @@ def _move(problem: Problem, m: Model, loop: Loop) -> Loop:
 
 @eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
 def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
-    """Judge the iterate and move on from it; derivatives stand here once, which keeps the program short."""
+    """Evaluate the iterate and step; derivatives occur here only, which keeps the program short."""
     m = problem.linearise(loop.it.X, loop.it.U)
     loop = _judge(problem, m, loop, options)
     return jax.lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
 
 
 def minimise(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> tuple[Plan, Iterate]:
-    """The last iterate from the guess `X`, `U`, as a plan and with its multipliers; see `driftjax.solve.solve`."""
+    """Return the last iterate from the guess `X`, `U`, with its multipliers; see `driftjax.solve.solve`."""
     problem = problem_of(ocp, params, X, U)
     it = _start(problem, x0, X, U, options.barrier)
     large = jnp.asarray(jnp.inf, X.dtype)
@@ -334,5 +334,5 @@ def _plan(problem: Problem, end: Loop, options: Options) -> Plan:
 
 
 def shift(sequence: Float[Array, "N n"]) -> Float[Array, "N n"]:
-    """The sequence one stage later, its last entry repeated: warm start of the next solve."""
+    """Return the sequence shifted by one stage, last entry repeated: the warm start of the next solve."""
     return jnp.concatenate([sequence[1:], sequence[-1:]])

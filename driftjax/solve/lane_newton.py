@@ -38,7 +38,7 @@ class Gap(NamedTuple):
 
 
 def gaps_of(ocp: AbstractLanes) -> list[Gap]:
-    """One per limit that there is: of inputs, their changes, states."""
+    """Return the limits that exist: of inputs, their changes, states."""
     families = (("input", ocp.input_limits()), ("change", ocp.change_limits()), ("state", ocp.state_limits()))
     return [
         Gap(family, i, sign, bound)
@@ -50,13 +50,13 @@ def gaps_of(ocp: AbstractLanes) -> list[Gap]:
 
 
 def measured(gaps: list[Gap], u: Components, change: Components, x_next: Components) -> Components:
-    """Values of the gaps, positive within the limits."""
+    """Return the values of the gaps, positive within the limits."""
     of = {"input": u, "change": change, "state": x_next}
     return [gap.sign * (of[gap.family][gap.entry] - gap.bound) for gap in gaps]
 
 
 def inputs_before(U: Components, u_before: Components) -> Components:
-    """Input of the stage before each stage (N, batch); `u_before` (batch,) that before the first."""
+    """Return the input before each stage (N, batch); `u_before` (batch,) is the one before the first."""
     return [jnp.concatenate([b[None], u[:-1]]) for u, b in zip(U, u_before, strict=True)]
 
 
@@ -78,14 +78,14 @@ class Error(NamedTuple):
 
 
 def _filled(entries: Any, like: Array) -> Any:
-    """Zeros in place of None."""
+    """Replace None by zeros."""
     return jax.tree.map(lambda e: jnp.zeros_like(like) if e is None else e, entries, is_leaf=lambda e: e is None)
 
 
 def newton_system(
     ocp: AbstractLanes, stages: PyTree, last: PyTree, u_before: Components, it: Lanes, barrier: Array
 ) -> tuple[Newton, Error]:
-    """The Newton system about an iterate, and its error; parameters of stages 0..N-1 and of the end."""
+    """Return the Newton system at an iterate, and its error; parameters of stages 0..N-1 and of the end."""
     gaps, nx, nu = gaps_of(ocp), len(it.X), len(it.U)
     x, after = [x[:-1] for x in it.X], [x[1:] for x in it.X]
     change = [a - b for a, b in zip(it.U, inputs_before(it.U, u_before), strict=True)]
@@ -123,7 +123,7 @@ def newton_system(
 
 
 def _error(it: Lanes, unbalanced: Components, violated: Components) -> Error:
-    """Stationarity scaled by the size of the multipliers (Waechter and Biegler 2006, Eq. 5)."""
+    """Return the stationarity scaled by the size of the multipliers (Waechter and Biegler 2006, Eq. 5)."""
     products = [slack * z for slack, z in zip(it.slack, it.dual, strict=True)]
     size = sum(jnp.sum(jnp.abs(v), axis=0) for v in (*it.costates, *it.dual))
     num = it.costates[0].shape[0] * (len(it.X) + len(it.dual))
@@ -131,7 +131,7 @@ def _error(it: Lanes, unbalanced: Components, violated: Components) -> Error:
 
 
 def _stationarity(slope: list[Entry], end: list[Entry], moved: Components, it: Lanes, held: Held) -> Components:
-    """Derivatives of the Lagrangian in each state after stage by stage, at the end, and in each input."""
+    """Return the derivatives of the Lagrangian in each later state, in the last state, and in each input."""
     nx = len(it.X)
     slope = _filled(slope, it.U[0])
     own = [total((-it.costates[i], *held("state", i))) for i in range(nx)]
@@ -143,7 +143,7 @@ def _stationarity(slope: list[Entry], end: list[Entry], moved: Components, it: L
 
 
 def _worst(values: Sequence[Array]) -> Array:
-    """Largest magnitude over stages and entries."""
+    """Return the largest magnitude over stages and entries."""
     return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(v), axis=0, initial=0.0) for v in values])
 
 
@@ -158,7 +158,7 @@ class Direction(NamedTuple):
 
 
 def newton_step(ocp: AbstractLanes, it: Lanes, newton: Newton, barrier: Array) -> Direction:
-    """Solves the Newton system: backwards for value and policy, forwards for the step."""
+    """Solve the Newton system: backwards for value and policy, forwards for the step."""
     nx, nu, zero = len(it.X), len(it.U), jnp.zeros_like(barrier)
     wide = lambda entries: jax.tree.map(lambda e: jnp.broadcast_to(e, it.U[0].shape), entries)
 
@@ -191,7 +191,7 @@ def newton_step(ocp: AbstractLanes, it: Lanes, newton: Newton, barrier: Array) -
 
 
 def longest(values: Components, steps: Components, open_: Array) -> Array:
-    """Share of the step at which no value has lost more than the fraction to the boundary; 0 where not open."""
+    """Return the step length at the fraction-to-boundary rule; 0 for solved entries."""
     if not values:
         return jnp.where(open_, 1.0, 0.0)
     rate = functools.reduce(jnp.maximum, [-d / v for v, d in zip(values, steps, strict=True)])

@@ -1,4 +1,4 @@
-"""Optimal control problems whose functions act on components: what the batched solver needs to know."""
+"""Optimal control problems whose functions act on components: the interface of the batched solver."""
 
 import abc
 from collections.abc import Sequence
@@ -28,49 +28,49 @@ class AbstractLanes(eqx.Module):
     """
 
     def of(self, lanes: Int[Array, " few"]) -> Self:
-        """The problems of some lanes."""
+        """Return the problems of some batch entries."""
         some = lambda a: a[lanes] if eqx.is_array(a) and jnp.ndim(a) and len(a) > 1 else a
         return jax.tree.map(some, self)
 
     @abc.abstractmethod
     def step(self, x: Components, u: Components, p: PyTree) -> Components:
-        """Next state."""
+        """Return the next state."""
 
     @abc.abstractmethod
     def cost(self, x: Components, u: Components, p: PyTree) -> Array:
-        """Cost of one stage."""
+        """Return the cost of one stage."""
 
     @abc.abstractmethod
     def terminal(self, x: Components, p: PyTree) -> Array:
-        """Cost of the last state."""
+        """Return the cost of the last state."""
 
     def rate_weight(self) -> Sequence[Array | float]:
-        """Weight of the squared change of each input; none unless overridden."""
+        """Return the weight of the squared change of each input; none by default."""
         return ()
 
     def input_limits(self) -> Limits:
-        """Of each input; none unless overridden."""
+        """Return the limits of each input; none by default."""
         return ()
 
     def change_limits(self) -> Limits:
-        """Of the change of each input from one stage to the next; none unless overridden."""
+        """Return the limits of the change of each input between stages; none by default."""
         return ()
 
     def state_limits(self) -> Limits:
-        """Of each state of stages 1 to N; none unless overridden."""
+        """Return the limits of each state of stages 1 to N; none by default."""
         return ()
 
     def around(self, X: Components, U: Components, p: PyTree) -> PyTree:
-        """What `linearise` and `expand` read at the iterate; None unless overridden."""
+        """Return the local expansion that `linearise` and `expand` read; None by default."""
 
     def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix]:
-        """Next state and its derivatives [state][state and input]; to be overridden where there is a cheaper way."""
+        """Return the next state and its derivatives [state][state and input]; override for a cheaper computation."""
         return jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u)
 
     def expand(
         self, x: Components, u: Components, costate: Components, p: PyTree, around: PyTree
     ) -> tuple[Components, Matrix, Matrix]:
-        """As `linearise`, and second derivatives of `costate @ step` in (x, u).
+        """Return the result of `linearise`, and second derivatives of `costate @ step` in (x, u).
 
         Cheaper second derivatives change the speed of the solver, never the solution.
         """

@@ -1,4 +1,4 @@
-"""Optimal control problems in batches: a primal-dual interior point, many lanes at once, batch on the last axis.
+"""Optimal control problems in batches: a primal-dual interior point with the batch on the last axis.
 
 Every iteration linearises the dynamics anew with second derivatives of the Lagrangian, solves the barrier problem's
 Newton system by one Riccati sweep and goes to the boundary by a fraction. There is no line search: nearly all lanes of
@@ -59,7 +59,7 @@ class _Loop(NamedTuple):
 
 
 class _Batch(NamedTuple):
-    """What does not change between iterations."""
+    """Constant data of the iterations."""
 
     ocp: AbstractLanes
     stages: PyTree  # parameters (N, batch) or (N, 1)
@@ -70,26 +70,26 @@ class _Batch(NamedTuple):
     max_steps: Array
 
     def of(self, lanes: Array) -> "_Batch":
-        """Of some lanes."""
+        """Return the data of some batch entries."""
         num = len(self.needed)
         wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
         return _Batch(self.ocp.of(lanes), *_of_lanes(wide, lanes))
 
 
 def _open(batch: _Batch, error: Error, num_steps: Array) -> Array:
-    """Lanes still to be solved; one that is not a number any more holds up none."""
+    """Return the mask of unsolved entries; non-finite ones count as finished."""
     worst = jnp.maximum(error.kkt, error.violation)
     return batch.needed & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (num_steps < batch.max_steps)
 
 
 def _rows(tree: PyTree) -> Array:
-    """All values of each lane in one column: one gather for all, since XLA fails on many that it makes one of."""
+    """Return all values of each entry in one column: one gather for all, since XLA fails on many fused gathers."""
     leaves = jax.tree.leaves(tree)
     return jnp.concatenate([a.reshape(-1, a.shape[-1]).astype(jnp.result_type(*leaves)) for a in leaves])
 
 
 def _unrowed(rows: Array, tree: PyTree) -> PyTree:
-    """Columns as arrays like those of `tree`, but for the number of lanes."""
+    """Return columns as arrays like those of `tree`, with another batch size."""
     leaves, structure = jax.tree.flatten(tree)
     ends = np.cumsum([a[..., 0].size for a in leaves])
     parts = jnp.split(rows, ends[:-1])
@@ -102,7 +102,7 @@ def _of_lanes(tree: PyTree, lanes: Array) -> PyTree:
 
 
 def _solved(batch: _Batch, loop: _Loop) -> _Loop:
-    """Iterates until all are solved; the last of many lanes go on among themselves, so that few hold up few."""
+    """Iterate until all entries are solved; the last unsolved ones are gathered into a smaller batch."""
     num = len(batch.needed)
     few = num // SHARE if num >= MANY else 0
     still = lambda s: _open(batch, s.error, s.num_steps)
@@ -136,12 +136,12 @@ def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
 
 
 def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:
-    """Products of slack and dual kept near the barrier: a lane at a limit without its dual can no longer move."""
+    """Return duals with slack products near the barrier: an entry at a limit without its dual cannot move."""
     return jnp.where(open_, jnp.clip(dual, barrier / (CENTRALITY * slack), CENTRALITY * barrier / slack), dual)
 
 
 def _next_barrier(new: Lanes, barrier: Array, length: Array, tolerance: Array) -> Array:
-    """Follows the mean product of slack and dual down, faster after long steps."""
+    """Return the next barrier parameter: it follows the mean product of slack and dual, faster after long steps."""
     if not new.slack:
         return barrier
     products = sum(jnp.sum(s * z, axis=0) for s, z in zip(new.slack, new.dual, strict=True))

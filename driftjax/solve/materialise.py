@@ -20,7 +20,7 @@ FREE = {"broadcast_in_dim", "neg", "copy", "reshape", "squeeze", "slice", "conve
 
 
 def materialised(function: Callable[P, T]) -> Callable[P, T]:
-    """`function` with no operation done twice and every array that several operations use computed once."""
+    """Return `function` with no repeated operation and every shared array computed once."""
 
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
         flat, structure = jax.tree.flatten((args, kwargs))
@@ -40,14 +40,14 @@ def materialised(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _called(eqn: Any) -> Any:
-    """Program that an equation merely calls; None where it does something itself."""
+    """Return the program that an equation only calls; None if it computes something itself."""
     if eqn.primitive.name in ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"):
         return next(eqn.params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in eqn.params)
     return None
 
 
 def bind(eqn: Any, values: list) -> list:
-    """Results of one equation of a program for these inputs."""
+    """Evaluate one equation of a program for these inputs."""
     out = eqn.primitive.bind(*values, **eqn.params)
     return list(out) if eqn.primitive.multiple_results else [out]
 

@@ -1,4 +1,4 @@
-"""What the solver needs to know of an optimal control problem, and what it gives back."""
+"""Interface of an optimal control problem, and the solver's options and result."""
 
 import abc
 from typing import NamedTuple
@@ -32,30 +32,29 @@ class AbstractOCP(eqx.Module):
 
     @abc.abstractmethod
     def step(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " nx"]:
-        """Next state."""
+        """Return the next state."""
 
     @abc.abstractmethod
     def cost(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, ""]:
-        """Cost of one stage."""
+        """Return the cost of one stage."""
 
     @abc.abstractmethod
     def terminal(self, x: Float[Array, " nx"], p: PyTree) -> Float[Array, ""]:
-        """Cost of the last state."""
+        """Return the cost of the last state."""
 
     @abc.abstractmethod
     def constraints(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree) -> Float[Array, " ng"]:
-        """Gaps of one stage, feasible where not negative."""
+        """Return the constraint values of one stage, feasible if not negative."""
 
     def terminal_constraints(self, x: Float[Array, " nx"], p: PyTree) -> Float[Array, " nt"]:
-        """Gaps of the last state; none unless overridden by the problem."""
+        """Return the constraint values of the last state; none by default."""
         return jnp.zeros((0,), x.dtype)
 
     def around(self, X: Float[Array, "N nx"], U: Float[Array, "N nu"], p: PyTree) -> PyTree:
-        """What `linearise` and `curvature` read at the iterate, with N rows, made for all stages at once; None unless
-        overridden."""
+        """Return the local expansion that `linearise` and `curvature` read, N rows for all stages; None by default."""
 
     def linearise(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree, around: PyTree) -> Linear:
-        """Next state (nx,) and its derivatives (nx, nx), (nx, nu); to be overridden where there is a cheaper way."""
+        """Return the next state (nx,) and its derivatives (nx, nx), (nx, nu); override for a cheaper computation."""
         step = lambda x, u: (lambda y: (y, y))(self.step(x, u, p))
         (A, B), y = jax.jacfwd(step, (0, 1), has_aux=True)(x, u)
         return Linear(y, A, B)
@@ -63,7 +62,7 @@ class AbstractOCP(eqx.Module):
     def curvature(
         self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree, around: PyTree
     ) -> Array:
-        """Second derivative of `costate @ step` in (x, u), square of size nx + nu.
+        """Return the second derivative of `costate @ step` in (x, u), square of size nx + nu.
 
         A cheaper model of it changes the speed of convergence, never the solution; but derivatives of the solution
         are right with the exact one only.
@@ -73,7 +72,7 @@ class AbstractOCP(eqx.Module):
 
 
 class Options(eqx.Module):
-    """How hard the solver tries; all numbers traced, so that a new value never means a new compile."""
+    """Solver options; all numbers are traced, so that a new value never causes a new compilation."""
 
     tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
     barrier: Array = eqx.field(converter=as_float, default=1.0)  # first barrier parameter; small for warm starts
@@ -82,7 +81,7 @@ class Options(eqx.Module):
 
 
 class Plan(eqx.Module):
-    """Solution of one problem and the numbers that justify it."""
+    """Solution of one problem with its residuals."""
 
     X: Float[Array, "N+1 nx"]  # states
     U: Float[Array, "N nu"]  # inputs

@@ -1,4 +1,4 @@
-"""One real-time iteration for a batch: the problem linearised once about a guess, its quadratic program solved."""
+"""One real-time iteration for a batch: linearise once at a guess and solve the quadratic program."""
 
 from typing import NamedTuple
 
@@ -67,7 +67,7 @@ def _square(away: Components, h: list[Entry], H: Matrix) -> Array:
 
 
 def _models(ocp: AbstractLanes, X: Components, U: Components, params: PyTree) -> _Model:
-    """Stages 0..N-1 at once, and in the row N the expansion of the terminal cost."""
+    """Return the models of stages 0..N-1, and in row N the expansion of the terminal cost."""
     n, head = len(X), [x[:-1] for x in X]
     stages, last = split(params)
     y, M = ocp.linearise(head, U, stages, ocp.around(head, U, stages))
@@ -99,9 +99,9 @@ def real_time_iteration(
     U: Float[Array, "nu N batch"],
     options: Options,
 ) -> LanePlans:
-    """Step of sequential quadratic programming from the guess `X`, `U` (Diehl et al. 2005), Gauss-Newton Hessian.
+    """Return one SQP step from the guess `X`, `U` (Diehl et al. 2005), Gauss-Newton Hessian.
 
-    The program is solved to the tolerance in `options`, which is what `kkt`, `violation` and `result` tell of. Shapes
+    The quadratic program is solved to the tolerance in `options`; `kkt`, `violation` and `result` refer to it. Shapes
     are those of `solve_lanes`.
     """
     models = materialised(lambda X, U, p: _models(ocp, X, U, p))(list(X), list(U), params)

@@ -27,7 +27,7 @@ class Quadratic(NamedTuple):
 
 
 def inverse_absolute(R: Float[Array, "nu nu"]) -> Float[Array, "nu nu"]:
-    """Inverse of a 1x1 or 2x2 symmetric matrix whose eigenvalues are first replaced by their absolute values.
+    """Invert a 1x1 or 2x2 symmetric matrix after replacing its eigenvalues by their absolute values.
 
     Along a direction of negative curvature the step is then as long as the curvature is weak, not unbounded as it
     would be with a small floor (Dauphin et al. 2014); where the matrix is positive nothing changes.
@@ -55,7 +55,7 @@ class Direction(NamedTuple):
 
 
 def newton_direction(q: Quadratic) -> Direction:
-    """Minimiser of `q`, with input blocks made positive where they are not."""
+    """Return the minimiser of `q`, with input blocks made positive definite where necessary."""
 
     def backward(carry, stage):
         P, p = carry

@@ -1,4 +1,4 @@
-"""Derivatives of functions of components, entry by entry, where None is an entry that is zero whatever the values.
+"""Derivatives of functions of components, entry by entry; None marks an entry that is structurally zero.
 
 A component is an array of any shape; functions act on each element by itself. So batches need no `vmap`, stay on the
 last axis, and no work is done for entries that vanish.
@@ -23,28 +23,28 @@ ADD, SUBTRACT = ("add_any", "add"), ("sub",)
 
 
 def total(terms: Iterable[Entry]) -> Entry:
-    """Sum of the terms that are not None."""
+    """Return the sum of the terms that are not None."""
     present = [term for term in terms if term is not None]
     return functools.reduce(lambda a, b: a + b, present) if present else None
 
 
 def times(*factors: Entry) -> Entry:
-    """Product; None where a factor is."""
+    """Return the product; None if a factor is None."""
     return None if any(f is None for f in factors) else functools.reduce(lambda a, b: a * b, factors)
 
 
 def dot(a: Sequence[Entry], b: Sequence[Entry]) -> Entry:
-    """Sum of products."""
+    """Return the sum of products."""
     return total(times(p, q) for p, q in zip(a, b, strict=True))
 
 
 def column(A: Matrix, j: int) -> list[Entry]:
-    """Entries of one column."""
+    """Return the entries of one column."""
     return [row[j] for row in A]
 
 
 def jacobian(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[Array], Matrix]:
-    """Values of `function(*z)` and their derivatives [output][input]; the function is passed over once."""
+    """Return the values of `function(*z)` and their derivatives [output][input], in one pass over the function."""
     values, push = jax.linearize(lambda *z: list(function(*z)), *z)
     linear = jax.make_jaxpr(push)(*z)
     columns = []
@@ -55,14 +55,14 @@ def jacobian(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[
 
 
 def hessian(function: Callable[..., Array], *z: Array) -> tuple[list[Entry], Matrix]:
-    """Gradient and second derivatives of a function of one output; entries below the diagonal are those above."""
+    """Return gradient and second derivatives of a function of one output; symmetric entries are shared."""
     grad = jax.grad(lambda *z: jnp.sum(function(*z)), tuple(range(len(z))))
     gradient, H = jacobian(grad, *z)
     return gradient, [[H[min(i, j)][max(i, j)] for j in range(len(z))] for i in range(len(z))]
 
 
 def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> list[Entry]:
-    """A linear program applied to tangents of which some are zero."""
+    """Apply a linear program to tangents, some of which are zero."""
     known: dict[Any, Entry] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *tangents], strict=True))
     read = lambda v: v.val if isinstance(v, jex.Literal) else known[v]
     for eqn in jaxpr.eqns:
@@ -96,7 +96,7 @@ def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> l
 def runge_kutta(
     rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array], dt: Array | float
 ) -> tuple[list[Array], Matrix]:
-    """State one step of the classical method of order 4 later, and its derivatives [state][state and input].
+    """Return the state after one step of the classical method of order 4, and its derivatives in x and u.
 
     `rates(*x, *u)` are the time derivatives of `x` for inputs `u` held over the step. The derivatives are chained slope
     by slope, in a loop: much less work than to differentiate the step, and a program of a quarter of its size.
@@ -123,13 +123,13 @@ def runge_kutta(
 
 
 def _chain(J: Matrix, S: Matrix, nx: int) -> Matrix:
-    """Derivatives of a slope by (x, u) from those by (where it is taken, u)."""
+    """Return the derivatives of a slope by (x, u) from those by (evaluation point, u)."""
     direct = lambda i, j: J[i][j] if j >= nx else None
     return [[total((direct(i, j), dot(J[i][:nx], column(S, j)))) for j in range(len(J[0]))] for i in range(nx)]
 
 
 def _filled(M: Matrix, shape: list[list[bool]], zero: Array) -> Matrix:
-    """Zeros in place of None where `shape` has an entry: what a loop carries keeps its structure."""
+    """Replace None by zeros where `shape` has an entry, so that a loop carry keeps its structure."""
     return [[zero if e is None and there else e for e, there in zip(*rows, strict=True)]
             for rows in zip(M, shape, strict=True)]  # fmt: skip
 
@@ -139,7 +139,7 @@ def _present(M: Matrix) -> list[list[bool]]:
 
 
 def _shape_of_slopes(rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array]) -> list[list[bool]]:
-    """Which derivatives of the slopes by (x, u) can differ from zero in any of them."""
+    """Return which derivatives of the slopes by (x, u) can differ from zero."""
     nx = len(x)
     J = jax.eval_shape(lambda x, u: jacobian(rates, *x, *u)[1], list(x), list(u))
     some = lambda M: [[1.0 if there else None for there in row] for row in _present(M)]
@@ -158,7 +158,7 @@ def midpoint_curvature(
     dt: Array | float,
     costate: Sequence[Array],
 ) -> Matrix:
-    """Second derivatives of `costate @ state one step later` in (x, u), to the second order in dt.
+    """Return the second derivatives of `costate @ next state` in (x, u), to second order in dt.
 
     Those of the rates in the middle of the step: state, its derivatives and costate there are the means of both ends.
     `step` is what `runge_kutta` returned.
@@ -173,7 +173,7 @@ def midpoint_curvature(
 
 
 def _congruence(bend: Matrix, S: Matrix, nx: int, nz: int) -> Matrix:
-    """D' bend D with D = [S; 0 I], symmetric."""
+    """Return D' bend D with D = [S; 0 I], symmetric."""
     W = [
         [total((dot(bend[p][:nx], column(S, j)), bend[p][j] if j >= nx else None)) for j in range(nz)]
         for p in range(nz)

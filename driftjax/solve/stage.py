@@ -44,7 +44,7 @@ class Local(NamedTuple):
 
 
 def inverse_absolute(Q: Matrix) -> Matrix:
-    """Inverse of a 1x1 or 2x2 symmetric matrix with the absolute eigenvalues; as `riccati.inverse_absolute`."""
+    """Invert a 1x1 or 2x2 symmetric matrix with absolute eigenvalues; as `riccati.inverse_absolute`."""
     scale = [1 / jnp.sqrt(jnp.maximum(jnp.abs(Q[i][i]), 1e-12)) for i in range(len(Q))]
     if len(Q) == 1:
         return [[scale[0] ** 2 / jnp.maximum(jnp.abs(Q[0][0] * scale[0] ** 2), EIGENVALUE_FLOOR)]]
@@ -64,7 +64,7 @@ def _symmetric(n: int, entry) -> Matrix:
 
 
 def backward(V: Value, s: Local) -> tuple[Value, Policy]:
-    """Value before the stage and the policy in it, from the value after."""
+    """Return the value before the stage and the policy in it, from the value after."""
     n, m = len(s.A), len(s.rate)
     X, U = range(n), range(m)
     PA = [[dot(V.P[i], column(s.A, j)) for j in X] for i in X]
@@ -96,6 +96,6 @@ def backward(V: Value, s: Local) -> tuple[Value, Policy]:
 
 
 def forward(policy: Policy, s: Local, dx: list[Array], dw: list[Array]) -> tuple[list[Entry], list[Entry]]:
-    """Steps of the next state and of the input."""
+    """Return the steps of the next state and of the input."""
     du = [total((dot(row, dx), dot(Kw, dw), k)) for row, Kw, k in zip(policy.Kx, policy.Kw, policy.k, strict=True)]
     return [total((dot(a, dx), dot(b, du), c)) for a, b, c in zip(s.A, s.B, s.c, strict=True)], du

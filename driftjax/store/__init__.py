@@ -1,4 +1,4 @@
-"""Run folders: configs, plans, laps and results on disk, and the variables that they hold."""
+"""Run folders: configs, plans, laps and results on disk, and their variables."""
 
 from driftjax.store.folder import RunFolder as RunFolder
 from driftjax.store.folder import list_runs as list_runs

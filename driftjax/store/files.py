@@ -1,4 +1,4 @@
-"""netCDF and JSON files that are either whole or absent."""
+"""Read and write netCDF and JSON files; writing is atomic."""
 
 import json
 import math
@@ -22,7 +22,7 @@ def write_netcdf(path: Path, data: xr.Dataset) -> None:
 
 
 def read_netcdf(path: Path) -> xr.Dataset:
-    """The whole dataset in memory; raises `BadInput` that names the file."""
+    """Read the whole dataset into memory; raises `BadInput` that names the file."""
     try:
         with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
             return data.load()
@@ -34,12 +34,12 @@ def read_netcdf(path: Path) -> xr.Dataset:
 
 def write_json(path: Path, values: Any) -> None:
     """Write strict JSON: numbers that are not finite become null."""
-    text = json.dumps(plain(values), indent=2, allow_nan=False)
+    text = json.dumps(to_json_types(values), indent=2, allow_nan=False)
     write_atomically(path, lambda p: p.write_text(text + "\n", encoding="utf-8"))
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds; raises `BadInput` that names the file."""
+    """Read a JSON file; raises `BadInput` that names the file."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -48,10 +48,10 @@ def read_json(path: Path) -> Any:
         raise BadInput(f"{path}: not readable JSON ({error}); delete it and resume the run.") from None
 
 
-def plain(value: Any) -> Any:
-    """`value` in JSON's own types: arrays as lists, paths as strings, non-finite numbers as None."""
+def to_json_types(value: Any) -> Any:
+    """Return `value` in JSON types: arrays as lists, paths as strings, non-finite numbers as None."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, str | bool | None):
         return str(value) if isinstance(value, str) else value
     if isinstance(value, int):
@@ -59,7 +59,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(item) for item in value]
     if isinstance(value, Path):
         return str(value)
-    return plain(np.asarray(value).tolist())
+    return to_json_types(np.asarray(value).tolist())

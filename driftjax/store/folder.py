@@ -1,4 +1,4 @@
-"""A run folder: the config, what ran, and each finished stage, so that a run can go on where it stopped.
+"""A run folder: config, versions and every finished stage, so that an interrupted run can be resumed.
 
 config.yaml, versions.json, plan.nc, results.json, laps.nc, and in stages/ for each stage NN_name.state (what the
 next stage starts from) and NN_name.nc (its laps). A stage is finished when its .nc exists.
@@ -18,11 +18,11 @@ from driftjax.store.variables import SHARED
 from driftjax.store.versions import versions
 
 CONFIG = "config.yaml"
-BLANK = {"f": np.nan, "b": False, "i": -1}  # what stands for a lane or step that a stage lacks, by kind
+FILL_VALUES = {"f": np.nan, "b": False, "i": -1}  # fill values of missing laps or steps, by dtype kind
 
 
 class RunFolder:
-    """One run on disk; every file is either whole or absent."""
+    """One run on disk; every file is written atomically."""
 
     def __init__(self, path: Path, config: dict[str, Any], made: tuple[Path, ...] | None = None) -> None:
         self.path, self.config, self._made = path, config, made
@@ -30,9 +30,9 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | Path, config: dict[str, Any], verb: str = "learn") -> "RunFolder":
-        """New folder for what `driftjax <verb>` does with `config`.
+        """Create the folder of a run of `driftjax <verb>` with `config`.
 
-        Raises `BadInput` where it cannot be written or holds a run already.
+        Raises `BadInput` if it cannot be written or holds a run already.
         """
         path = Path(path)
         try:
@@ -54,14 +54,14 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> "RunFolder":
-        """The run at `path`; raises `BadInput` where there is none."""
+        """Open the run at `path`; raises `BadInput` if there is none."""
         path = Path(path)
         if not (path / CONFIG).is_file():
             raise BadInput(f"{path}: holds no run (there is no {CONFIG}); `driftjax runs` lists those there are.")
         return cls(path, read_yaml(path / CONFIG))
 
     def discard(self) -> None:
-        """Undo `create`: remove the run's files, and every folder that it made. Opened runs stay."""
+        """Undo `create`: remove the run's files and every folder that it made. Opened runs are unchanged."""
         if self._made is None:
             return
         if not self._made:
@@ -85,11 +85,11 @@ class RunFolder:
         return str(self.read_json("versions").get("verb", "learn"))
 
     def finished(self) -> list[str]:
-        """Names of the finished stages, in order."""
+        """Return the names of the finished stages, in order."""
         return [path.stem[3:] for path in sorted((self.path / "stages").glob("[0-9][0-9]_*.nc"))]
 
-    def holds_results(self) -> bool:
-        """Whether a stage, or a trial of a sweep, has been finished."""
+    def has_results(self) -> bool:
+        """Return whether a stage, or a trial of a sweep, has finished."""
         return bool(self.finished()) or any((self.path / "trials").glob("*.parquet"))
 
     def _stage(self, name: str) -> Path:
@@ -98,21 +98,21 @@ class RunFolder:
         return self.path / "stages" / f"{number:02d}_{name}"
 
     def write_stage(self, name: str, data: xr.Dataset, state: bytes) -> None:
-        """Finish stage `name`: first its state, last its laps, each whole or absent."""
+        """Write stage `name`: first its state, last its laps, each atomically."""
         stem = self._stage(name)
         stem.parent.mkdir(exist_ok=True)
         write_atomically(stem.with_suffix(".state"), lambda p: p.write_bytes(state))
         files.write_netcdf(stem.with_suffix(".nc"), data.assign_attrs(stage=name))
 
     def read_stage(self, name: str) -> xr.Dataset:
-        """Laps of a finished stage."""
+        """Return the laps of a finished stage."""
         path = self._stage(name).with_suffix(".nc")
         if path not in self._read:
             self._read[path] = files.read_netcdf(path)
         return self._read[path]
 
     def read_state(self, name: str) -> bytes:
-        """What the stage after `name` starts from."""
+        """Return the initial state of the stage after `name`, serialised."""
         path = self._stage(name).with_suffix(".state")
         if not path.is_file():
             raise BadInput(f"{path}: no such file; the run has not got that far.")
@@ -123,7 +123,7 @@ class RunFolder:
         files.write_json(self._json(name), values)
 
     def read_json(self, name: str) -> dict[str, Any]:
-        """What `name`.json holds."""
+        """Read `name`.json."""
         return files.read_json(self._json(name))
 
     def _json(self, name: str) -> Path:
@@ -134,35 +134,35 @@ class RunFolder:
         files.write_netcdf(self.path / name, data)
 
     def read_dataset(self, name: str) -> xr.Dataset:
-        """The dataset in the file `name`."""
+        """Read the dataset in the file `name`."""
         return files.read_netcdf(self.path / name)
 
     def has(self, name: str) -> bool:
-        """Whether the run holds the file `name`."""
+        """Return whether the run holds the file `name`."""
         return (self.path / name).is_file()
 
     @property
     def results(self) -> dict[str, Any]:
-        """What the run found: results.json."""
+        """Results of the run: results.json."""
         return self.read_json("results")
 
     @property
     def laps(self) -> xr.Dataset:
-        """The laps of all stages, of a run that has ended: laps.nc, dimensions stage, lane, step."""
+        """Laps of all stages of a finished run: laps.nc, dimensions stage, lane, step."""
         return self.read_dataset("laps.nc")
 
-    def collect(self) -> xr.Dataset:
+    def write_laps(self) -> xr.Dataset:
         """Write and return laps.nc: the laps of all finished stages along a new dimension `stage`."""
         names = self.finished()
         if not names:
             raise BadInput(f"{self.path}: no stage has finished, so there are no laps to collect.")
-        laps = stack(dict(zip(names, map(self.read_stage, names), strict=True)))
+        laps = stack_stages(dict(zip(names, map(self.read_stage, names), strict=True)))
         self.write_dataset("laps.nc", laps)
         return laps
 
 
-def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
-    """Stages along a new dimension `stage`; what a stage lacks is NaN, False, -1 or empty."""
+def stack_stages(stages: dict[str, xr.Dataset]) -> xr.Dataset:
+    """Stack stages along a new dimension `stage`; values that a stage lacks are NaN, False, -1 or empty."""
     sizes: dict[Any, int] = {}
     for data in stages.values():
         sizes |= {dim: max(size, sizes.get(dim, 0)) for dim, size in data.sizes.items()}
@@ -175,7 +175,7 @@ def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
             continue
         shape = tuple(sizes[dim] for dim in first.dims)
         dtype = first.dtype if first.dtype.kind in "fbi" else np.dtype(object)
-        whole = np.full((len(stages), *shape), BLANK.get(dtype.kind, ""), dtype)
+        whole = np.full((len(stages), *shape), FILL_VALUES.get(dtype.kind, ""), dtype)
         for i, part in parts.items():
             whole[(i, *(slice(0, n) for n in part.shape))] = part.values
         variables[name] = xr.Variable(("stage", *first.dims), whole, first.attrs)
@@ -187,6 +187,6 @@ def stack(stages: dict[str, xr.Dataset]) -> xr.Dataset:
 
 
 def list_runs(root: str | Path) -> list[RunFolder]:
-    """Every run below `root`, oldest first."""
+    """Return every run below `root`, oldest first."""
     paths = [path.parent for path in Path(root).rglob(CONFIG) if (path.parent / "versions.json").is_file()]
     return sorted(map(RunFolder.open, paths), key=lambda run: (run.created, str(run.path)))

@@ -23,8 +23,7 @@ LAP_COLUMNS: dict[str, type] = {
 
 
 def lap_rows(stage: str, data: xr.Dataset) -> list[dict[str, Any]]:
-    """One row per lane of a stage's dataset (SI); figures that are not finite are None, as is the time of a failed
-    lap."""
+    """Return one row per lap of a stage's dataset (SI); non-finite values, and the time of a failed lap, are None."""
     names = code_names(data)
     dt = float(data["t"].values[1] - data["t"].values[0])
     driven = np.asarray(data["alive"].values).sum(axis=1) * dt

@@ -1,4 +1,4 @@
-"""The one table of what is stored: every variable of a lap stage, a plan and a diagnosis, with units and meaning."""
+"""Definition of all stored variables: of a lap stage, a plan and a diagnosis, with units and meaning."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 
 class Variable(NamedTuple):
-    """How a variable is stored."""
+    """Dimensions, units and name of a stored variable."""
 
     dims: tuple[str, ...]
     units: str
@@ -160,7 +160,7 @@ DIAGNOSIS: dict[str, Variable] = {
 def dataset(
     values: Mapping[str, ArrayLike], attrs: Mapping[str, Any] | None = None, table: dict[str, Variable] = STAGE
 ) -> xr.Dataset:
-    """Dataset of `values` with the dimensions, units and names of `table` (`STAGE`, `PLAN` or `DIAGNOSIS`).
+    """Return a dataset of `values` with the dimensions, units and names of `table` (`STAGE`, `PLAN` or `DIAGNOSIS`).
 
     `code` takes `attrs["codes"]`, a mapping of meaning to number, as CF flags. Raises `KeyError` for a name
     that is not in the table and `ValueError` for an array of another rank or length.
@@ -178,20 +178,20 @@ def dataset(
             array = array.astype(object)
         arrays[name] = xr.Variable(dims, array, {"units": units, "long_name": long_name})
     if codes and "code" in arrays:
-        arrays["code"].attrs |= flags(codes)
+        arrays["code"].attrs |= cf_flag_attributes(codes)
     coordinates = {id(STAGE): COORDINATES, id(DIAGNOSIS): LABELS}.get(id(table), ())
     coords = {name: arrays.pop(name) for name in coordinates if name in arrays}
     attrs = {key: int(value) if isinstance(value, bool) else value for key, value in attrs.items()}
     return xr.Dataset(arrays, coords, attrs)
 
 
-def flags(codes: Mapping[str, int]) -> dict[str, Any]:
-    """CF attributes `flag_values` and `flag_meanings` of a mapping from meaning to number."""
+def cf_flag_attributes(codes: Mapping[str, int]) -> dict[str, Any]:
+    """Return the CF attributes `flag_values` and `flag_meanings` of a mapping from meaning to number."""
     return {"flag_values": np.array(list(codes.values()), np.int32), "flag_meanings": " ".join(codes)}
 
 
 def code_names(data: xr.Dataset) -> dict[int, str]:
-    """Meaning of every value of `code`, from its CF flags."""
+    """Return the meaning of every value of `code`, from its CF flags."""
     attrs = data["code"].attrs
     numbers = np.atleast_1d(attrs["flag_values"]).tolist()
     return dict(zip(numbers, str(attrs["flag_meanings"]).split(), strict=True))

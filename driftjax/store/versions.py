@@ -1,4 +1,4 @@
-"""What a run was made with."""
+"""Versions that identify what produced a run."""
 
 import platform
 import subprocess
@@ -14,7 +14,7 @@ PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of the packages and of Python, the machine, the device, the commit and the time."""
+    """Return the versions of packages and Python, machine, device, commit and time."""
     found: dict[str, str | None] = {"driftjax": __version__} | {name: _version(name) for name in PACKAGES}
     return found | {
         "python": platform.python_version(),
@@ -33,7 +33,7 @@ def _version(name: str) -> str | None:
 
 
 def commit() -> str | None:
-    """Git commit of the checkout that runs, with `+changes` where files differ; None outside a checkout."""
+    """Return the Git commit of the running checkout, with `+changes` if files differ; None outside a checkout."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import find_config, from_dict, merged
+from driftjax.core import find_config, from_dict, merge_config
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
@@ -36,7 +36,7 @@ def _shipped(car: str) -> str:
 def whole_learn(options: Options) -> Options:
     """Options of `learn`, the car's shipped ones where they are left out."""
     base = json.loads(_shipped(str(options.get("car", "sedan"))))
-    return to_dict(from_dict(LearnConfig, merged(base, options), "a trial"))
+    return to_dict(from_dict(LearnConfig, merge_config(base, options), "a trial"))
 
 
 def learn_files(config: Options) -> list[Path]:

@@ -9,7 +9,7 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
-from driftjax.core import BadInput, flat
+from driftjax.core import BadInput, flatten_config
 from driftjax.store import RunFolder, list_runs
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.sweep.store import PARTS
@@ -55,7 +55,9 @@ def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
     """Laps of a run of `learn`, with its options."""
     if run.verb != "learn" or not run.has("laps.nc"):
         return
-    options = {key: value for key, value in flat(run.config).items() if isinstance(value, bool | int | float | str)}
+    options = {
+        key: value for key, value in flatten_config(run.config).items() if isinstance(value, bool | int | float | str)
+    }
     known = {"folder": str(run.path), "verb": run.verb, "config": json.dumps(run.config, sort_keys=True)}
     data = run.read_dataset("laps.nc")
     for i, stage in enumerate(data["stage"].values):
@@ -88,7 +90,7 @@ def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Options by dotted names, and mean figures per stage and controller, of a run folder or of a trial of a sweep."""
     if (Path(name) / "config.yaml").is_file():
         run = RunFolder.open(name)
-        return flat(run.config), _means(list(_rows(run)))
+        return flatten_config(run.config), _means(list(_rows(run)))
     database = laps(root)
     found = database.execute("select * from laps where trial is not null and starts_with(trial, ?)", [name])
     columns = [column[0] for column in found.description or ()]
@@ -97,7 +99,7 @@ def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     if len(trials) != 1:
         many = f"{len(trials)} trials begin so" if trials else "is neither a run folder nor a trial"
         raise BadInput(f"{name}: {many}; give a folder, or a trial's id as `driftjax runs --where` shows it.")
-    return flat(json.loads(rows[0]["config"])), _means(rows)
+    return flatten_config(json.loads(rows[0]["config"])), _means(rows)
 
 
 def _means(rows: list[dict[str, Any]]) -> dict[str, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from driftjax.core import BadInput, put
+from driftjax.core import BadInput, set_option
 from driftjax.parallel import BatchExecutor, source_hash
 from driftjax.sweep.config import SweepConfig, Value
 from driftjax.sweep.design import Point
@@ -63,7 +63,7 @@ def trial_of(work: Work, config: SweepConfig, number: int, point: Point) -> Tria
     """The trial of this combination; raises `BadInput` where the verb cannot take it."""
     whole = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
     for name, value in point.items():
-        put(whole, name, value)
+        set_option(whole, name, value)
     whole = work.complete(whole)
     return Trial(_id(work, config.verb, whole), number, point, whole)
 

@@ -1,4 +1,4 @@
-"""Tracks as curvilinear frames: built, read from files, checked, projected onto."""
+"""Tracks as curvilinear frames: build, load, check, project points."""
 
 from driftjax.track.build import corner as corner
 from driftjax.track.build import from_curvature as from_curvature

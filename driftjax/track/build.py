@@ -16,7 +16,7 @@ FINE = 16  # quadrature panels per grid cell or spline interval
 
 
 def from_curvature(knots: ArrayLike, kappa: ArrayLike, width: float, num: int, closed: bool = False) -> Track:
-    """Track whose curvature is linear between `knots` (arc lengths [m], from 0): straights, arcs, clothoids.
+    """Build a track with curvature linear between `knots` (arc lengths [m], from 0): straights, arcs, clothoids.
 
     Starts at the origin along +x, `width` [m] to either side. psi is exact; x and y by Gauss quadrature.
     """
@@ -44,7 +44,7 @@ def from_curvature(knots: ArrayLike, kappa: ArrayLike, width: float, num: int, c
 
 
 def _turn(ramp: float, radius: float, angle: float) -> list[tuple[float, float]]:
-    """`(length, kappa at its end)` of ramp in, arc, ramp out, turning by `angle` in all (negative: right)."""
+    """Return `(length, end kappa)` of ramp in, arc, ramp out with total turn `angle` (negative: right)."""
     require(ramp > 0 and radius > 0, f"ramp {ramp} and radius {radius} must both be positive, in metres.")
     arc = radius * abs(angle) - ramp
     require(arc > 0, f"ramps of {ramp} m at radius {radius} m turn more than {abs(angle):.3f} rad; shorten them.")
@@ -66,9 +66,9 @@ def corner(
     width: float,
     num: int = 601,
 ) -> Track:
-    """One corner between two straights: lengths in m, `width` to either side.
+    """Build one corner between two straights: lengths in m, `width` to either side.
 
-    Curvature ramps linearly over `ramp`; `angle` [rad] is turned in all, ramps included; negative: right.
+    Curvature is linear over `ramp`; `angle` [rad] is the total turn, ramps included; negative: right.
     """
     turn = _turn(ramp, radius, angle)
     track = _chain([(straight_in, 0.0), *turn, (straight_out, 0.0)], width, num)
@@ -78,9 +78,9 @@ def corner(
 
 
 def playground(scale: float = 1.0, width: float = 3.0, num: int = 1600) -> Track:
-    """A closed lap to the left: a hairpin (R 15 m), a fast bend either way (R 45 m), two corners (R 22 m).
+    """Build a closed left-hand lap: a hairpin (R 15 m), a fast bend either way (R 45 m), two corners (R 22 m).
 
-    All lengths times `scale`, but for `width` [m] to either side. The two free straights close it exactly.
+    `scale` multiplies all lengths except `width` [m] to either side. The two free straights close the lap exactly.
     """
     require(scale > 0, f"key 'scale' is {scale}; it must be positive.")
     half, fast = np.pi / 2, np.deg2rad(50.0)
@@ -125,7 +125,7 @@ def from_points(
     source: str = "track",
     rows: ArrayLike | None = None,
 ) -> Track:
-    """Track through points in driving order: cubic spline over chord length, resampled to even arc length.
+    """Build a track through points in driving order: cubic spline over chord length, even arc-length grid.
 
     `smoothing` [m]: root-mean-square distance by which the curve may miss the points (0: interpolates).
     `narrow`: where the inner border of a bend folds over itself, as noisy measurements do, draw it in to 0.9
@@ -159,7 +159,7 @@ def from_points(
 
 
 def _spline(at, px, py, closed: bool, smoothing: float):
-    """`curve(t, order)`: x and y or their derivatives over chord length."""
+    """Return `curve(t, order)`: x and y or their derivatives over chord length."""
     if smoothing > 0:
         knots, _ = scipy.interpolate.splprep([px, py], u=at, per=closed, s=len(px) * smoothing**2)
         return lambda t, order: scipy.interpolate.splev(t, knots, der=order)
@@ -168,7 +168,7 @@ def _spline(at, px, py, closed: bool, smoothing: float):
 
 
 def _arc_length(curve, at, num: int, closed: bool):
-    """Length, and the spline parameters of `num` points evenly spaced along the curve."""
+    """Return the length, and the spline parameters of `num` points evenly spaced along the curve."""
     nodes, weights = leggauss(3)
     fine = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(at[:-1], at[1:], strict=True)])
     fine = np.append(fine, at[-1])

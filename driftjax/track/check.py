@@ -1,4 +1,4 @@
-"""What makes a track unusable, said in one sentence."""
+"""Checks of tracks; each error is one sentence with place and remedy."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def _where(track: Track, i: int, rows) -> str:
 
 
 def check_folding(track: Track, source: str, rows=None) -> None:
-    """Raise where the border on the inside of a bend passes the centre of curvature (kappa w >= 1)."""
+    """Raise `BadInput` if the inner border of a bend passes the centre of curvature (kappa w >= 1)."""
     kappa, right, left = (np.asarray(v) for v in (track.kappa, track.w_right, track.w_left))
     fold = np.maximum(kappa * left, -kappa * right)
     if np.any(fold >= 1):
@@ -26,7 +26,7 @@ def check_folding(track: Track, source: str, rows=None) -> None:
 
 
 def check_crossing(track: Track, source: str, rows=None) -> None:
-    """Raise where the centre line crosses itself."""
+    """Raise `BadInput` if the centre line crosses itself."""
     stride = max(1, len(track.s) // 1500)
     index = np.arange(0, len(track.s), stride)
     p = np.stack([np.asarray(track.x)[index], np.asarray(track.y)[index]], axis=1)
@@ -50,7 +50,7 @@ def check_crossing(track: Track, source: str, rows=None) -> None:
 
 
 def check_width(track: Track, car_width: float, source: str) -> None:
-    """Raise where the track is narrower than a car of `car_width` [m]."""
+    """Raise `BadInput` if the track is narrower than a car of `car_width` [m]."""
     total = np.asarray(track.w_right) + np.asarray(track.w_left)
     i = int(np.argmin(total))
     if total[i] <= car_width:

@@ -43,7 +43,7 @@ class Track(eqx.Module):
         return 2 * jnp.pi * jnp.round(gained / (2 * jnp.pi))
 
     def _cell(self, s: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Left and right grid index, fraction between, whole laps done, metres beyond an open end."""
+        """Return left and right grid index, fraction between them, number of whole laps, metres beyond an open end."""
         n = self.s.shape[0]
         if self.closed:
             laps, over = lax.stop_gradient(jnp.floor(s / self.length)), jnp.zeros_like(s)
@@ -56,7 +56,7 @@ class Track(eqx.Module):
         return i, (i + 1) % n, q - i, laps, over
 
     def pose(self, s: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """`(x, y, psi, kappa)` at arc length `s`: cubic Hermite in x, y and psi, linear in kappa."""
+        """Return `(x, y, psi, kappa)` at arc length `s`: cubic Hermite in x, y and psi, linear in kappa."""
         s = as_float(s)
         i, j, u, laps, over = self._cell(s)
         h, turn = self.spacing, self.turn
@@ -68,17 +68,17 @@ class Track(eqx.Module):
         return x + over * jnp.cos(psi), y + over * jnp.sin(psi), psi + laps * turn, kappa
 
     def widths(self, s: ArrayLike) -> tuple[Array, Array]:
-        """`(w_right, w_left)` at arc length `s` [m], linear between grid points."""
+        """Return `(w_right, w_left)` at arc length `s` [m], linear between grid points."""
         i, j, u, _, _ = self._cell(as_float(s))
         return (1 - u) * self.w_right[i] + u * self.w_right[j], (1 - u) * self.w_left[i] + u * self.w_left[j]
 
     def position(self, s: ArrayLike, e: ArrayLike) -> tuple[Array, Array]:
-        """World point at `s` and lateral offset `e` (left positive) [m]."""
+        """Return the world point at `s` and lateral offset `e` (left positive) [m]."""
         x, y, psi, _ = self.pose(s)
         return x - e * jnp.sin(psi), y + e * jnp.cos(psi)
 
     def project(self, x: ArrayLike, y: ArrayLike, s_guess: ArrayLike, window: ArrayLike | None = None):
-        """`(s, e)` of the foot point near `s_guess`; e > 0 is left of the centre line [m].
+        """Return `(s, e)` of the foot point near `s_guess`; e > 0 is left of the centre line [m].
 
         Nearest of the points within `window` [m] (default 12 grid spacings) of `s_guess`, then Newton on
         (p - c(s)) . t(s) = 0 with steps of at most one spacing: a neighbouring leg outside the window is
@@ -92,7 +92,7 @@ class Track(eqx.Module):
         return self._refine(x, y, s[jnp.argmin((x - cx) ** 2 + (y - cy) ** 2)])
 
     def locate(self, x: ArrayLike, y: ArrayLike):
-        """`(s, e)` of the nearest point of the whole centre line [m]; on a closed track 0 <= s < length."""
+        """Return `(s, e)` of the nearest point of the whole centre line [m]; on a closed track 0 <= s < length."""
         x, y = as_float(x), as_float(y)
         i = jnp.argmin((x - self.x) ** 2 + (y - self.y) ** 2)
         s = self.s[i]
@@ -118,13 +118,13 @@ class Track(eqx.Module):
 
 
 def hermite(u: Array, p: Array, q: Array, dp: Array, dq: Array) -> Array:
-    """Cubic on u in [0, 1] with end values `p`, `q` and end slopes `dp`, `dq` per unit u."""
+    """Return the cubic on u in [0, 1] with end values `p`, `q` and end slopes `dp`, `dq` per unit u."""
     v = 1 - u
     return v * v * ((1 + 2 * u) * p + u * dp) + u * u * ((1 + 2 * v) * q - v * dq)
 
 
 def curvilinear_rates(V: Array, beta: Array, r: Array, e: Array, theta: Array, kappa: Array):
-    """`(s_dot, e_dot, theta_dot)` of a car at offset `e`, its heading `theta` left of the tangent.
+    """Return `(s_dot, e_dot, theta_dot)` of a car at offset `e`, heading `theta` left of the tangent.
 
     Wu et al. 2025, Eq. 7: s_dot = V cos(theta + beta)/(1 - e kappa), e_dot = V sin(theta + beta),
     theta_dot = r - kappa s_dot. Singular where e reaches the centre of curvature.
@@ -134,7 +134,7 @@ def curvilinear_rates(V: Array, beta: Array, r: Array, e: Array, theta: Array, k
 
 
 def resample(S, x, y, psi, kappa, w_right, w_left, num: int, closed: bool = False) -> Track:
-    """Track through samples at increasing, uneven arc lengths `S` [m], put on `num` even grid points.
+    """Resample a track from samples at increasing, uneven arc lengths `S` [m] to `num` even grid points.
 
     In JAX, so that a path that comes out of a solver stays differentiable. A closed path repeats its first
     point as the last sample.

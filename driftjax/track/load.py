@@ -38,7 +38,7 @@ class CornerConfig:
     """Grid points."""
 
     def build(self, source: str) -> Track:
-        """The track."""
+        """Build the track."""
         angle = math.radians(self.angle_deg)
         return corner(self.straight_in, self.ramp, self.radius, angle, self.straight_out, self.width, self.num)
 
@@ -56,7 +56,7 @@ class PlaygroundConfig:
     """Grid points."""
 
     def build(self, source: str) -> Track:
-        """The track."""
+        """Build the track."""
         return playground(self.scale, self.width, self.num)
 
 
@@ -78,7 +78,7 @@ class CsvConfig:
         require(self.smoothing >= 0, f"key 'smoothing' is {self.smoothing}; it must not be negative.")
 
     def build(self, source: str) -> Track:
-        """The track."""
+        """Build the track."""
         return read_csv(Path(source).parent / self.path, self.smoothing, self.narrow, self.closed)
 
 
@@ -86,7 +86,7 @@ KINDS = {"corner": CornerConfig, "playground": PlaygroundConfig, "csv": CsvConfi
 
 
 def load_track(name: str | Path, narrow: bool = False) -> Track:
-    """Track from a CSV or YAML file, or a shipped one by name (`sedan_corner`, `rc_corner`, ...).
+    """Load a track from a CSV or YAML file, or a shipped one by name (`sedan_corner`, `rc_corner`, ...).
 
     `narrow`: for a CSV, draw in an inner border that folds over itself, instead of refusing the track.
     """
@@ -106,7 +106,7 @@ def load_track(name: str | Path, narrow: bool = False) -> Track:
 
 
 def read_csv(path: Path, smoothing: float = 0.0, narrow: bool = False, closed: bool | None = None) -> Track:
-    """Track from rows `x, y, w_right, w_left` [m]; lines after # and one row of names are passed over.
+    """Read a track from rows `x, y, w_right, w_left` [m]; lines after # and one header row are skipped.
 
     Closed where the last point lies within 2.5 median spacings of the first, unless `closed` says.
     """

@@ -26,15 +26,15 @@ class MagicFormula(eqx.Module):
     load_sensitivity: Array = eqx.field(converter=as_float)  # relative loss of friction per relative load [-]
 
     def friction(self, Fz: Array, Fz0: Array) -> Array:
-        """Friction coefficient at vertical load `Fz` [N], where `Fz0` [N] is the reference load."""
+        """Return the friction coefficient at vertical load `Fz` [N]; `Fz0` [N] is the reference load."""
         return self.mu * jnp.exp(-self.load_sensitivity * (Fz / Fz0 - 1))
 
     def saturation(self, kappa: Array, alpha: Array) -> Array:
-        """Combined slip over the slip of the peak, roughly, B rho/2: below 1 the tyre grips, above it slides."""
+        """Return the combined slip over about the peak's slip, B rho/2: below 1 the tyre grips, above it slides."""
         return self.B / 2 * jnp.sqrt((self.slip_ratio * kappa) ** 2 + alpha**2 + SLIP_FLOOR**2)
 
     def forces(self, kappa: Array, alpha: Array, Fz: Array, Fz0: Array) -> tuple[Array, Array]:
-        """Longitudinal and lateral force in the wheel frame [N]: driving and left positive.
+        """Return the longitudinal and lateral force in the wheel frame [N]: driving and left positive.
 
         `kappa` is positive when driving and `alpha` has the sign of the lateral velocity of the wheel, both over its
         travelling speed. The force has a non-negative product with (kappa, -alpha): sliding never adds energy.

@@ -16,7 +16,7 @@ class SimplifiedPacejka(eqx.Module):
     C: Array = eqx.field(converter=as_float)  # shape factor [-]
 
     def lateral(self, alpha: Array, Fz: Array) -> Array:
-        """Lateral force [N], left positive, at slip angle `alpha` [rad] and vertical load `Fz` [N]."""
+        """Return the lateral force [N], left positive, at slip angle `alpha` [rad] and vertical load `Fz` [N]."""
         return -self.mu * Fz * sin(self.C * arctan(self.B * alpha))
 
     @property

@@ -1,4 +1,4 @@
-"""Cars: the paper's nominal single track and the plant that stands in for the real one."""
+"""Cars: the paper's nominal single track, extended cars, and the double-track plant."""
 
 from driftjax.vehicle.corrected import Corrected as Corrected
 from driftjax.vehicle.corrected import Residual as Residual
@@ -8,13 +8,13 @@ from driftjax.vehicle.double_track import Motion as Motion
 from driftjax.vehicle.double_track import PlantState as PlantState
 from driftjax.vehicle.extended import AnyCar as AnyCar
 from driftjax.vehicle.extended import Extended as Extended
+from driftjax.vehicle.extended import actuator_lags as actuator_lags
 from driftjax.vehicle.extended import beyond_peak as beyond_peak
 from driftjax.vehicle.extended import build_car as build_car
-from driftjax.vehicle.extended import named_lags as named_lags
-from driftjax.vehicle.extended import notes as notes
+from driftjax.vehicle.extended import unmodelled_effects as unmodelled_effects
 from driftjax.vehicle.load import load_vehicle as load_vehicle
 from driftjax.vehicle.load import write_vehicle as write_vehicle
-from driftjax.vehicle.parameters import FoundParameter as FoundParameter
+from driftjax.vehicle.parameters import EffectParameterValue as EffectParameterValue
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
 from driftjax.vehicle.plant_config import PlantConfig as PlantConfig
 from driftjax.vehicle.plants import draw_plants as draw_plants

@@ -8,7 +8,7 @@ from driftjax.core import Control, as_float
 
 
 class Actuators(eqx.Module):
-    """From commands to the road-wheel angle and the drive force."""
+    """Actuators: road-wheel angle and drive force from commands."""
 
     steer_lag: Array = eqx.field(converter=as_float)  # time constant of the steering [s]
     delta_max: Array = eqx.field(converter=as_float)  # largest road-wheel angle, either side [rad]
@@ -21,7 +21,7 @@ class Actuators(eqx.Module):
     creep_speed: Array = eqx.field(converter=as_float)  # rim speed below which power and brake limits fade [m/s]
 
     def rates(self, delta: Array, drive: Array, command: Control) -> tuple[Array, Array]:
-        """Rates of the road-wheel angle [rad/s] and of the drive force [N/s]."""
+        """Return the rates of the road-wheel angle [rad/s] and of the drive force [N/s]."""
         steer = (jnp.clip(command.delta, -self.delta_max, self.delta_max) - delta) / self.steer_lag
         push = (jnp.clip(command.Fxr, self.Fxr_min, self.Fxr_max) - drive) / self.drive_lag
         return (
@@ -29,6 +29,6 @@ class Actuators(eqx.Module):
             jnp.clip(push, -self.Fxr_rate_max, self.Fxr_rate_max),
         )
 
-    def limited(self, drive: Array, rim_speed: Array) -> Array:
-        """Drive force within the power limit [N] at the mean rim speed of the driven wheels [m/s]."""
+    def limit_power(self, drive: Array, rim_speed: Array) -> Array:
+        """Return the drive force within the power limit [N] at the mean rim speed of the driven wheels [m/s]."""
         return jnp.minimum(drive, self.power_max / jnp.sqrt(rim_speed**2 + self.creep_speed**2))

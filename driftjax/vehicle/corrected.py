@@ -1,4 +1,4 @@
-"""The nominal car plus a learnt residual rate: x_dot = f(x, u) + d(x, u) (Wu et al. 2025, Eq. 4)."""
+"""The nominal car with a learnt residual rate: x_dot = f(x, u) + d(x, u) (Wu et al. 2025, Eq. 4)."""
 
 from collections.abc import Callable
 
@@ -12,9 +12,9 @@ from driftjax.gp import GP
 
 
 class Residual(eqx.Module):
-    """What was learnt of a car: the lags of its actuators, and the model error d(z) left at what these reached.
+    """Learnt residual of a car: lags of its actuators, and the model error d(z) at the actuator outputs.
 
-    The model error is a GP, faded to nothing where it has no data.
+    The model error is a GP that fades to zero far from its data.
     """
 
     gp: GP
@@ -23,11 +23,11 @@ class Residual(eqx.Module):
     bounded: bool = eqx.field(static=True, default=True)  # False: the bare mean, however far from data
 
     def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
-        """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
+        """Return (dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
         return self.gate * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
 
     def scaled(self, share: Array) -> "Residual":
-        """A share of what was learnt, from nothing at 0 to all of it at 1."""
+        """Return the residual times `share`: zero at 0, unchanged at 1."""
         return Residual(self.gp, share * self.gate, share * self.lags, self.bounded)
 
 
@@ -38,14 +38,14 @@ class Corrected(eqx.Module):
     residual: Callable[[Array], Array]
 
     def __call__(self, x: State, u: Control) -> State:
-        """Time derivative of `x`."""
+        """Return the time derivative of `x`."""
         dx, d = self.nominal(x, u), self.residual(features(x, u))
         return State(dx.V + d[0], dx.beta + d[1], dx.r + d[2])
 
 
 def no_residual(like: GP, lags: Float[Array, "2"] | None = None, bounded: bool = True) -> Residual:
-    """The residual of a car that has learnt nothing, in the shapes of one that has (so nothing recompiles).
+    """Return a zero residual in the shapes of a learnt one (so nothing recompiles).
 
-    `lags` of its actuators [s] may be known beforehand; none where left out.
+    `lags` of the actuators [s] may be known beforehand; zero if omitted.
     """
     return Residual(like, jnp.zeros(3), jnp.zeros(2) if lags is None else lags, bounded)

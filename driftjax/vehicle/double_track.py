@@ -1,4 +1,4 @@
-"""The plant: a double-track car that stands in for the real one."""
+"""The plant: a double-track car that simulates the real one."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from driftjax.core.elementary import arctan2, sincos
 from driftjax.tyre import MagicFormula
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
-from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, quickening
+from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, relaxation_speedup
 
 STEERED = (1.0, 1.0, 0.0, 0.0)
 
@@ -38,7 +38,7 @@ class PlantState(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What ideal sensors would see."""
+    """Ideal measurements."""
 
     V: Array  # speed of the centre of mass [m/s]
     beta: Array  # sideslip, atan2(v_y, v_x), left positive [rad]
@@ -82,7 +82,7 @@ class DoubleTrack(eqx.Module):
         self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0, beta: ArrayLike = 0.0,
         r: ArrayLike = 0.0,
     ) -> PlantState:  # fmt: skip
-        """State of free rolling at speed `V` [m/s] without drive, straight ahead unless `beta` [rad], `r` [rad/s]."""
+        """Return the free-rolling state at speed `V` [m/s], by default straight ahead."""
         V, x, y, psi, beta, r = map(as_float, (V, x, y, psi, beta, r))
         zero, none = jnp.zeros_like(V), jnp.zeros(4, V.dtype)
         sin, cos = sincos(beta)
@@ -90,7 +90,7 @@ class DoubleTrack(eqx.Module):
         return PlantState(x, y, psi, V * cos, V * sin, r + zero, zero, zero, zero, zero, omega, none, none)
 
     def forces(self, state: PlantState) -> Forces:
-        """Forces in `state`: slip and load at each wheel, tyre forces, their sum on the body with drag."""
+        """Return the forces in `state`: slip and load at every wheel, tyre forces, their sum on the body with drag."""
         chassis, wheels = self.chassis, self.wheels
         px, py = chassis.positions()
         steer = state.delta * jnp.array(STEERED, state.delta.dtype)
@@ -104,12 +104,12 @@ class DoubleTrack(eqx.Module):
         Fz0 = chassis.static_loads()
         per_ax, per_ay = chassis.transfer()
         Fz = smooth_positive(Fz0 + per_ax * state.pitch + per_ay * state.roll, LOAD_FLOOR * Fz0)
-        damping = wheels.carcass_time / quickening(saturation)
+        damping = wheels.carcass_time / relaxation_speedup(saturation)
         Fx, Fy = self.tyre.forces(kappa + damping * kappa_rate, alpha + damping * alpha_rate, Fz, Fz0)
 
         body_x, body_y = cos * Fx - sin * Fy, sin * Fx + cos * Fy
         drag = chassis.drag * jnp.sqrt(state.vx**2 + state.vy**2 + SPEED_FLOOR**2)
-        drive = self.actuators.limited(state.drive, wheels.radius * (state.omega[2] + state.omega[3]) / 2)
+        drive = self.actuators.limit_power(state.drive, wheels.radius * (state.omega[2] + state.omega[3]) / 2)
         return Forces(
             Fx=Fx,
             Fy=Fy,
@@ -123,7 +123,7 @@ class DoubleTrack(eqx.Module):
         )
 
     def rates(self, state: PlantState, command: Control) -> PlantState:
-        """Time derivative of `state` under `command`."""
+        """Return the time derivative of `state` under `command`."""
         force, chassis = self.forces(state), self.chassis
         delta_rate, drive_rate = self.actuators.rates(state.delta, state.drive, command)
         sin, cos = sincos(state.psi)
@@ -144,7 +144,7 @@ class DoubleTrack(eqx.Module):
         )
 
     def advance(self, state: PlantState, command: Control, dt: ArrayLike, num_substeps: int) -> PlantState:
-        """State after `dt` [s] of held `command`: classical Runge-Kutta in `num_substeps` equal steps."""
+        """Return the state after `dt` [s] of constant `command`, by `num_substeps` Runge-Kutta steps of order 4."""
         flat, unravel = ravel_pytree(state)
         rates = lambda z: ravel_pytree(self.rates(unravel(z), command))[0]
         step = jnp.asarray(dt, flat.dtype) / num_substeps
@@ -152,7 +152,7 @@ class DoubleTrack(eqx.Module):
         return unravel(last)
 
     def motion(self, state: PlantState, command: Control) -> Motion:
-        """What ideal sensors would see in `state`; it does not depend on `command`, which acts through the state."""
+        """Return the ideal measurements in `state`; `command` acts only through the state."""
         del command
         force = self.forces(state)
         V = jnp.sqrt(state.vx**2 + state.vy**2 + 1e-12)

@@ -1,4 +1,4 @@
-"""The car to plan, control and learn with: the nominal one with what a diagnosis found missing in it."""
+"""The car for planning, control and learning: the nominal car with the effects identified by a diagnosis."""
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.tyre import SimplifiedPacejka
-from driftjax.vehicle.effect import EFFECTS, effects_named
+from driftjax.vehicle.effect import EFFECTS, effects_by_name
 from driftjax.vehicle.effect.base import Effect
 from driftjax.vehicle.effect.flow import Aux, Flow, Place, rates
 from driftjax.vehicle.parameters import VehicleConfig
@@ -20,10 +20,10 @@ STEP = 1.0  # time step given to command effects without memory, which do not lo
 
 
 class Extended(eqx.Module):
-    """The nominal car with named effects in steady use, in place of a `SingleTrack`; calling it gives the rates.
+    """The nominal car with named effects in steady state, used like a `SingleTrack`; calling it returns the rates.
 
-    It is the `Universal` car with these effects only, where tyres and body have settled and no place is special.
-    What a command effect makes of the command is part of it: `u` is the command, past its lags.
+    It is the `Universal` car with these effects only, with settled tyres and body and no dependence on place. Command
+    effects are included: `u` is the command after its lags.
     """
 
     nominal: SingleTrack
@@ -58,35 +58,35 @@ class Extended(eqx.Module):
 
     @property
     def universal(self) -> Universal:
-        """The whole pipeline of this car."""
-        return Universal(base_car(self.nominal), effects_named(self.names), self.scale, self.theta)
+        """Universal car with the same effects."""
+        return Universal(base_car(self.nominal), effects_by_name(self.names), self.scale, self.theta)
 
-    def at(self, theta: Float[Array, " K"]) -> "Extended":
-        """This car with other parameters."""
+    def with_parameters(self, theta: Float[Array, " K"]) -> "Extended":
+        """Return this car with other parameters."""
         return Extended(self.nominal, self.names, self.scale, theta)
 
     def scaled(self, share: Array) -> "Extended":
-        """From the nominal car at 0 to this one at 1."""
-        return self.at(share * self.theta)
+        """Return the nominal car at 0, this car at 1, and linear parameters between."""
+        return self.with_parameters(share * self.theta)
 
     def flow(self, x: State, u: Control) -> Flow:
-        """Everything about one instant, from slip to forces."""
+        """Return all intermediate quantities, from slip to forces."""
         model, zero = self.universal, jnp.zeros_like(x.V)
-        _, acting = model.act(model.start(STEP), u, x.V, STEP)
+        _, acting = model.apply_actuators(model.start(STEP), u, x.V, STEP)
         return model.flow(x, acting, Place(zero, zero, zero, zero), Aux(jnp.stack([zero, zero]), zero))
 
     def __call__(self, x: State, u: Control) -> State:
-        """Time derivative of `x`."""
+        """Return the time derivative of `x`."""
         return rates(self.flow(x, u))
 
     def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
-        """Front and rear slip angle [rad]."""
+        """Return the front and rear slip angle [rad]."""
         flow = self.flow(x, u)
         return flow.alpha_f, flow.alpha_r
 
     @property
     def peaks(self) -> tuple[Array, Array]:
-        """Slip angle at which the front and the rear tyre give most [rad]."""
+        """Slip angle at which the front and the rear tyre reach their largest force [rad]."""
         car = self.universal.car
         front, rear = SimplifiedPacejka(car.muf, car.Bf, car.Cf), SimplifiedPacejka(car.mur, car.Br, car.Cr)
         return front.alpha_peak, rear.alpha_peak
@@ -96,31 +96,31 @@ AnyCar = SingleTrack | Extended
 
 
 def beyond_peak(car: AnyCar, x: State, u: Control) -> Array:
-    """Front slip angle beyond that at which the tyre gives most [rad], 0 below it."""
+    """Return the front slip angle beyond the peak of the tyre force [rad], 0 below it."""
     alpha_f, _ = car.slip_angles(x, u)
     return jnp.maximum(jnp.abs(alpha_f) - car.peaks[0], 0.0)
 
 
 def build_car(vehicle: VehicleConfig) -> AnyCar:
-    """The car that `vehicle` describes: the nominal one, with those of its named effects that act in steady use."""
+    """Build the car that `vehicle` describes: the nominal one with its named effects that act in steady state."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
-    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not missing(EFFECTS[name]))
+    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not exclusion_reason(EFFECTS[name]))
     if not names:
         return vehicle.build()
-    each = [(effect.name, p) for effect in effects_named(names) for p in effect.parameters]
+    each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
     scale = jnp.asarray([p.scale(vehicle) for _, p in each])
     theta = jnp.asarray([values[name, p.name] for name, p in each]) / scale
     return Extended(vehicle.build(), names, scale, theta)
 
 
-def named_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
-    """Time constants of steering and drive that were named, 0 where none was [s]."""
+def actuator_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
+    """Return the identified time constants of steering and drive [s], 0 if none was named."""
     found = {one.effect: one.value for one in vehicle.effects}
     return jnp.asarray([found.get(name, 0.0) for name in LAGS])
 
 
-def missing(effect: Effect) -> str:
-    """Why `effect` is not part of the car in steady use; empty where it is."""
+def exclusion_reason(effect: Effect) -> str:
+    """Return why `effect` is not part of the car in steady state; empty if it is."""
     if effect.station == "sensor":
         return "it belongs to the sensors"
     if effect.kinematic or effect.needs:
@@ -133,10 +133,12 @@ def missing(effect: Effect) -> str:
     return ""
 
 
-def notes(vehicle: VehicleConfig) -> list[str]:
-    """One sentence for each named effect that planner, equilibria and MPC do not have in their car."""
+def unmodelled_effects(vehicle: VehicleConfig) -> list[str]:
+    """Return one sentence per named effect that planner, equilibria and MPC do not model."""
     named = [effect for effect in EFFECTS.values() if effect.name in _named(vehicle)]
-    return [f"{effect.name} is not in the car: {missing(effect)}." for effect in named if missing(effect)]
+    return [
+        f"{effect.name} is not in the car: {exclusion_reason(effect)}." for effect in named if exclusion_reason(effect)
+    ]
 
 
 def _named(vehicle: VehicleConfig) -> set[str]:

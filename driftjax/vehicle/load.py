@@ -1,4 +1,4 @@
-"""Vehicle YAML files, read and written: a nominal car, and the effects that a diagnosis named."""
+"""Read and write vehicle YAML files: a nominal car, and the effects named by a diagnosis."""
 
 import dataclasses
 import math
@@ -8,8 +8,8 @@ from typing import Any
 import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
-from driftjax.vehicle.effect import Parameter, effects_named
-from driftjax.vehicle.parameters import FoundParameter, VehicleConfig
+from driftjax.vehicle.effect import Parameter, effects_by_name
+from driftjax.vehicle.parameters import EffectParameterValue, VehicleConfig
 
 ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
 SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
@@ -38,7 +38,7 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
     matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
     vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix)
-    return vehicle if combined_slip is None else vehicle.with_slip(combined_slip)
+    return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
 def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
@@ -61,10 +61,10 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
     return value
 
 
-def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[FoundParameter, ...]:
-    """Every parameter of the effects `written`, in the catalogue's order."""
+def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:
+    """Return every parameter of the effects `written`, in the catalogue's order."""
     try:
-        effects = effects_named(tuple(map(str, written)))
+        effects = effects_by_name(tuple(map(str, written)))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
     found = []
@@ -77,12 +77,12 @@ def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple
             if p.name not in values:
                 raise BadInput(f"{where}: {effect.name} lacks '{p.name}'; add it, 0 is neutral.")
             at = f"{where}: {effect.name}.{p.name}"
-            found.append(FoundParameter(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
+            found.append(EffectParameterValue(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
     return tuple(found)
 
 
 def _value(written: Any, parameter: Parameter, vehicle: VehicleConfig, where: str) -> tuple[float, float | None]:
-    """Value and half-width of its interval, from a number or {value, ci95_half}."""
+    """Return the value and half-width of its interval, from a number or {value, ci95_half}."""
     parts = written if isinstance(written, dict) else {"value": written}
     if "value" not in parts or parts.keys() - {"value", "ci95_half"}:
         raise BadInput(f"{where} holds {', '.join(map(str, parts))}; it takes 'value' and, if known, 'ci95_half'.")
@@ -100,8 +100,8 @@ def _number(written: Any, where: str) -> float:
     return float(written)
 
 
-def _covariance(written: Any, found: tuple[FoundParameter, ...], where: str) -> tuple[tuple[float, ...], ...]:
-    """The matrix, checked against the parameters `found`."""
+def _covariance(written: Any, found: tuple[EffectParameterValue, ...], where: str) -> tuple[tuple[float, ...], ...]:
+    """Return the matrix, checked against the parameters `found`."""
     parts, names = _mapping(written, where), [one.name for one in found]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")

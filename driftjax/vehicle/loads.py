@@ -1,4 +1,4 @@
-"""Body of the plant: geometry of the four wheels and the loads on them, with roll and pitch lag."""
+"""Body of the plant: wheel positions and wheel loads, with roll and pitch lag."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,19 +29,19 @@ class Chassis(eqx.Module):
     drag: Array = eqx.field(converter=as_float)  # aerodynamic drag over speed squared, rho CdA / 2 [N s^2/m^2]
 
     def positions(self) -> tuple[Array, Array]:
-        """Longitudinal and lateral position of the wheels in the body frame [m]."""
+        """Return the longitudinal and lateral position of the wheels in the body frame [m]."""
         px = jnp.stack([self.a, self.a, -self.b, -self.b])
         py = jnp.stack([self.track_f, -self.track_f, self.track_r, -self.track_r]) / 2
         return px, py
 
     def static_loads(self) -> Array:
-        """Vertical loads at rest [N]."""
+        """Return the vertical loads at rest [N]."""
         front = self.m * G * self.b / (2 * (self.a + self.b))
         rear = self.m * G * self.a / (2 * (self.a + self.b))
         return jnp.stack([front, front, rear, rear])
 
     def transfer(self) -> tuple[Array, Array]:
-        """Change of the vertical loads per longitudinal and per lateral acceleration [N s^2/m]."""
+        """Return the change of the vertical loads per longitudinal and per lateral acceleration [N s^2/m]."""
         pitch = self.m * self.h / (2 * (self.a + self.b))
         front = self.m * self.h * self.roll_split / self.track_f
         rear = self.m * self.h * (1 - self.roll_split) / self.track_r
@@ -49,5 +49,5 @@ class Chassis(eqx.Module):
 
 
 def smooth_positive(x: Array, width: Array) -> Array:
-    """Smooth positive part of `x`: (x + sqrt(x^2 + width^2))/2, which is width/2 at x = 0."""
+    """Return the smooth positive part of `x`: (x + sqrt(x^2 + width^2))/2, which is width/2 at x = 0."""
     return (x + jnp.sqrt(x**2 + width**2)) / 2

@@ -1,4 +1,4 @@
-"""Parameters of a car, checked, and the nominal car built from them."""
+"""Validated parameters of a car, and the nominal car built from them."""
 
 from dataclasses import dataclass, replace
 
@@ -10,8 +10,8 @@ from driftjax.vehicle.single_track import SingleTrack
 
 
 @dataclass(frozen=True)
-class FoundParameter:
-    """One parameter of an effect that a diagnosis named, SI."""
+class EffectParameterValue:
+    """Value of one parameter of an effect named by a diagnosis, SI."""
 
     effect: str
     parameter: str
@@ -21,7 +21,7 @@ class FoundParameter:
 
     @property
     def name(self) -> str:
-        """`effect.parameter`, as on the command line of `driftjax simulate`."""
+        """Qualified name `effect.parameter`, as on the command line of `driftjax simulate`."""
         return f"{self.effect}.{self.parameter}"
 
 
@@ -62,7 +62,7 @@ class VehicleConfig:
 
     combined_slip: float = 0.0
     """How much the drive force takes from the rear lateral force: 0 as published, 1 a friction circle [-]."""
-    effects: tuple[FoundParameter, ...] = ()
+    effects: tuple[EffectParameterValue, ...] = ()
     """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
     covariance: tuple[tuple[float, ...], ...] = ()
     """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
@@ -78,20 +78,21 @@ class VehicleConfig:
         require(self.delta_max < 1.5, f"key 'delta_max' is {self.delta_max}; give radians below 1.5.")
 
     def build(self) -> SingleTrack:
-        """The nominal car, without the effects that were named: those are in `build_car`."""
+        """Build the nominal car, without the named effects: `build_car` adds them."""
         tyre = SimplifiedPacejka(self.mu, self.B, self.C)
         return SingleTrack(self.m, self.Iz, self.a, self.b, tyre, self.combined_slip)
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Smallest and largest command (2,) of steering [rad] and drive [N], and its largest rate [per second]."""
+        """Return the lower and upper limit (2,) of steering [rad] and drive [N], and the rate limit [per second]."""
         lower = np.array([-self.delta_max, self.Fxr_min])
         upper = np.array([self.delta_max, self.Fxr_max])
         return lower, upper, np.array([self.delta_rate_max, self.Fxr_rate_max])
 
-    def with_slip(self, combined_slip: float | None) -> "VehicleConfig":
-        """This car with another friction ellipse; None is a friction circle, but leaves an extended car as it is.
+    def with_combined_slip(self, combined_slip: float | None) -> "VehicleConfig":
+        """Return this car with another friction ellipse; None is a friction circle, except for an extended car.
 
-        What a diagnosis named is the difference to the nominal car that it was given, ellipse included.
+        An extended car then stays as it is: its effects are differences to the nominal car they were identified with,
+        ellipse included.
         """
         if combined_slip is None:
             return self if self.effects else replace(self, combined_slip=1.0)

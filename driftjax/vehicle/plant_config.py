@@ -1,4 +1,4 @@
-"""What a plant YAML file may hold, checked, and the double-track car built from it."""
+"""Contents of a plant YAML file, validated, and the double-track car built from them."""
 
 from dataclasses import dataclass
 
@@ -114,7 +114,7 @@ class PlantConfig:
         require(self.roll_split <= 1, f"key 'roll_split' is {self.roll_split}; it is a share of at most 1.")
 
     def build(self) -> DoubleTrack:
-        """The double-track car."""
+        """Build the double-track car."""
         chassis = Chassis(
             m=self.m, Iz=self.Iz, a=self.a, b=self.b, h=self.h, track_f=self.track_f, track_r=self.track_r,
             roll_split=self.roll_split, roll_lag=self.roll_lag, pitch_lag=self.pitch_lag, drag=self.drag,

@@ -1,4 +1,4 @@
-"""Shipped plants, plants drawn from a distribution, and batches of plants."""
+"""Shipped plants, random plants from a distribution, and batches of plants."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ SHARED = ("mu", "mu_difference")  # keys of a distribution that set both axles
 
 @dataclass(frozen=True)
 class Spread:
-    """How one parameter varies between plants: give exactly one of the two."""
+    """Distribution of one parameter over plants: set exactly one of the two."""
 
     uniform: tuple[float, float] | None = None
     """Lowest and highest value."""
@@ -41,7 +41,7 @@ class Spread:
         return mean - 2 * deviation, mean + 2 * deviation
 
     def draw(self, generator: np.random.Generator) -> float:
-        """One value; takes exactly one uniform number from `generator`."""
+        """Draw one value; uses exactly one uniform number from `generator`."""
         share = generator.random()
         if self.uniform is not None:
             return self.uniform[0] + share * (self.uniform[1] - self.uniform[0])
@@ -67,7 +67,7 @@ def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
-    """Base plant and spread of each varied parameter, from `configs/plant/<car>_distribution.yaml`."""
+    """Load base plant and parameter distributions from `configs/plant/<car>_distribution.yaml`."""
     try:
         path = find_config("plant", f"{car}_distribution")
     except BadInput:
@@ -86,7 +86,7 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
 
 
 def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
-    """`num` plants of `car` from number `first` on; plant i depends on `seed` and i only.
+    """Draw `num` plants of `car` from number `first` on; plant i depends only on `seed` and i.
 
     `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.
     """
@@ -104,6 +104,6 @@ def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConf
 
 
 def stack_plants(configs: Sequence[PlantConfig]) -> DoubleTrack:
-    """One batch of plants: every leaf has a leading axis of lanes, in the order of `configs`."""
+    """Stack plants into one batch: every leaf has a leading batch axis, in the order of `configs`."""
     require(len(configs) > 0, "no plants to stack; give at least one.")
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.build() for config in configs))

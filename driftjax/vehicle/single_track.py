@@ -1,4 +1,4 @@
-"""The paper's nominal car: single track, simplified Pacejka; a friction ellipse at the rear as an option."""
+"""The paper's nominal car: single track, simplified Pacejka tyre; optional friction ellipse at the rear."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,8 +13,8 @@ LATERAL_FLOOR = 0.04  # square of the share of lateral force that no drive force
 V_FLOOR = 1e-3  # speed below which beta_dot is held finite [m/s]
 
 
-def lateral_left(used: Array) -> Array:
-    """Share of its lateral force that an axle keeps when drive takes `used` of the squared friction [-]."""
+def lateral_share(used: Array) -> Array:
+    """Return the share of the lateral force left to an axle when drive uses `used` of the squared friction [-]."""
     return jnp.sqrt(jnp.maximum(1 - used, LATERAL_FLOOR))
 
 
@@ -44,12 +44,12 @@ class SingleTrack(eqx.Module):
 
     @property
     def peaks(self) -> tuple[Array, Array]:
-        """Slip angle at which the front and the rear tyre give most [rad]."""
+        """Slip angle at which the front and the rear tyre reach their largest force [rad]."""
         peak = self.tyre.alpha_peak
         return peak, peak
 
     def slip_angles(self, x: State, u: Control) -> tuple[Array, Array]:
-        """Front and rear slip angle [rad] (Eq. 3, with atan2, so that V = 0 stays finite)."""
+        """Return the front and rear slip angle [rad] (Eq. 3, with atan2, so that V = 0 stays finite)."""
         sin_beta, cos_beta = sincos(x.beta)
         vx, vy = x.V * cos_beta, x.V * sin_beta
         vx = jnp.where(jnp.abs(vx) < V_FLOOR, V_FLOOR, vx)
@@ -58,17 +58,17 @@ class SingleTrack(eqx.Module):
         return alpha_f, alpha_r
 
     def lateral_forces(self, x: State, u: Control) -> tuple[Array, Array]:
-        """Lateral force of front and rear axle in the wheel frames [N], left positive."""
+        """Return the lateral force of front and rear axle in the wheel frames [N], left positive."""
         alpha_f, alpha_r = self.slip_angles(x, u)
         used = self.combined_slip * u.Fxr / (self.tyre.mu * self.Fzr)
-        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * lateral_left(used**2)
+        return self.tyre.lateral(alpha_f, self.Fzf), self.tyre.lateral(alpha_r, self.Fzr) * lateral_share(used**2)
 
     def __call__(self, x: State, u: Control) -> State:
-        """Time derivative of `x` (Eq. 1)."""
+        """Return the time derivative of `x` (Eq. 1)."""
         return self.rates(x, u, *self.lateral_forces(x, u))
 
     def rates(self, x: State, u: Control, Fyf: Array, Fyr: Array) -> State:
-        """Time derivative of `x` under these lateral forces of the axles in the wheel frames [N]."""
+        """Return the time derivative of `x` under these lateral axle forces in the wheel frames [N]."""
         V = jnp.maximum(x.V, V_FLOOR)
         sin_beta, cos_beta = sincos(x.beta)
         sin_front, cos_front = sincos(u.delta - x.beta)

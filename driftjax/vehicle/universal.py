@@ -1,4 +1,4 @@
-"""One car that holds every effect of a catalogue at once; at theta = 0 it is the nominal car exactly."""
+"""The nominal car with any set of effects; at theta = 0 it is exactly the nominal car."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.vehicle.effect.base import Effect, Station
-from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, accelerate, axle_forces, enter, rates
+from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, add_accelerations, axle_forces, initial_flow, rates
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import SingleTrack
 
 
 class Universal(eqx.Module):
-    """The nominal car with effects; `theta` counts typical sizes, so that it is the same in any units."""
+    """The nominal car with effects; `theta` is in typical sizes, so it does not depend on units."""
 
     base: Car
     effects: tuple[Effect, ...] = eqx.field(static=True)
@@ -23,15 +23,15 @@ class Universal(eqx.Module):
     substeps: int = eqx.field(static=True, default=1)  # in which a step of the log is integrated
 
     def values(self) -> dict[str, tuple[Array, ...]]:
-        """Parameters of each effect, SI."""
+        """Return the parameters of each effect, SI."""
         found, at, physical = {}, 0, self.theta * self.scale
         for effect in self.effects:
             found[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
             at += len(effect.parameters)
         return found
 
-    def at(self, theta: Float[Array, " K"]) -> "Universal":
-        """The same car with other parameters, in typical sizes."""
+    def with_parameters(self, theta: Float[Array, " K"]) -> "Universal":
+        """Return the same car with other parameters, in typical sizes."""
         return eqx.tree_at(lambda car: car.theta, self, theta)
 
     def _through(self, station: Station, record, *context):
@@ -47,22 +47,22 @@ class Universal(eqx.Module):
         return self._through("car", self.base)
 
     def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
-        """Everything about one instant, from slip to forces."""
-        flow = self._through("slip", enter(self.car, x, u, place, aux))
-        flow = self._through("load", accelerate(flow))
+        """Return all intermediate quantities, from slip to forces."""
+        flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
+        flow = self._through("load", add_accelerations(flow))
         flow = axle_forces(self._through("friction", flow))
         return self._through("force", flow)
 
     def rates(self, x: State, u: Control, place: Place, aux: Aux) -> State:
-        """Time derivative of the state; `u` is what the actuators have reached."""
+        """Return the time derivative of the state; `u` is the output of the actuators."""
         return rates(self.flow(x, u, place, aux))
 
     def start(self, dt: float) -> tuple:
-        """Memory of the actuators at rest, for steps of `dt` [s]."""
+        """Return the memory of the actuators at rest, for steps of `dt` [s]."""
         return tuple(effect.start(dt) for effect in self.effects if effect.station == "command")
 
-    def act(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
-        """What the actuators make of command `u` held over one step `dt` [s] at speed `V` (its mean), and memory."""
+    def apply_actuators(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
+        """Return memory and actuator output for a constant command `u` over one step `dt` [s] at mean speed `V`."""
         values, new = self.values(), []
         commands = [effect for effect in self.effects if effect.station == "command"]
         for effect, held in zip(commands, memory, strict=True):
@@ -72,29 +72,29 @@ class Universal(eqx.Module):
 
     @property
     def _delays(self) -> np.ndarray:
-        """Indices of the parameters that are delays of V, beta and r; none where no effect makes any."""
-        return np.flatnonzero([effect.late for effect in self.effects for _ in effect.parameters])
+        """Indices of the parameters that are delays of V, beta and r; empty if no effect has any."""
+        return np.flatnonzero([effect.sensor_delay for effect in self.effects for _ in effect.parameters])
 
-    def delayed(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:
-        """Whole steps `dt` [s] by which sensors tell V, beta and r late, and the car with the rest of the delays."""
+    def split_delays(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:
+        """Return the sensor delays of V, beta, r in whole steps `dt` [s], and the car with the remaining delays."""
         at = self._delays
         if not len(at):
             return jnp.zeros(3), self
         whole = jnp.floor(self.theta[at] * self.scale[at] / dt)
-        return whole, self.at(self.theta.at[at].add(-whole * dt / self.scale[at]))
+        return whole, self.with_parameters(self.theta.at[at].add(-whole * dt / self.scale[at]))
 
-    def lateness(self) -> Float[Array, "3"]:
-        """Times by which the sensors tell V, beta and r late [s]."""
+    def sensor_delays(self) -> Float[Array, "3"]:
+        """Return the sensor delays of V, beta and r [s]."""
         at = self._delays
         return self.theta[at] * self.scale[at] if len(at) else jnp.zeros(3)
 
     def sense(self, x: State, dx: State) -> State:
-        """What the sensors tell of `x`, noise apart; `dx` its mean rate over what they are late."""
+        """Return the measured state without noise; `dx` is the mean rate over the delay."""
         return self._through("sensor", x, dx)
 
 
 def base_car(nominal: SingleTrack) -> Car:
-    """The nominal car as `Car`."""
+    """Return the nominal car as `Car`."""
     tyre, zero = nominal.tyre, jnp.zeros_like(nominal.m)
     return Car(
         nominal.m, nominal.Iz, nominal.a, nominal.b, tyre.mu, tyre.mu, tyre.B, tyre.B, tyre.C, tyre.C,
@@ -102,7 +102,7 @@ def base_car(nominal: SingleTrack) -> Car:
     )  # fmt: skip
 
 
-def universal(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
-    """The car with these effects, all neutral."""
+def universal_car(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
+    """Return the car with these effects, all neutral."""
     scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
     return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)), substeps)

@@ -10,8 +10,8 @@ SPEED_FLOOR = 1e-3  # added in quadrature to the travelling speed of a wheel, fo
 SATURATION_MAX = 8.0  # bounds that rise, so that an explicit step stays stable in any wheelspin [-]
 
 
-def quickening(saturation: Array) -> Array:
-    r"""How many times shorter the relaxation length is at `saturation` q: $\sqrt{(1+q^2)/(1+(q/q_{max})^2)}$."""
+def relaxation_speedup(saturation: Array) -> Array:
+    r"""Return the divisor of the relaxation length at `saturation` q: $\sqrt{(1+q^2)/(1+(q/q_{max})^2)}$."""
     return jnp.sqrt((1 + saturation**2) / (1 + (saturation / SATURATION_MAX) ** 2))
 
 
@@ -34,7 +34,7 @@ class Wheels(eqx.Module):
     def slip_rates(
         self, v: Array, w: Array, omega: Array, kappa: Array, alpha: Array, saturation: Array
     ) -> tuple[Array, Array]:
-        r"""Rates of the transient slips [1/s] of wheels that travel at `v` ahead and `w` to the left [m/s].
+        r"""Return the rates of the transient slips [1/s] of wheels moving at `v` ahead and `w` to the left [m/s].
 
         $\sigma\dot\kappa + |u|\kappa = \omega R - v$ and $\sigma\dot\alpha + |u|\alpha = w$ (Pacejka 2012, Sec. 7.2)
         with the travelling speed $|u| = \sqrt{v^2 + w^2}$ in place of |v|: alpha tends to the sine of the slip angle,
@@ -42,12 +42,12 @@ class Wheels(eqx.Module):
         divided by `quickening` at `saturation` q, since a sliding tyre loads its carcass no further.
         """
         speed = jnp.sqrt(v**2 + w**2 + SPEED_FLOOR**2)
-        quicker = quickening(saturation)
+        quicker = relaxation_speedup(saturation)
         kappa_rate = (omega * self.radius - v - speed * kappa) * quicker / self.relaxation_long
         return kappa_rate, (w - speed * alpha) * quicker / self.relaxation
 
     def spin_rates(self, omega: Array, drive: Array, Fx: Array, Fz: Array) -> Array:
-        """Angular accelerations [rad/s^2] under the rear axle force `drive` [N] and the tyre forces `Fx` [N].
+        """Return the angular accelerations [rad/s^2] under the rear axle force `drive` [N] and tyre forces `Fx` [N].
 
         A negative `drive` is a brake: it opposes the rotation and fades below the creep speed, so that it cannot
         turn a wheel backwards. Drive inertia resists the mean of the rear wheels only.

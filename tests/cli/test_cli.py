@@ -41,7 +41,7 @@ def loop(monkeypatch):
             folder.write_dataset("plan.nc", synthetic_plan())
             folder.write_stage(name, synthetic_stage(name, synthetic_plan(), ("path", "paper"), 2, number), b"")
         folder.write_json("results", synthetic_results(folder))
-        folder.collect()
+        folder.write_laps()
         return folder.read_json("results")
 
     monkeypatch.setattr("driftjax.learning.run.run", run)

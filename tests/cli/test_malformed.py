@@ -13,11 +13,13 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from driftjax.cli import main
-from driftjax.core.config import flat, put, to_dict
+from driftjax.core.config import flatten_config, set_option, to_dict
 from driftjax.learning.config import load_learn_config
 
 DEFAULTS = to_dict(load_learn_config("rc"))
-NUMBERS = [name for name, value in flat(DEFAULTS).items() if isinstance(value, int | float) and "plant" not in name]
+NUMBERS = [
+    name for name, value in flatten_config(DEFAULTS).items() if isinstance(value, int | float) and "plant" not in name
+]
 SOME = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 WORDS = st.text("abcdefghijklmnopqrstuvwxyz", min_size=3, max_size=9)
 # What stands for no number in any option: other types, and numbers that are none.
@@ -49,7 +51,7 @@ def refused(argv: list[str], files: dict[str, str | bytes], *places: str) -> Non
 @given(st.sampled_from(NUMBERS), NONSENSE)
 def test_options_that_are_no_numbers(name, value):
     config = copy.deepcopy(DEFAULTS)
-    put(config, name, value)
+    set_option(config, name, value)
     last = name.split(".")[-1]
     places = (f"'{last}'",) if not last.isdecimal() else (f"'{name.split('.')[-2]}'",)
     refused(["learn", "--config", "c.yaml"], {"c.yaml": yaml.safe_dump(config)}, *places)

@@ -15,7 +15,7 @@ from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.residual import nearby
 from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput, Control, State, features, rk4_step
-from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.track import from_curvature
 from driftjax.vehicle import Residual, load_vehicle, no_residual
 
@@ -152,7 +152,9 @@ def residual() -> Residual:
     mask = jnp.ones(12, bool)
     hyper = Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(0.1)))
     return Residual(
-        condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se"), jnp.asarray([1.0, 0.4, 0.0]), jnp.asarray([0.05, 0.1])
+        condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se"),
+        jnp.asarray([1.0, 0.4, 0.0]),
+        jnp.asarray([0.05, 0.1]),
     )
 
 

@@ -15,7 +15,7 @@ import pytest
 from driftjax.control.lane_solve import FEW_LANES, Posed, answers, safeguarded
 from driftjax.control.lanes import drift_lanes
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp
-from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.solve import Options
 from driftjax.vehicle import Residual, load_vehicle, no_residual
 
@@ -31,7 +31,9 @@ def residual(seed: int, size: float = 1.0, num: int = 12) -> Residual:
     Z = np.array([9.0, -0.55, 1.1, -0.3, 6800.0]) + rng.normal(size=(num, 5)) * [0.7, 0.1, 0.15, 0.1, 800.0]
     Y, mask = size * rng.normal(size=(num, 3)) * [0.5, 0.1, 0.3], jnp.ones(num, bool)
     hyper = Hyper(jnp.full((3, 5), 0.7), jnp.zeros(3), jnp.full(3, -2.0))
-    gp = condition(jnp.asarray(Z), jnp.asarray(Y), mask, hyper, *scales(jnp.asarray(Z), jnp.asarray(Y), mask), "se")
+    gp = condition(
+        jnp.asarray(Z), jnp.asarray(Y), mask, hyper, *data_scales(jnp.asarray(Z), jnp.asarray(Y), mask), "se"
+    )
     return Residual(gp, jnp.array([1.0, 0.8, 0.9]), jnp.array([0.06, 0.09]))
 
 

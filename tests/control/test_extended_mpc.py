@@ -14,11 +14,11 @@ from driftjax.core import RESULTS, Control, State, rk4_step
 from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve_steady
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
-from driftjax.vehicle import build_car, load_vehicle, named_lags, no_residual
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle import actuator_lags, build_car, load_vehicle, no_residual
+from driftjax.vehicle.parameters import EffectParameterValue
 
-FOUND = (FoundParameter("load_transfer_long", "h", 0.4), FoundParameter("steer_offset", "p", 0.02),
-         FoundParameter("steer_lag", "tau", 0.06))  # fmt: skip
+FOUND = (EffectParameterValue("load_transfer_long", "h", 0.4), EffectParameterValue("steer_offset", "p", 0.02),
+         EffectParameterValue("steer_lag", "tau", 0.06))  # fmt: skip
 CAR = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=FOUND)
 CONFIG = MPCConfig(horizon=12)
 
@@ -31,7 +31,7 @@ def steady() -> Equilibrium:
 
 @cache
 def ocp() -> DriftOCP:
-    residual = no_residual(zero_gp(4, 5, 3), named_lags(CAR))
+    residual = no_residual(zero_gp(4, 5, 3), actuator_lags(CAR))
     return drift_ocp(CONFIG, Weights(front_slip=1000.0), CAR, residual)
 
 

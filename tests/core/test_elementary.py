@@ -81,13 +81,13 @@ def test_angles_of_axes_zeros_and_infinities_are_those_of_ieee(kind):
 
 @pytest.mark.parametrize("kind", TYPES)
 def test_sine_and_cosine_of_what_is_no_angle(kind):
-    none = np.resize(np.array([np.inf, -np.inf, np.nan], kind), elementary.FEW)
+    none = np.resize(np.array([np.inf, -np.inf, np.nan], kind), elementary.MIN_VECTOR_SIZE)
     for value in (elementary.sin(none), elementary.cos(none), *elementary.sincos(none)):
         assert np.isnan(value).all()
-    huge = np.resize(np.array([1e9, -1e15, 1e20, np.finfo(kind).max], kind), elementary.FEW)
+    huge = np.resize(np.array([1e9, -1e15, 1e20, np.finfo(kind).max], kind), elementary.MIN_VECTOR_SIZE)
     for value in (elementary.sin(huge), *elementary.sincos(huge)):
         assert (np.abs(value) <= 1 + np.finfo(kind).eps).all()
-    zeros = np.zeros(elementary.FEW, kind)
+    zeros = np.zeros(elementary.MIN_VECTOR_SIZE, kind)
     assert (elementary.cos(zeros) == 1).all() and (elementary.sin(zeros) == 0).all()
 
 
@@ -177,8 +177,8 @@ def test_programs_of_many_numbers_hold_nothing_that_cannot_be_vectorised(functio
         text = jax.jit(jax.vmap(both) if batched else both).lower(jnp.ones(num)).as_text()
         return [op for op in slow if f"stablehlo.{op}" in text or f"chlo.{op}" in text]
 
-    assert not found(elementary.FEW)
-    assert found(elementary.FEW - 1)  # where XLA's own are as fast and less to compile
+    assert not found(elementary.MIN_VECTOR_SIZE)
+    assert found(elementary.MIN_VECTOR_SIZE - 1)  # where XLA's own are as fast and less to compile
 
 
 def test_batches_on_any_axis_are_those_of_numpy():

@@ -14,14 +14,14 @@ from driftjax.manoeuvres.campaign import spun, typical
 from driftjax.manoeuvres.library import MANOEUVRES, RICH
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.vehicle import VehicleConfig, load_vehicle
-from driftjax.vehicle.effect import effects_named
-from driftjax.vehicle.universal import Universal, universal
+from driftjax.vehicle.effect import effects_by_name
+from driftjax.vehicle.universal import Universal, universal_car
 
 NAMES = (
     "friction_rear stiffness_front load_transfer_long relaxation_length aero_drag drive_gain yaw_inertia steer_offset "
     "steer_lag gyro_bias"
 ).split()
-EFFECTS = effects_named(tuple(NAMES))
+EFFECTS = effects_by_name(tuple(NAMES))
 ORDER = [effect.name for effect in EFFECTS]  # one parameter each
 DT, ROWS = 0.01, 600
 ACCELERATION = 0.05  # noise of ax, ay [m/s^2]
@@ -38,7 +38,7 @@ def sedan() -> VehicleConfig:
 
 @functools.cache
 def catalogue(name: str = "sedan") -> Universal:
-    return universal(nominal_car(name), EFFECTS)
+    return universal_car(nominal_car(name), EFFECTS)
 
 
 @functools.cache
@@ -55,7 +55,7 @@ def hidden(**found: float) -> np.ndarray:
 
 @eqx.filter_jit
 def _drive(model: Universal, name: str, theta, manoeuvres: Manoeuvre, conditions: Conditions, keys):
-    plant, vehicle = model.at(theta), nominal_car(name)
+    plant, vehicle = model.with_parameters(theta), nominal_car(name)
     return jax.vmap(lambda m, key: record(plant, vehicle, m, conditions, key, DT))(manoeuvres, keys)
 
 

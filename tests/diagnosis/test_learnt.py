@@ -11,11 +11,11 @@ from driftjax.diagnosis.fit import posed
 from driftjax.diagnosis.residual_gp import residual_rates
 from driftjax.logs import Run
 from driftjax.sim.rollout import SETTLE, acting, begin, move, told
-from driftjax.vehicle.effect import effects_named
+from driftjax.vehicle.effect import effects_by_name
 from driftjax.vehicle.effect.flow import Place
-from driftjax.vehicle.universal import universal
+from driftjax.vehicle.universal import universal_car
 
-EFFECTS = effects_named(("drive_gain", "speed_scale"))
+EFFECTS = effects_by_name(("drive_gain", "speed_scale"))
 NUM = 250
 FIRST = 20  # samples after which the observer has forgotten where it began
 
@@ -23,7 +23,7 @@ FIRST = 20  # samples after which the observer has forgotten where it began
 def noise_free(theta, x0, delta, Fxr, dt: float, push=(0.0, 0.0, 0.0)) -> Run:
     """A run of the sedan with the effects `theta` from the state `x0`, `push` added to its rates; beta is wrapped."""
     lead, step = round(SETTLE / dt), jnp.asarray(dt)
-    model = universal(sedan(), EFFECTS, substeps=10).at(jnp.asarray(theta))
+    model = universal_car(sedan(), EFFECTS, substeps=10).with_parameters(jnp.asarray(theta))
     commands = np.pad(np.stack([delta, Fxr], axis=1), ((lead, 0), (0, 0)), mode="edge")
     u = acting(model, jnp.asarray(commands), jnp.full(len(commands), 10.0), dt)
     place = Place(*(jnp.zeros(()),) * 4)

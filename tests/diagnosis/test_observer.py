@@ -26,8 +26,8 @@ from driftjax.diagnosis.runs import (
     spans,
     whiten,
 )
-from driftjax.vehicle.effect import effects_named
-from driftjax.vehicle.universal import universal
+from driftjax.vehicle.effect import effects_by_name
+from driftjax.vehicle.universal import universal_car
 
 NEUTRAL, EVERY = np.zeros(len(ORDER)), np.ones(len(ORDER), bool)
 SKIP = 50  # samples until the observer has forgotten its guess of the start
@@ -110,7 +110,7 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
 @functools.cache
 def with_late_sensors():
     """A model whose sensors may be late, nominal data and gains for it."""
-    model, data = universal(sedan(), effects_named(("gyro_bias", "channel_delay"))), watched()[0]
+    model, data = universal_car(sedan(), effects_by_name(("gyro_bias", "channel_delay"))), watched()[0]
     return model, gains(model, data, np.zeros(4), truth().row(), held(data))
 
 

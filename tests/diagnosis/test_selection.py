@@ -15,7 +15,7 @@ from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Followed, Pieces
 from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
 from driftjax.diagnosis.select import Selection, search
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle.parameters import EffectParameterValue
 
 BLOCKS, LENGTH, SIZE = 24, 8, 5  # of the synthetic data: blocks, samples in each, parameters
 FREE, ONE_SIDED = np.full(SIZE, -4.0), np.zeros(SIZE)
@@ -48,7 +48,7 @@ def test_nothing_is_named_where_nothing_is_hidden(seed):
 
 def test_a_search_begins_where_the_file_of_the_car_does():
     """What an earlier diagnosis named is neither named again nor lost; what changed since is."""
-    known = FoundParameter("drive_gain", "p", 0.06 * 1.2)
+    known = EffectParameterValue("drive_gain", "p", 0.06 * 1.2)
     vehicle = replace(sedan(), effects=(known,))
     for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
         task = problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
@@ -56,7 +56,9 @@ def test_a_search_begins_where_the_file_of_the_car_does():
         assert [ORDER[i] for i in found.members] == names
         assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
     with pytest.raises(BadInput, match="lacks"):
-        problem(replace(vehicle, effects=(FoundParameter("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23))
+        problem(
+            replace(vehicle, effects=(EffectParameterValue("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23)
+        )
 
 
 def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():

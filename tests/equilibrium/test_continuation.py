@@ -7,7 +7,7 @@ import numpy as np
 
 from driftjax.core import RESULTS, features
 from driftjax.equilibrium import Branch, SlipRadius, continuation, solve_nominal
-from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.vehicle import Corrected, load_vehicle
 
 CAR = load_vehicle("sedan").build()
@@ -30,7 +30,7 @@ def learnt(d, rows=60):
     Z = centre + spread * jax.random.uniform(jax.random.key(0), (rows, 5), minval=-1.0, maxval=1.0)
     Y, mask = jax.vmap(d)(Z), jnp.ones(rows, bool)
     hyper = Hyper(jnp.log(3.0) * jnp.ones((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(1e-3)))
-    return condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se")
+    return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")
 
 
 @eqx.filter_jit

@@ -14,7 +14,7 @@ from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal, solve_steady
 from driftjax.equilibrium.map import Config, main
 from driftjax.vehicle import Extended, build_car, load_vehicle
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle.parameters import EffectParameterValue
 
 EFFECTS = {"friction": "p", "load_transfer_long": "h", "aero_drag": "c", "mass": "p", "steer_offset": "p"}
 FIXED = SlipRadius(-0.45, 15.0)
@@ -24,7 +24,7 @@ steady = lambda car, fixed=FIXED: found_at(car, fixed)  # one program for all
 
 def extended(**values: float) -> Extended:
     """The sedan with a friction circle and these effects, SI; always the same ones, so that one program serves all."""
-    found = tuple(FoundParameter(name, p, values.get(name, 0.0)) for name, p in EFFECTS.items())
+    found = tuple(EffectParameterValue(name, p, values.get(name, 0.0)) for name, p in EFFECTS.items())
     car = build_car(dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=found))
     assert isinstance(car, Extended)
     return car
@@ -55,7 +55,7 @@ def test_less_friction_drifts_slower_and_an_offset_is_steered_against():
 
 def test_gradient_by_the_height_of_the_centre_of_mass_equals_central_differences():
     car, h = extended(load_transfer_long=0.3), 1e-4
-    steer = lambda size: steady(car.at(car.theta * size)).u.delta
+    steer = lambda size: steady(car.with_parameters(car.theta * size)).u.delta
     one = jnp.asarray(1.0)
     difference = (steer(one + h) - steer(one - h)) / (2 * h)
     np.testing.assert_allclose(jax.grad(steer)(one), difference, rtol=1e-5)

@@ -9,7 +9,7 @@ import yaml
 from driftjax.core import BadInput
 from driftjax.logs import load_columns
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.effect import effects_named
+from driftjax.vehicle.effect import effects_by_name
 from experiments import real_logs
 from experiments.real_logs import QUESTIONS, Config, answer, driven_on, main, nominal, picture, told
 
@@ -33,7 +33,7 @@ def test_every_question_asks_for_what_there_is():
         load_columns(question.columns)
         load_vehicle(question.vehicle)
         asked = (*question.looked_for, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
-        assert {effect.name for effect in effects_named(asked)} == set(asked)
+        assert {effect.name for effect in effects_by_name(asked)} == set(asked)
         assert question.calibrated_on or not question.forgotten
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.explore import select
-from driftjax.gp import Hyper, condition, scales
+from driftjax.gp import Hyper, condition, data_scales
 
 P = jnp.array([1.0, 2.0, 3.0])
 CANDIDATES = jnp.array([[10.0, 7e3], [10.5, 7e3], [12.0, 7e3], [14.0, 7e3]])
@@ -17,7 +17,7 @@ def learnt(rows):
     Z = jnp.stack([jnp.linspace(8.0, 11.0, rows), 7e3 + 2e3 * jnp.sin(jnp.arange(rows))], axis=1)
     Y, mask = jnp.stack([Z[:, 0], Z[:, 0] ** 2, jnp.ones(rows)], axis=1), jnp.ones(rows, bool)
     hyper = Hyper(jnp.log(jnp.array([[0.5, 2.0], [1.0, 2.0], [2.0, 2.0]])), jnp.zeros(3), jnp.full(3, -3.0))
-    return condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se")
+    return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")
 
 
 GP = learnt(20)
@@ -52,7 +52,7 @@ def test_units_of_the_inputs_do_not_matter():
     kilo = jnp.array([1.0, 1e-3])
     Z = GP.Z * kilo
     Y = jnp.stack([GP.Z[:, 0], GP.Z[:, 0] ** 2, jnp.ones(20)], axis=1)
-    rescaled = condition(Z, Y, GP.mask, GP.hyper, *scales(Z, Y, GP.mask), "se")
+    rescaled = condition(Z, Y, GP.mask, GP.hyper, *data_scales(Z, Y, GP.mask), "se")
     ours = select(CANDIDATES * kilo, NONE, Z_REF * kilo, rescaled, P, 0.5)
     np.testing.assert_allclose(ours.score, select(CANDIDATES, NONE, Z_REF, GP, P, 0.5).score, rtol=1e-9, atol=1e-12)
 

@@ -12,9 +12,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from driftjax.core import RESULTS
-from driftjax.gp import Hyper, fit_kernel, scales
+from driftjax.gp import Hyper, data_scales, fit_kernel
 from driftjax.gp.likelihood import derivatives
-from driftjax.gp.model import condition, squares
+from driftjax.gp.model import condition, squared_differences
 from driftjax.gp.optimise import minimise
 
 KEY, N = jax.random.key(0), 40
@@ -42,7 +42,7 @@ def box(nf=3):
 
 def scaled(seed=0, noise=0.05):
     Z, Y = (jnp.asarray(part) for part in smooth(N, D=1, seed=seed, noise=noise))
-    scale, output_scale = scales(Z, Y, jnp.ones(N, bool))
+    scale, output_scale = data_scales(Z, Y, jnp.ones(N, bool))
     return Z / scale, Y[:, 0] / output_scale[0]
 
 
@@ -58,7 +58,7 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
     hyper = lambda x: Hyper(x[..., :-2], x[..., -2], x[..., -1])
 
     def closed(x):
-        value, gradient, information = derivatives("se", hyper(x), X, squares(X), y, mask)
+        value, gradient, information = derivatives("se", hyper(x), X, squared_differences(X), y, mask)
         return -value / N, -gradient / N, information / N
 
     low, high = (jnp.log(jnp.array([BOUNDS["length"][i]] * 3 + [BOUNDS["amplitude"][i], NOISE[i]])) for i in (0, 1))

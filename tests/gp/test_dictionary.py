@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.gp import Hyper, condition, scales, select_dictionary
+from driftjax.gp import Hyper, condition, data_scales, select_dictionary
 
 
 def clustered(N=400, seed=0):
@@ -18,7 +18,7 @@ def clustered(N=400, seed=0):
 
 def held_out_error(Z, Y, mask):
     hyper = Hyper(jnp.zeros((1, 2)), jnp.zeros(1), jnp.full(1, jnp.log(0.1)))
-    gp = condition(Z, Y, mask, hyper, scales(*clustered()[:1], Y[:1], jnp.ones(400, bool))[0], jnp.ones(1), "se")
+    gp = condition(Z, Y, mask, hyper, data_scales(*clustered()[:1], Y[:1], jnp.ones(400, bool))[0], jnp.ones(1), "se")
     t = jnp.linspace(-1.8, 1.8, 60)
     truth = jnp.sin(2 * t)
     return float(jnp.sqrt(jnp.mean((jax.vmap(gp.mean)(jnp.stack([t, 0.5 * t**2], 1))[:, 0] - truth) ** 2)))

@@ -7,8 +7,8 @@ import pytest
 
 from driftjax.gp import KERNELS, Hyper
 from driftjax.gp.likelihood import derivatives, likelihood
-from driftjax.gp.model import gram, squares
-from driftjax.gp.orthogonal import directions
+from driftjax.gp.model import gram, squared_differences
+from driftjax.gp.orthogonal import orthonormal_basis
 
 M = 30
 POINT = jnp.log(jnp.array([0.7, 1.1, 1.6, 0.8, 0.05]))  # not at an optimum: no gradient is near 0
@@ -26,14 +26,14 @@ def problem(held):
     X[5] = X[6]  # two rows at distance 0
     y = np.where(mask, np.sin(2 * X[:, 0]) + 0.1 * rng.normal(size=M), 0.0)
     J = rng.normal(size=(M, 1, 3)) * [1.0, 30.0, 0.0]
-    Q = np.asarray(directions(jnp.asarray(J), jnp.asarray(mask))[0])
+    Q = np.asarray(orthonormal_basis(jnp.asarray(J), jnp.asarray(mask))[0])
     y = y - Q @ (Q.T @ y) if held else y
     return jnp.asarray(X), jnp.asarray(y), jnp.asarray(mask), jnp.asarray(Q) if held else None
 
 
 def found_and_plain(kernel, held):
     X, y, mask, Q = problem(held)
-    pairs = squares(X)
+    pairs = squared_differences(X)
     plain = lambda x: likelihood(kernel, hyper(x), pairs, y, mask, Q)
     return jax.jit(lambda x: derivatives(kernel, hyper(x), X, pairs, y, mask, Q))(POINT), plain
 
@@ -57,7 +57,7 @@ def test_average_information_is_its_definition_in_dense_matrices(kernel, held):
     B = rows.T @ B
 
     def left(x):
-        K = gram(kernel, hyper(x), squares(X), mask, Q)
+        K = gram(kernel, hyper(x), squared_differences(X), mask, Q)
         cross = K @ spare
         return B.T @ (K - cross @ jnp.linalg.solve(spare.T @ cross, cross.T)) @ B
 
@@ -73,8 +73,8 @@ def test_rows_that_are_no_data_change_nothing():
     X, y, mask, _ = problem(False)
     some = np.flatnonzero(mask)
     at = jax.jit(derivatives, static_argnums=0)
-    all_rows = at("se", hyper(POINT), X, squares(X), y, mask)
-    few = at("se", hyper(POINT), X[some], squares(X[some]), y[some], mask[some])
+    all_rows = at("se", hyper(POINT), X, squared_differences(X), y, mask)
+    few = at("se", hyper(POINT), X[some], squared_differences(X[some]), y[some], mask[some])
     for ours, theirs in zip(all_rows, few, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
 
@@ -83,7 +83,7 @@ def test_average_information_is_between_observed_and_expected():
     """For covariances linear in their parameters the mean of both is the average information: s^2 I shows it."""
     _, y, mask, _ = problem(False)
     far = 60.0 * jnp.arange(M)[:, None] * jnp.ones(3)  # no two rows are correlated: K = (amplitude + noise) I
-    found = jax.jit(derivatives, static_argnums=0)("se", hyper(POINT), far, squares(far), y, mask)
+    found = jax.jit(derivatives, static_argnums=0)("se", hyper(POINT), far, squared_differences(far), y, mask)
     variance = jnp.exp(2 * POINT[-2:])
     total, energy = jnp.sum(variance), jnp.sum(y**2)
     expected = 0.5 * energy * jnp.outer(2 * variance, 2 * variance) / total**3

@@ -11,9 +11,9 @@ from gp_data import smooth
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
-from driftjax.gp import Hyper, condition, scales, zero_gp
+from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.gp.likelihood import likelihood
-from driftjax.gp.model import squares
+from driftjax.gp.model import squared_differences
 
 LENGTH = np.array([[0.7, 1.1, 1.6], [1.3, 0.6, 0.9]])
 AMPLITUDE, NOISE = np.array([0.8, 1.7]), np.array([0.05, 0.2])
@@ -23,7 +23,7 @@ HYPER = Hyper(jnp.log(LENGTH), jnp.log(AMPLITUDE), jnp.log(NOISE))
 def build(Z, Y, kernel="se", mask=None, fixed=None):
     Z, Y = jnp.asarray(Z), jnp.asarray(Y)
     mask = jnp.ones(len(Z), bool) if mask is None else jnp.asarray(mask)
-    scale, output_scale = scales(Z, Y, mask) if fixed is None else fixed
+    scale, output_scale = data_scales(Z, Y, mask) if fixed is None else fixed
     return eqx.filter_jit(condition)(Z, Y, mask, HYPER, scale, output_scale, kernel)
 
 
@@ -51,7 +51,7 @@ def test_mean_variance_and_likelihood_equal_scikit_learn(kernel):
         np.testing.assert_allclose(variance[:, d] / scale**2, s**2 - NOISE[d] ** 2, rtol=1e-6, atol=1e-12)
         hyper = jax.tree.map(lambda leaf, d=d: leaf[d], HYPER)
         y = jnp.asarray(Y[:, d]) / scale
-        ours = likelihood(kernel, hyper, squares(gp.Z / gp.scale), y, gp.mask)
+        ours = likelihood(kernel, hyper, squared_differences(gp.Z / gp.scale), y, gp.mask)
         np.testing.assert_allclose(ours, other.log_marginal_likelihood_value_, rtol=1e-8)
 
 
@@ -92,7 +92,7 @@ def test_derivatives_equal_central_differences(kernel):
 def test_likelihood_gradient_equals_central_differences(kernel):
     Z, Y = smooth(30)
     gp = build(Z, Y, kernel, mask=np.arange(30) < 22)
-    pairs, y = squares(gp.Z / gp.scale), jnp.where(gp.mask, jnp.asarray(Y[:, 0]) / gp.output_scale[0], 0)
+    pairs, y = squared_differences(gp.Z / gp.scale), jnp.where(gp.mask, jnp.asarray(Y[:, 0]) / gp.output_scale[0], 0)
 
     def value(x):
         return likelihood(kernel, Hyper(x[:3], x[3], x[4]), pairs, y, gp.mask)
@@ -152,7 +152,7 @@ def test_growing_data_never_recompiles():
 
 def test_more_data_never_raises_the_variance():
     Z, Y = smooth(40)
-    fixed = scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(40, bool))
+    fixed = data_scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(40, bool))
     few, many = (build(Z, Y, mask=np.arange(40) < n, fixed=fixed) for n in (10, 40))
     points = jnp.asarray(smooth(30, seed=8)[0])
     assert jnp.all(jax.vmap(many.variance)(points) <= jax.vmap(few.variance)(points) + 1e-12)

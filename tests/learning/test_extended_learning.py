@@ -16,9 +16,9 @@ from driftjax.learning.reference import Corner
 from driftjax.learning.residual import claims
 from driftjax.learning.scenario import held
 from driftjax.vehicle import Extended, build_car, load_vehicle
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle.parameters import EffectParameterValue
 
-FOUND = (FoundParameter("load_transfer_long", "h", 0.3), FoundParameter("rolling_resistance", "f", 0.015))
+FOUND = (EffectParameterValue("load_transfer_long", "h", 0.3), EffectParameterValue("rolling_resistance", "f", 0.015))
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
 CAR: Any = build_car(dataclasses.replace(SEDAN, effects=FOUND))
 CLAIM: Any = claims(CAR)
@@ -49,7 +49,7 @@ def test_claims_are_how_rates_change_with_the_parameters():
     Z, _ = inputs(5)
     found, h = jax.jit(CLAIM)(Z), 1e-5
     assert found.shape == (5, 3, 2)
-    rates = lambda theta, z: jnp.stack(CAR.at(theta)(State(*z[:3]), Control(*z[3:])))
+    rates = lambda theta, z: jnp.stack(CAR.with_parameters(theta)(State(*z[:3]), Control(*z[3:])))
     for k in range(2):
         up, down = (jax.vmap(lambda z, s=s: rates(CAR.theta.at[k].add(s), z))(Z) for s in (h, -h))  # noqa: B023
         np.testing.assert_allclose(found[:, :, k], (up - down) / (2 * h), atol=1e-6)
@@ -85,7 +85,7 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
 
 
 def test_where_tyres_have_no_peak_the_corner_is_slid_through_within_it():
-    car: Any = build_car(load_vehicle("dart").with_slip(1.0))
+    car: Any = build_car(load_vehicle("dart").with_combined_slip(1.0))
     config = load_learn_config("dart")
     steady, branch = held(car, Corner(V_b=2.3, r_b=2.0, R=1.2, beta=-config.drift_beta), config)
     assert branch == Branch.GRIP and abs(float(steady.x.beta)) == config.drift_beta

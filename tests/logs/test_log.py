@@ -441,15 +441,15 @@ def test_logs_of_the_shipped_maps_are_read_as_they_were_made(file, columns, rate
 def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):
     path = write(tmp_path / "log.csv", columns(n=1000) | {"run": ["grip/a"] * 700 + ["ice/b"] * 300})
     log = read_log([path])
-    assert [run.name for run in log.only(["ice*", "none"]).runs] == ["ice/b"] and log.only(()) is log
+    assert [run.name for run in log.select_runs(["ice*", "none"]).runs] == ["ice/b"] and log.select_runs(()) is log
     with pytest.raises(BadInput, match=r"no run is called lap\*; the log holds grip/a, ice/b"):
-        log.only(["lap*"])
-    cut = log.cut(3.0)
+        log.select_runs(["lap*"])
+    cut = log.split_runs(3.0)
     assert [(run.name, len(run.t)) for run in cut.runs] == [("grip/a@0", 300), ("grip/a@3", 400), ("ice/b", 300)]
-    assert [run.name for run in cut.only(["grip/*"]).runs] == ["grip/a@0", "grip/a@3"]
-    assert [run.name for run in cut.only(["grip/a"]).runs] == ["grip/a@0", "grip/a@3"]
-    assert [run.name for run in cut.only(["*@3"]).runs] == ["grip/a@3"]
+    assert [run.name for run in cut.select_runs(["grip/*"]).runs] == ["grip/a@0", "grip/a@3"]
+    assert [run.name for run in cut.select_runs(["grip/a"]).runs] == ["grip/a@0", "grip/a@3"]
+    assert [run.name for run in cut.select_runs(["*@3"]).runs] == ["grip/a@3"]
     whole, parts = log.runs[0], cut.runs[:2]
     for name in CHANNELS:
         np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(whole, name))
-    assert log.cut(None) is log and cut.rows == log.rows
+    assert log.split_runs(None) is log and cut.rows == log.rows

@@ -268,16 +268,16 @@ def test_the_latest_sample_holds_over_few_lost_ones_only():
     t, y = np.array([0.0, 0.1, 0.5, 1.0]), np.array([1.0, 2.0, 3.0, 4.0])
     times = np.array([-0.1, 0.0, 0.05, 0.0999999, 0.3, 0.49, 0.55, 0.61, 0.99, 1.05, 1.2])
     expected = [np.nan, 1, 1, 2, 2, 2, 3, np.nan, np.nan, 4, np.nan]
-    np.testing.assert_array_equal(sampling.latest(times, t, y, 0.1, lost=3), expected)
-    np.testing.assert_array_equal(sampling.latest(times, t, y, 0.1), [np.nan, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4])
+    np.testing.assert_array_equal(sampling.sample_and_hold(times, t, y, 0.1, lost=3), expected)
+    np.testing.assert_array_equal(sampling.sample_and_hold(times, t, y, 0.1), [np.nan, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4])
 
 
 def test_between_samples_is_nothing_where_they_are_lost_or_have_ended():
     t, y = np.array([0.0, 0.1, 0.2, 0.5, 0.6]), np.array([0.0, 1.0, 3.0, 6.0, np.nan])
     times = np.array([-0.05, 0.0, 0.05, 0.1995, 0.2, 0.35, 0.499999, 0.55, 0.6, 0.65])
     expected = [np.nan, 0, 0.5, 3, 3, np.nan, 6, np.nan, np.nan, np.nan]
-    np.testing.assert_allclose(sampling.between(times, t, y, 0.1), expected, atol=1e-12)
-    np.testing.assert_array_equal(sampling.between(np.array([0.25, 0.3]), t[:3], y[:3], 0.1), [np.nan, np.nan])
+    np.testing.assert_allclose(sampling.interpolate(times, t, y, 0.1), expected, atol=1e-12)
+    np.testing.assert_array_equal(sampling.interpolate(np.array([0.25, 0.3]), t[:3], y[:3], 0.1), [np.nan, np.nan])
 
 
 def test_the_sample_time_is_one_that_occurs():

@@ -11,13 +11,13 @@ from driftjax.core import RESULTS, Control, State
 from driftjax.planner import Plan, PlanConfig, plan
 from driftjax.track import load_track
 from driftjax.vehicle import build_car, load_vehicle
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle.parameters import EffectParameterValue
 
 CONFIG = PlanConfig(entry_speed=3.016, V_min=0.8, V_max=8.0, drift=False, num_nodes=121, front_slip=0.1)
 
 
 def vehicle(**found):
-    effects = tuple(FoundParameter(name, parameter, value) for name, (parameter, value) in found.items())
+    effects = tuple(EffectParameterValue(name, parameter, value) for name, (parameter, value) in found.items())
     return dataclasses.replace(load_vehicle("rc"), combined_slip=1.0, effects=effects)
 
 

@@ -15,9 +15,9 @@ from driftjax.sim.rollout import SETTLE, acting, advance, begin, move, told
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import Felt, held, settled
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.effect import Place, effects_named
+from driftjax.vehicle.effect import Place, effects_by_name
 from driftjax.vehicle.effect.flow import Aux
-from driftjax.vehicle.universal import Universal, universal
+from driftjax.vehicle.universal import Universal, universal_car
 
 NUM, DT = 12, 0.01
 BENT = (  # every lag, and effects of every station that a step runs through
@@ -31,9 +31,9 @@ STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
 
 def car_with(car="sedan", **found) -> Universal:
     """The car with these effects of one parameter each, SI."""
-    model = universal(load_vehicle(car), effects_named(tuple(found)))
+    model = universal_car(load_vehicle(car), effects_by_name(tuple(found)))
     values = jnp.array([float(found[effect.name]) for effect in model.effects])
-    return model.at(values / model.scale)
+    return model.with_parameters(values / model.scale)
 
 
 def without_grip(model: Universal) -> Universal:
@@ -56,18 +56,18 @@ def rich():
 @functools.cache
 def bent() -> Universal:
     """The sedan with many effects at once, lags included, at sizes met in practice."""
-    model = universal(load_vehicle("sedan"), effects_named(tuple(BENT)))
+    model = universal_car(load_vehicle("sedan"), effects_by_name(tuple(BENT)))
     lower = np.array([parameter.lower for effect in model.effects for parameter in effect.parameters])
     rng = np.random.default_rng(6)
     sign = np.where(lower == 0, 1.0, rng.choice([-1.0, 1.0], len(lower)))
-    return model.at(jnp.asarray(sign * rng.uniform(0.4, 1.2, len(lower))))
+    return model.with_parameters(jnp.asarray(sign * rng.uniform(0.4, 1.2, len(lower))))
 
 
 @pytest.mark.parametrize("combined_slip", [0.0, 1.0])
 def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
     vehicle = replace(load_vehicle("sedan"), combined_slip=combined_slip)
-    model, nominal = bent().at(jnp.zeros_like(bent().theta)), vehicle.build()
-    model = eqx.tree_at(lambda m: m.base, model, universal(vehicle, ()).base)
+    model, nominal = bent().with_parameters(jnp.zeros_like(bent().theta)), vehicle.build()
+    model = eqx.tree_at(lambda m: m.base, model, universal_car(vehicle, ()).base)
     z, u, place = rich()
     found = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT)).z))(z, u, place)
 
@@ -185,15 +185,15 @@ def test_sensors_tell_the_yaw_rate_with_its_bias():
 @pytest.mark.parametrize("steps", [0.0, 0.3, 0.999, 1.0, 2.6])
 def test_what_is_late_is_told_as_it_was(steps):
     """Less whole steps, and exactly where the state moves along a cubic."""
-    model = universal(load_vehicle("sedan"), effects_named(("channel_delay",)))
-    model = model.at(jnp.array([0.0, steps, 0.4 * steps]) * DT / model.scale)
+    model = universal_car(load_vehicle("sedan"), effects_by_name(("channel_delay",)))
+    model = model.with_parameters(jnp.array([0.0, steps, 0.4 * steps]) * DT / model.scale)
     cubics = [np.polynomial.Polynomial(c) for c in np.random.default_rng(8).normal(size=(3, 4)) + [[10], [0], [0]]]
     x = np.array([p(0.0) for p in cubics])
     rates = np.stack([[(p(0.0) - p(-DT)) / DT, p.deriv()(-DT), p.deriv()(0.0)] for p in cubics], axis=1)
     found = told(model, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(DT))
     rest = np.mod([0.0, steps, 0.4 * steps], 1.0)
     np.testing.assert_allclose(found, [p(-q * DT) for p, q in zip(cubics, rest, strict=True)], atol=1e-12)
-    np.testing.assert_array_equal(model.delayed(DT)[0], np.floor([0.0, steps, 0.4 * steps]))
+    np.testing.assert_array_equal(model.split_delays(DT)[0], np.floor([0.0, steps, 0.4 * steps]))
 
 
 @pytest.mark.parametrize("substeps", [1, 3])
@@ -204,7 +204,7 @@ def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
 
     def both(z, u, place):
         def f(z, u, push, theta):
-            return move(model.at(theta), z, u, place, jnp.asarray(DT), State(*push)).z
+            return move(model.with_parameters(theta), z, u, place, jnp.asarray(DT), State(*push)).z
 
         by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2, 3))(z, u, PUSH, model.theta), axis=1)
         return f(z, u, PUSH, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT), PUSH)

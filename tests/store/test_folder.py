@@ -105,7 +105,7 @@ def test_collected_laps_pad_what_a_stage_lacks(run):
     run.write_stage("lqr", laps(1, 4, "lqr"), b"")
     Z = np.random.default_rng(0).normal(size=(2, 3, 5))
     run.write_stage("gpr-1", laps(2, 6, "path", gp_Z=Z, gp_mask=np.ones((2, 3), bool)), b"")
-    run.collect()
+    run.write_laps()
     whole = run.read_dataset("laps.nc")
     assert whole.sizes["stage"] == 2 and list(whole["stage"].values) == ["lqr", "gpr-1"]
     np.testing.assert_array_equal(whole["V"].values[0, 0, :4], run.read_stage("lqr")["V"].values[0])
@@ -120,7 +120,7 @@ def test_collected_laps_pad_what_a_stage_lacks(run):
 
 def test_collect_without_stages_is_told(run):
     with pytest.raises(BadInput, match="no stage has finished"):
-        run.collect()
+        run.write_laps()
 
 
 def test_a_folder_that_holds_a_run_is_not_overwritten(run):

@@ -20,11 +20,11 @@ from driftjax.logs import Run, write_log
 from driftjax.manoeuvres.campaign import Campaign
 from driftjax.sim import LapCode, UniversalPlant
 from driftjax.studies.closed_loop import before, closed_loop, compare, figures, load_course
-from driftjax.vehicle import DoubleTrack, Extended, build_car, load_vehicle, named_lags
-from driftjax.vehicle.parameters import FoundParameter
+from driftjax.vehicle import DoubleTrack, Extended, actuator_lags, build_car, load_vehicle
+from driftjax.vehicle.parameters import EffectParameterValue
 
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
-FOUND = (FoundParameter("load_transfer_long", "h", 0.3), FoundParameter("steer_lag", "tau", 0.07))
+FOUND = (EffectParameterValue("load_transfer_long", "h", 0.3), EffectParameterValue("steer_lag", "tau", 0.07))
 EXTENDED = dataclasses.replace(SEDAN, effects=FOUND)
 
 
@@ -55,7 +55,7 @@ def test_the_plant_is_the_car_that_was_simulated_or_a_double_track():
 def test_the_nominal_car_is_the_extended_one_without_its_values():
     car: Any = build_car(before(SEDAN, EXTENDED))
     assert isinstance(car, Extended) and car.names == ("load_transfer_long",) and not car.theta.any()
-    assert not named_lags(before(SEDAN, EXTENDED)).any() and float(named_lags(EXTENDED)[0]) == 0.07
+    assert not actuator_lags(before(SEDAN, EXTENDED)).any() and float(actuator_lags(EXTENDED)[0]) == 0.07
     half = dataclasses.replace(EXTENDED, effects=(FOUND[0], dataclasses.replace(FOUND[1], value=0.03)))
     assert before(half, EXTENDED).effects == half.effects  # a diagnosis of a car extended before starts there
 

@@ -7,7 +7,7 @@ import signal
 import time
 from pathlib import Path
 
-from driftjax.core import BadInput, merged
+from driftjax.core import BadInput, merge_config
 from driftjax.sweep import Work
 
 COLUMNS = {"stage": str, "lateral_error": float, "lap_time": float}
@@ -19,7 +19,7 @@ def complete(options):
     for name in options:
         if name not in DEFAULTS:
             raise BadInput(f"a trial: unknown key '{name}'.")
-    whole = merged(DEFAULTS, options)
+    whole = merge_config(DEFAULTS, options)
     if not isinstance(whole["x"], int | float) or not math.isfinite(whole["x"]):
         raise BadInput(f"a trial: key 'x' is {whole['x']!r}; give a number.")
     return json.loads(json.dumps(whole))

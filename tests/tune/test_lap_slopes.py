@@ -33,7 +33,7 @@ SENSORS = SensorConfig(sigma_beta=0.002, sigma_r=0.002)
 @cache
 def lanes():
     """The sedan at 10 m/s, a metre beside a bend that begins where the MPC has just taken over."""
-    car = load_vehicle("sedan").with_slip(1.0)
+    car = load_vehicle("sedan").with_combined_slip(1.0)
     path = from_curvature([0.0, 5.0, 8.0, 40.0], [0.0, 0.0, 0.06, 0.06], 4.0, 161)
     num = 41
     s = jnp.linspace(0.0, 40.0, num)

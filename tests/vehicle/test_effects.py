@@ -15,7 +15,7 @@ from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import EFFECTS, Place, reference
 from driftjax.vehicle.effect.flow import ROLL_GRIP, Aux
 from driftjax.vehicle.single_track import G
-from driftjax.vehicle.universal import Universal, universal
+from driftjax.vehicle.universal import Universal, universal_car
 
 NAMES = (
     "friction friction_front friction_rear stiffness_front stiffness_rear tyre_shape sliding_friction load_sensitivity "
@@ -39,7 +39,7 @@ def vehicle_of(name, combined_slip):
 
 @functools.cache
 def all_effects(name, combined_slip) -> Universal:
-    return universal(vehicle_of(name, combined_slip), tuple(EFFECTS.values()))
+    return universal_car(vehicle_of(name, combined_slip), tuple(EFFECTS.values()))
 
 
 @functools.cache
@@ -58,7 +58,7 @@ def batch(name):
 def outputs(model, x, u, place, dx):
     """All that effects can change: rates, measured states, what actuators make of commands, lags of the roll-out."""
     lag = Aux(jnp.zeros((2, NUM)), jnp.zeros(NUM))
-    step = lambda memory, row: model.act(memory, Control(row[0], row[1]), row[2], DT)
+    step = lambda memory, row: model.apply_actuators(memory, Control(row[0], row[1]), row[2], DT)
     acted = jax.lax.scan(step, model.start(DT), (u.delta, u.Fxr, x.V))[1]
     car = jnp.stack([model.car.relaxation, model.car.roll_lag])
     parts = (model.rates(x, u, place, lag), model.sense(x, dx), acted, car)
@@ -68,7 +68,7 @@ def outputs(model, x, u, place, dx):
 @eqx.filter_jit
 def along(model, thetas, data):
     """Outputs (K, D) at each row of `thetas` and their derivative by the parameter of that row."""
-    at = lambda theta: outputs(model.at(theta), *data)
+    at = lambda theta: outputs(model.with_parameters(theta), *data)
     return jax.vmap(lambda theta, d: jax.jvp(at, (theta,), (d,)))(thetas, jnp.eye(len(model.theta)))
 
 
@@ -77,7 +77,7 @@ def backward(model, thetas, data):
     """Gradients of the summed outputs by parameters, states and commands, in reverse mode, for each row."""
 
     def total(theta, x, u):
-        return jnp.sum(outputs(model.at(theta), x, u, *data[2:]))
+        return jnp.sum(outputs(model.with_parameters(theta), x, u, *data[2:]))
 
     return jax.lax.map(lambda theta: jax.grad(total, argnums=(0, 1, 2))(theta, *data[:2]), thetas)
 
@@ -112,9 +112,9 @@ def rows(effect):
 
 def car_with(car="sedan", **found) -> Universal:
     """The car with these effects at these values, SI."""
-    model = universal(load_vehicle(car), tuple(effect for name, effect in EFFECTS.items() if name in found))
+    model = universal_car(load_vehicle(car), tuple(effect for name, effect in EFFECTS.items() if name in found))
     values = np.concatenate([np.atleast_1d(found[effect.name]) for effect in model.effects])
-    return model.at(jnp.asarray(values) / model.scale)
+    return model.with_parameters(jnp.asarray(values) / model.scale)
 
 
 def state(V=10.0, beta=0.0, r=0.0):
@@ -134,7 +134,7 @@ def acted(model, commands, V=10.0):
     """Steering angles and drive forces that the actuators make of rows (delta, Fxr)."""
     memory, found = model.start(DT), []
     for row in commands:
-        memory, u = model.act(memory, control(*row), jnp.asarray(V), DT)
+        memory, u = model.apply_actuators(memory, control(*row), jnp.asarray(V), DT)
         found.append(u)
     return np.array(found)
 

@@ -11,16 +11,16 @@ import pytest
 import yaml
 
 from driftjax.core import BadInput, Control, State
-from driftjax.vehicle import Extended, SingleTrack, build_car, load_vehicle, named_lags, notes
+from driftjax.vehicle import Extended, SingleTrack, actuator_lags, build_car, load_vehicle, unmodelled_effects
 from driftjax.vehicle.effect import EFFECTS, Place, reference
 from driftjax.vehicle.effect.flow import Aux
-from driftjax.vehicle.extended import missing
-from driftjax.vehicle.parameters import FoundParameter, VehicleConfig
-from driftjax.vehicle.universal import universal
+from driftjax.vehicle.extended import exclusion_reason
+from driftjax.vehicle.parameters import EffectParameterValue, VehicleConfig
+from driftjax.vehicle.universal import universal_car
 
 STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
 NONE = Aux(jnp.zeros(2), jnp.zeros(()))
-INSIDE = [name for name, effect in EFFECTS.items() if not missing(effect)]
+INSIDE = [name for name, effect in EFFECTS.items() if not exclusion_reason(effect)]
 NUM = 16
 
 
@@ -28,7 +28,7 @@ def with_effects(car="sedan", size=1.0, combined_slip=1.0, names=(), **values) -
     """A car with all parameters of `names` at `size` typical sizes, and with `values` of one-parameter effects, SI."""
     vehicle = dataclasses.replace(load_vehicle(car), combined_slip=combined_slip)
     found = [
-        FoundParameter(effect.name, p.name, values[name] if name in values else size * p.scale(vehicle))
+        EffectParameterValue(effect.name, p.name, values[name] if name in values else size * p.scale(vehicle))
         for name, effect in EFFECTS.items() if name in names or name in values for p in effect.parameters
     ]  # fmt: skip
     return dataclasses.replace(vehicle, effects=tuple(found))
@@ -55,7 +55,7 @@ def rates_of_all(model, thetas, x, u):
 
     def one(theta, x, u):
         at = eqx.tree_at(lambda m: m.theta, model, theta)
-        return jnp.stack(at.rates(x, at.act(at.start(0.01), u, x.V, 0.01)[1], STILL, NONE))
+        return jnp.stack(at.rates(x, at.apply_actuators(at.start(0.01), u, x.V, 0.01)[1], STILL, NONE))
 
     return jax.vmap(lambda theta: jax.vmap(lambda x, u: one(theta, x, u))(x, u))(thetas)
 
@@ -63,7 +63,7 @@ def rates_of_all(model, thetas, x, u):
 @pytest.mark.parametrize("car", ["sedan", "rc"])
 def test_rates_are_the_universal_cars(car):
     vehicle, (x, u) = with_effects(car, size=0.7, names=INSIDE), batch(car)
-    extended, model = build_car(vehicle), universal(vehicle, tuple(EFFECTS.values()))
+    extended, model = build_car(vehicle), universal_car(vehicle, tuple(EFFECTS.values()))
     assert isinstance(extended, Extended) and list(extended.names) == INSIDE
     names = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
     theta = jnp.asarray([0.7 if name in INSIDE else 0.0 for name in names])
@@ -76,7 +76,7 @@ def test_rates_are_the_universal_cars(car):
 
 def test_every_effect_of_the_catalogue_is_in_the_car_or_does_nothing_to_it_in_steady_use():
     vehicle, (x, u) = with_effects(), batch("sedan")
-    model, nominal = universal(vehicle, tuple(EFFECTS.values())), rates_of(vehicle.build(), x, u)
+    model, nominal = universal_car(vehicle, tuple(EFFECTS.values())), rates_of(vehicle.build(), x, u)
     names = np.array([effect.name for effect in EFFECTS.values() for _ in effect.parameters])
     changed = np.abs(rates_of_all(model, jnp.eye(len(names)), x, u) - nominal).max(axis=(1, 2)) > 1e-9
     of_the_place = {"road_bank", "road_grade", "side_wind", "friction_patch"}
@@ -90,16 +90,16 @@ def test_without_effects_in_it_the_car_is_the_nominal_one():
     for vehicle in (load_vehicle("sedan"), with_effects(names=("gyro_bias", "steer_lag", "relaxation_length"))):
         assert isinstance(build_car(vehicle), SingleTrack)
         assert eqx.tree_equal(build_car(vehicle), vehicle.build())
-    np.testing.assert_array_equal(named_lags(load_vehicle("sedan")), [0, 0])
+    np.testing.assert_array_equal(actuator_lags(load_vehicle("sedan")), [0, 0])
 
 
 def test_what_is_not_in_the_car_is_told_and_lags_are_kept():
     vehicle = with_effects(names=("friction", "gyro_bias", "road_grade", "relaxation_length"), drive_lag=0.15)
-    told = notes(vehicle)
+    told = unmodelled_effects(vehicle)
     assert [note.split()[0] for note in told] == ["relaxation_length", "drive_lag", "road_grade", "gyro_bias"]
     for note, words in zip(told, ("what went before", "lags", "road", "sensors"), strict=True):
         assert words in note and note.endswith(".")
-    np.testing.assert_allclose(named_lags(vehicle), [0.0, 0.15])
+    np.testing.assert_allclose(actuator_lags(vehicle), [0.0, 0.15])
 
 
 def test_slip_angles_and_peaks_are_those_of_the_extended_car():
@@ -113,9 +113,11 @@ def test_slip_angles_and_peaks_are_those_of_the_extended_car():
 
 
 def test_an_extended_car_keeps_its_ellipse_unless_it_is_told_another():
-    assert load_vehicle("sedan").with_slip(None).combined_slip == 1.0
+    assert load_vehicle("sedan").with_combined_slip(None).combined_slip == 1.0
     vehicle = with_effects(combined_slip=0.4, friction=-0.05)
-    assert vehicle.with_slip(None).combined_slip == 0.4 and vehicle.with_slip(0.0).combined_slip == 0.0
+    assert (
+        vehicle.with_combined_slip(None).combined_slip == 0.4 and vehicle.with_combined_slip(0.0).combined_slip == 0.0
+    )
 
 
 NOMINAL = {k: v for k, v in dataclasses.asdict(load_vehicle("sedan")).items() if k not in ("effects", "covariance")}
@@ -149,7 +151,7 @@ def test_an_extended_car_is_read_in_the_catalogues_order(tmp_path):
 def test_effects_may_stand_as_plain_numbers_beside_the_parameters_of_the_car(tmp_path):
     path = tmp_path / "by_hand.yaml"
     path.write_text(yaml.safe_dump(NOMINAL | {"effects": {"friction": {"p": -0.05}}}))
-    assert load_vehicle(path).effects == (FoundParameter("friction", "p", -0.05),)
+    assert load_vehicle(path).effects == (EffectParameterValue("friction", "p", -0.05),)
     path.write_text(yaml.safe_dump({"nominal": NOMINAL, "effects": {}}))
     assert load_vehicle(path) == load_vehicle("sedan")
 

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.gp import FitResult, Hyper, KernelGP, fit, fit_kernel, scales
+from driftjax.gp import FitResult, Hyper, KernelGP, data_scales, fit, fit_kernel
 from driftjax.gp.fit import FINE, LOWER, UPPER
 from driftjax.gp.likelihood import likelihood
-from driftjax.gp.model import squares
+from driftjax.gp.model import squared_differences
 from driftjax.studies.bench.config import Config
 from driftjax.studies.bench.drift import residual_rows
 from driftjax.studies.bench.peers import missing
@@ -36,7 +36,7 @@ def data(num: int) -> Data:
     """`num` rows of a car with less friction, with noise."""
     Z, Y = residual_rows(num)
     Y = Y + NOISE * np.sqrt(np.mean(Y**2, axis=0)) * np.random.default_rng(2).standard_normal(Y.shape)
-    scale, output_scale = scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(num, bool))
+    scale, output_scale = data_scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(num, bool))
     return Data(jnp.asarray(Z), jnp.asarray(Y), Z / np.asarray(scale), Y / np.asarray(output_scale))
 
 
@@ -110,7 +110,7 @@ def _logs(hyper: Hyper) -> np.ndarray:
 
 def _likelihoods(rows: Data, logs: np.ndarray) -> list[float]:
     """Log marginal likelihood of each output at these hyper-parameters, by the same formula for both sides."""
-    pairs, present = squares(jnp.asarray(rows.X)), jnp.ones(len(rows.X), bool)
+    pairs, present = squared_differences(jnp.asarray(rows.X)), jnp.ones(len(rows.X), bool)
     at = lambda x, y: likelihood("se", Hyper(x[:-2], x[-2], x[-1]), pairs, y, present)
     return [float(at(jnp.asarray(x), jnp.asarray(y))) for x, y in zip(logs, rows.T.T, strict=True)]
 

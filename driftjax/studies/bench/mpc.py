@@ -13,7 +13,7 @@ from jax import Array
 from driftjax.control.lanes import DriftLanes, drift_lanes
 from driftjax.control.mpc import Reference
 from driftjax.core import RESULTS
-from driftjax.gp import GP, Hyper, condition, scales
+from driftjax.gp import GP, Hyper, condition, data_scales
 from driftjax.solve import Options, real_time_iteration, solve_lanes
 from driftjax.studies.bench.config import Dtype
 from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, residual_rows
@@ -70,4 +70,4 @@ def learnt(num: int) -> GP:
     Z, Y = (jnp.asarray(table, jnp.result_type(float)) for table in residual_rows(num))
     mask = jnp.ones(num, bool)
     hyper = Hyper(jnp.full((3, 5), jnp.log(3.0)), jnp.zeros(3), jnp.full(3, jnp.log(0.05)))
-    return condition(Z, Y, mask, hyper, *scales(Z, Y, mask), "se")
+    return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")

@@ -13,7 +13,7 @@ import jax
 
 from driftjax.core import write_atomically
 from driftjax.core.config import to_dict
-from driftjax.environment import WHOLE_LOOPS
+from driftjax.environment import SERIAL_LOOPS
 from driftjax.studies.bench.config import Config, Part
 from driftjax.studies.bench.figures import write_figures
 from driftjax.studies.bench.machine import machine
@@ -70,7 +70,7 @@ def environment(part: Part, cfg: Config) -> dict[str, str]:
     # their long elementwise expressions gain from kernels with several results, which are off by default
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
     if elementwise and jax.default_backend() == "cpu":
-        flags = os.environ.get("XLA_FLAGS", "").replace(WHOLE_LOOPS, "")  # their loops may be shared by threads
+        flags = os.environ.get("XLA_FLAGS", "").replace(SERIAL_LOOPS, "")  # their loops may be shared by threads
         own["XLA_FLAGS"] = f"{flags} {fused}".strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from driftjax.gp.model import FADE_LENGTH, faded
+from driftjax.gp.model import FADE_LENGTH, fade_factor
 from driftjax.store import RunFolder
 from driftjax.studies.paper.laps import driven
 
@@ -33,4 +33,4 @@ def _faded(z: np.ndarray, Z: np.ndarray) -> np.ndarray:
         return np.ones(len(z), bool)
     offset = (z[:, None] - Z[None]) / (FADE_LENGTH * np.std(Z, axis=0))
     near = np.sum(np.exp(-0.5 * np.sum(offset**2, axis=-1)), axis=1)
-    return np.asarray(faded(near)) < FADED
+    return np.asarray(fade_factor(near)) < FADED

@@ -79,7 +79,7 @@ def extended(arm: Arm, out: Path, num_workers: int) -> Path:
     """YAML of the car extended by a diagnosis, which is made where it is not there yet."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
-        nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
+        nominal = load_vehicle(arm.learn.vehicle).with_combined_slip(arm.learn.combined_slip)
         with process_executor(min(num_workers, 1)) as blocks:
             extend(arm.car, nominal, folder, blocks)
     return (folder / CAR).resolve()

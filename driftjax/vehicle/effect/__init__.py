@@ -1,4 +1,4 @@
-"""The catalogue: every module here that defines `EFFECT` is one missing physics, found by its being here."""
+"""Catalogue of effects: every module here that defines `EFFECT` is one; modules are discovered automatically."""
 
 import importlib
 import pkgutil
@@ -11,13 +11,13 @@ from driftjax.vehicle.effect.flow import Car as Car
 from driftjax.vehicle.effect.flow import Flow as Flow
 from driftjax.vehicle.effect.flow import Place as Place
 
-_MODULES = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
-_FOUND: list[Effect] = [module.EFFECT for module in _MODULES if hasattr(module, "EFFECT")]
-EFFECTS: dict[str, Effect] = {effect.name: effect for effect in sorted(_FOUND, key=lambda one: one.number)}
+_MODULES = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+_EFFECTS: list[Effect] = [module.EFFECT for module in _MODULES if hasattr(module, "EFFECT")]
+EFFECTS: dict[str, Effect] = {effect.name: effect for effect in sorted(_EFFECTS, key=lambda effect: effect.number)}
 
 
-def effects_named(names: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The effects of these names, in the catalogue's order; raises `BadInput` for a name it does not hold."""
+def effects_by_name(names: tuple[str, ...]) -> tuple[Effect, ...]:
+    """Return the effects of these names, in the catalogue's order; raises `BadInput` for an unknown name."""
     unknown = sorted(set(names) - set(EFFECTS))
     if unknown:
         raise BadInput(f"effect '{unknown[0]}': no such effect; the catalogue holds {', '.join(EFFECTS)}.")

@@ -1,4 +1,4 @@
-"""What an effect is: one missing physics with its parameters, and the station of the car where it acts."""
+"""Definition of an effect: one physical mechanism with its parameters, and the station of the car where it acts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -13,7 +13,7 @@ Scale = Literal["1", "length", "time", "speed", "force", "moment", "mass", "drag
 
 
 def reference(vehicle: VehicleConfig, of: Scale) -> float:
-    """The quantity of a car that makes a parameter dimensionless, SI: wheelbase, weight, sqrt(L/g) and so on."""
+    """Return the quantity that makes a parameter dimensionless, SI: wheelbase, weight, sqrt(L/g) and so on."""
     length, time = vehicle.a + vehicle.b, ((vehicle.a + vehicle.b) / G) ** 0.5
     weight = vehicle.m * G
     return {
@@ -36,12 +36,12 @@ def reference(vehicle: VehicleConfig, of: Scale) -> float:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect. Its neutral value is 0: there the car is exactly the nominal one."""
+    """One parameter of an effect. Its neutral value is 0: there the car is exactly the nominal one."""
 
     name: str
     unit: str
     typical: float
-    """Size met in practice, over `reference(vehicle, of)`; what a fit is scaled with."""
+    """Typical size in practice over `reference(vehicle, of)`; scales the fit."""
     of: Scale = "1"
     lower: float = -4.0
     """Smallest value, in typical sizes; 0 for what cannot be negative, such as a lag."""
@@ -50,34 +50,34 @@ class Parameter:
 
     @property
     def suffix(self) -> str:
-        """Unit as it follows a number in text; nothing for a pure number."""
+        """Unit as printed after a number; empty for a pure number."""
         return "" if self.unit == "1" else f" {self.unit}"
 
     def scale(self, vehicle: VehicleConfig) -> float:
-        """Typical size on this car, SI."""
+        """Return the typical size on this car, SI."""
         return self.typical * reference(vehicle, self.of)
 
     def bounds(self, vehicle: VehicleConfig) -> tuple[float, float]:
-        """Smallest and largest value on this car, SI."""
+        """Return the lower and upper bound on this car, SI."""
         scale = self.scale(vehicle)
         return self.lower * scale, self.upper * scale
 
 
 def no_memory(dt: float) -> tuple[()]:
-    """Of an effect that has none."""
+    """Return the memory of an effect without memory."""
     return ()
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One missing physics. `apply` takes what has been computed up to its station and hands it on changed.
+    """One physical mechanism that the nominal car lacks. `apply` maps the inputs of its station to outputs.
 
-    | station | `apply` | takes and returns |
+    | station | `apply` | input and output |
     |---|---|---|
     | command | `(memory, u, V, dt, p) -> (memory, u)`, `start(dt) -> memory` | `Control` over one step |
     | car | `(car, p) -> car` | `Car` |
     | slip, load, friction, force | `(flow, p) -> flow` | `Flow` |
-    | sensor | `(x, dx, p) -> x` | `State` and its rate, as the sensors tell them |
+    | sensor | `(x, dx, p) -> x` | measured `State`, and its rate |
 
     `p` is a tuple with one scalar per parameter, SI.
     """
@@ -89,20 +89,20 @@ class Effect:
     apply: Callable[..., Any]
     source: str
     sentence: str
-    """What is said of it when it is found, without its numbers."""
+    """Description in reports, without its numbers."""
     kinematic: bool = False
-    """Whether it shows in kinematic parity (sensors and road), not only in the forces (physics of the car)."""
+    """Whether it affects kinematic parity (sensors and road), not only the forces (physics of the car)."""
     needs: tuple[str, ...] = ()
-    """Log columns without which it cannot be told: `psi` or `s`."""
+    """Log columns that it needs: `psi` or `s`."""
     transient: bool = False
-    """Whether it acts by what went before, beyond the state and the memory of a command: rates at rest are nominal."""
+    """Whether it depends on the past beyond state and command memory; steady-state rates are nominal."""
     start: Callable[[float], Any] = no_memory
     """Memory of a command effect at rest."""
-    late: bool = False
+    sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
 
     def __repr__(self) -> str:
-        """Fields, this package's own functions by name: without addresses a compiled program can be kept."""
+        """Return the fields, own functions by name: without addresses compiled programs can be reused."""
         return f"Effect({', '.join(f'{field.name}={_named(getattr(self, field.name))}' for field in fields(self))})"
 
 

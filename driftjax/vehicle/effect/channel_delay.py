@@ -8,7 +8,7 @@ from driftjax.vehicle.effect.base import Effect, Parameter
 
 
 def apply(x: State, dx: State, p) -> State:
-    """Tell each quantity as it was a little before."""
+    """Delay every measured quantity, to first order."""
     return State(x.V - p[0] * dx.V, x.beta - p[1] * dx.beta, x.r - p[2] * dx.r)
 
 
@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="Ljung 1999",
     sentence="some measurements are late",
     kinematic=True,
-    late=True,
+    sensor_delay=True,
 )

@@ -7,13 +7,13 @@ from driftjax.vehicle.effect.base import Effect, Parameter
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Mean force over the step; `memory` is the force reached."""
+    """Return the mean force over the step; `memory` is the lagged force."""
     mean, end = lag_step(memory, u.Fxr, p[0], dt)
     return end, u._replace(Fxr=mean)
 
 
 def start(dt: float):
-    """The force reached, at rest."""
+    """Return the lagged force at rest."""
     return jnp.zeros(())
 
 

@@ -6,7 +6,7 @@ The step is 98 % at lift-off (F_xr = 0), half at a drive force of 2 % of the wei
 import jax
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Flow, forward
+from driftjax.vehicle.effect.flow import Flow, forward_sign
 from driftjax.vehicle.single_track import G
 
 CENTRE, WIDTH = 0.02, 0.005  # drive force at which it lets go, over the weight [-]
@@ -15,7 +15,7 @@ CENTRE, WIDTH = 0.02, 0.005  # drive force at which it lets go, over the weight 
 def apply(flow: Flow, p) -> Flow:
     """Pull against the forward speed where the car is not driven."""
     drive = flow.u.Fxr / (flow.car.m * G)
-    return flow._replace(X=flow.X - p[0] * jax.nn.sigmoid((CENTRE - drive) / WIDTH) * forward(flow))
+    return flow._replace(X=flow.X - p[0] * jax.nn.sigmoid((CENTRE - drive) / WIDTH) * forward_sign(flow))
 
 
 EFFECT = Effect(

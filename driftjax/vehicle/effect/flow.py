@@ -1,4 +1,4 @@
-"""The car as a pipeline: what each station hands to the next, and the rates that come out."""
+"""The car as a pipeline of stations: the quantities between stations, and the resulting rates."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jax import Array
 
 from driftjax.core import Control, State
 from driftjax.tyre import SimplifiedPacejka
-from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_left
+from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_share
 
 ROLL_GRIP = 0.04  # grip lost to lateral load transfer at 1 g, which the nominal friction, steady, already holds [-]
 CREEP = 0.02  # width of the smooth sign of the forward speed, over sqrt(g L) [-]
@@ -52,7 +52,7 @@ class Car(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where and when a sample was taken."""
+    """Time and place of a sample."""
 
     t: Array  # since the start of the run [s]
     psi: Array  # heading [rad]
@@ -61,24 +61,24 @@ class Place(NamedTuple):
 
 
 class Aux(NamedTuple):
-    """What lags behind the state within a roll-out, held over one step."""
+    """Lagging quantities of a roll-out, constant over one step."""
 
     slip: Array  # (2,) slip angle that front and rear tyre feel, less the geometric one [rad]
-    ay: Array  # lateral acceleration that the body's roll has reached, less the present one [m/s^2]
+    ay: Array  # lagged lateral acceleration of the roll, less the present one [m/s^2]
 
 
 class Flow(NamedTuple):
-    """All that is known of one instant, filled in from station to station."""
+    """All quantities of one instant, filled in from station to station."""
 
     car: Car
     x: State
-    u: Control  # what the actuators have reached
+    u: Control  # actuator outputs
     place: Place
     alpha_f: Array  # slip angles [rad]
     alpha_r: Array
     ax: Array  # acceleration along the body from the tyre forces at static load [m/s^2]
     ay: Array  # lateral acceleration from the same, left positive [m/s^2]
-    ay_lag: Array  # what roll adds to it while it lags [m/s^2]
+    ay_lag: Array  # difference to it while roll lags [m/s^2]
     Fzf: Array  # axle loads [N]
     Fzr: Array
     muf: Array  # friction coefficients [-]
@@ -93,7 +93,7 @@ class Flow(NamedTuple):
 
 
 def heat_rate(nominal: SingleTrack, x: State) -> Array:
-    """Sliding power of the nominal rear tyres over weight x 100 sqrt(g L) [1/s]: the rate of `Place.heat`."""
+    """Return the sliding power of the nominal rear tyres over weight x 100 sqrt(g L) [1/s], d(`Place.heat`)/dt."""
     alpha_r = jnp.arctan2(x.V * jnp.sin(x.beta) - nominal.b * x.r, jnp.maximum(x.V * jnp.cos(x.beta), V_FLOOR))
     force = jnp.abs(nominal.tyre.lateral(alpha_r, nominal.Fzr))
     unit = 100 * nominal.m * G * jnp.sqrt(G * (nominal.a + nominal.b))
@@ -101,22 +101,22 @@ def heat_rate(nominal: SingleTrack, x: State) -> Array:
 
 
 def axle_forces(flow: Flow) -> Flow:
-    """`flow` with the lateral tyre forces at its slip angles, loads and friction."""
+    """Return `flow` with the lateral tyre forces at its slip angles, loads and friction."""
     car = flow.car
     front = SimplifiedPacejka(flow.muf, car.Bf, car.Cf).lateral(flow.alpha_f, flow.Fzf)
     rear = SimplifiedPacejka(flow.mur, car.Br, car.Cr).lateral(flow.alpha_r, flow.Fzr)
-    left = lambda Fx, mu, Fz: lateral_left(car.ellipse * (Fx / (mu * Fz)) ** 2)
+    left = lambda Fx, mu, Fz: lateral_share(car.ellipse * (Fx / (mu * Fz)) ** 2)
     return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
 
 
-def forward(flow: Flow) -> Array:
-    """Smooth sign of the forward speed, for what resists rolling [-]."""
+def forward_sign(flow: Flow) -> Array:
+    """Return the smooth sign of the forward speed, for resistances to rolling [-]."""
     along = flow.x.V * jnp.cos(flow.x.beta)
     return along / jnp.sqrt(along**2 + (CREEP * flow.car.unit_speed) ** 2)
 
 
-def enter(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
-    """Slip angles, static loads and friction, before any effect of the stations after `car`."""
+def initial_flow(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
+    """Return slip angles, static loads and friction before the effects of the stations after `car`."""
     alpha_f, alpha_r = car.nominal.slip_angles(x, u)
     zero = jnp.zeros_like(x.V)
     return Flow(
@@ -125,8 +125,8 @@ def enter(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
     )  # fmt: skip
 
 
-def accelerate(flow: Flow) -> Flow:
-    """`flow` with the accelerations that tyre forces at its present loads give the body, for the load transfer."""
+def add_accelerations(flow: Flow) -> Flow:
+    """Return `flow` with the body accelerations from the tyre forces at present loads, for the load transfer."""
     flow, sin, cos = axle_forces(flow), jnp.sin(flow.u.delta), jnp.cos(flow.u.delta)
     ax = (flow.Fxr + flow.Fxf * cos - flow.Fyf * sin) / flow.car.m
     ay = (flow.Fyf * cos + flow.Fxf * sin + flow.Fyr) / flow.car.m
@@ -134,10 +134,10 @@ def accelerate(flow: Flow) -> Flow:
 
 
 def roll_grip(flow: Flow) -> Flow:
-    """`flow` with the grip that lateral load transfer, while it lags, takes less or more of than once it is reached.
+    """Return `flow` with the change of grip while the lateral load transfer lags.
 
     Friction falls by `ROLL_GRIP` (ay/g)^2 (Milliken and Milliken 1995, Ch. 18). The nominal friction is that of steady
-    driving and so holds this already; what remains is the difference between the ay that roll has reached and ay.
+    driving and includes this; the difference between the lagged ay and ay remains.
     """
     late = flow.ay_lag * (2 * flow.ay + flow.ay_lag) / G**2
     left = 1 - ROLL_GRIP * late
@@ -145,7 +145,7 @@ def roll_grip(flow: Flow) -> Flow:
 
 
 def rates(flow: Flow) -> State:
-    """Newton's law: time derivative of the state under all forces of `flow`."""
+    """Return the time derivative of the state under all forces of `flow` (Newton's law)."""
     car, x, delta = flow.car, flow.x, flow.u.delta
     dx = car.nominal.rates(x, Control(delta, flow.Fxr), flow.Fyf, flow.Fyr)
     X = flow.X + flow.Fxf * jnp.cos(delta)

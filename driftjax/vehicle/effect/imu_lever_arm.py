@@ -11,7 +11,7 @@ from driftjax.vehicle.single_track import V_FLOOR
 
 
 def apply(x: State, dx: State, p) -> State:
-    """Tell speed and sideslip of that point."""
+    """Return speed and sideslip of the measured point."""
     sin, cos = jnp.sin(x.beta), jnp.cos(x.beta)
     along, across = x.r * (p[0] * sin - p[1] * cos), x.r * (p[0] * cos + p[1] * sin)
     speed = lambda square: jnp.sqrt(square + V_FLOOR**2)

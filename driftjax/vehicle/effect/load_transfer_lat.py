@@ -1,7 +1,7 @@
 """Lateral load transfer: mu_f (1 - k_f (a_y / g)^2), mu_r (1 - k_r (a_y / g)^2) (Milliken and Milliken 1995, Ch. 18).
 
 With load sensitivity e and the transfer dF_z = m a_y h zeta / t, an axle loses about e (dF_z / F_z)^2 of its grip; k is
-that loss at 1 g, so that k_f : k_r tells the roll split. While roll lags, a_y is what the roll has reached.
+that loss at 1 g, so that k_f : k_r gives the roll split. While roll lags, a_y is what the roll has reached.
 """
 
 from driftjax.vehicle.effect.base import Effect, Parameter

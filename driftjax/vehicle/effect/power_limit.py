@@ -10,7 +10,7 @@ from driftjax.vehicle.effect.base import Effect, Parameter
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Keep the power of the drive below 1 / p; braking is left alone."""
+    """Limit the power of the drive to 1 / p; braking is unchanged."""
     return memory, u._replace(Fxr=u.Fxr / (1 + p[0] * V * jnp.maximum(u.Fxr, 0.0)))
 
 

@@ -1,4 +1,4 @@
-"""Relaxation length of the tyres: sigma alpha_felt_dot + V alpha_felt = V alpha (Pacejka 2012, Ch. 7)."""
+"""Relaxation length of the tyres: sigma alpha_lag_dot + V alpha_lag = V alpha (Pacejka 2012, Ch. 7)."""
 
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Car

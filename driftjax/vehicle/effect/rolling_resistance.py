@@ -1,13 +1,13 @@
 """Rolling resistance against the forward speed: X - f m g sign(v_x), the sign smooth (Gillespie 1992, Ch. 4)."""
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Flow, forward
+from driftjax.vehicle.effect.flow import Flow, forward_sign
 from driftjax.vehicle.single_track import G
 
 
 def apply(flow: Flow, p) -> Flow:
     """Pull against the forward speed by a share of the weight."""
-    return flow._replace(X=flow.X - p[0] * flow.car.m * G * forward(flow))
+    return flow._replace(X=flow.X - p[0] * flow.car.m * G * forward_sign(flow))
 
 
 EFFECT = Effect(

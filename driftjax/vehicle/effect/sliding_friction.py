@@ -1,7 +1,7 @@
 """Friction that falls with the sliding speed V_s: mu (1 - k (1 - exp(-V_s / V_st))) (Burckhardt 1993; LuGre's steady
 state, Canudas de Wit et al. 1999).
 
-k is what is lost in full sliding; V_st is held at sqrt(g L), 5.5 m/s for a sedan, since it cannot be told at k = 0.
+k is the loss in full sliding; V_st is fixed at sqrt(g L), 5.5 m/s for a sedan: at k = 0 it is not identifiable.
 """
 
 import jax.numpy as jnp

@@ -9,9 +9,9 @@ TINY = 1e-9  # play below which the wheels always lie at one of its sides [rad]
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Drag the wheels along by either side of the play; `memory` is the last command and where in the play they stand.
+    """Move the wheels by either side of the play; `memory` is the last command and the position within the play.
 
-    Kept as a share of the play, so that the angle has the right slopes at w = 0, where both its sides meet.
+    The position is a share of the play, so that the angle has the right slopes at w = 0, where both sides meet.
     """
     last, share = memory
     change, wide = u.delta - last, p[0] > TINY
@@ -22,7 +22,7 @@ def apply(memory, u: Control, V, dt, p):
 
 
 def start(dt: float):
-    """Memory at rest."""
+    """Return the memory at rest."""
     return (jnp.zeros(()), jnp.zeros(()))
 
 

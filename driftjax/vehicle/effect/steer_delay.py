@@ -14,7 +14,7 @@ LONGEST = 0.3  # delay that the memory has room for; a longer one counts as this
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Mean delayed angle over the step; `memory` holds the past commands, the latest first."""
+    """Return the mean delayed angle over the step; `memory` holds the past commands, the latest first."""
     held = jnp.concatenate([jnp.reshape(u.delta, 1), memory])
     steps = jnp.minimum(p[0] / dt, len(memory))
     whole = jnp.clip(jnp.floor(steps), 0, len(memory) - 1)
@@ -23,7 +23,7 @@ def apply(memory, u: Control, V, dt, p):
 
 
 def start(dt: float):
-    """Memory at rest."""
+    """Return the memory at rest."""
     return jnp.zeros(math.ceil(LONGEST / dt))
 
 

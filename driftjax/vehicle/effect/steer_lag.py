@@ -7,13 +7,13 @@ from driftjax.vehicle.effect.base import Effect, Parameter
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Mean angle over the step; `memory` is the angle reached."""
+    """Return the mean angle over the step; `memory` is the lagged angle."""
     mean, end = lag_step(memory, u.delta, p[0], dt)
     return end, u._replace(delta=mean)
 
 
 def start(dt: float):
-    """The angle reached, at rest."""
+    """Return the lagged angle at rest."""
     return jnp.zeros(())
 
 

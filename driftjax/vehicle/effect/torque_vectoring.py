@@ -1,6 +1,6 @@
 """Torque vectoring: N + K (r_ref - r), r_ref = V delta / (L (1 + (V / V_ch)^2)) (Rajamani 2012, Ch. 8).
 
-The characteristic speed V_ch is held at 3.5 sqrt(g L), 19 m/s for a sedan.
+The characteristic speed V_ch is fixed at 3.5 sqrt(g L), 19 m/s for a sedan.
 """
 
 from driftjax.vehicle.effect.base import Effect, Parameter

@@ -10,7 +10,7 @@ from driftjax.vehicle.effect.flow import Flow
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Keep the drive or brake force of each axle within its friction."""
+    """Limit the drive or brake force of each axle to its friction."""
     held = lambda F, mu, Fz: F / (1 + p[0] * (F / (mu * Fz)) ** 4) ** 0.25
     return flow._replace(Fxf=held(flow.Fxf, flow.muf, flow.Fzf), Fxr=held(flow.Fxr, flow.mur, flow.Fzr))
 

@@ -2,7 +2,7 @@
 
 Wheel inertia I_w and radius R_w with force C_kappa kappa at the slip kappa = (omega R_w - V) / V give the lag
 (I_w / R_w^2) V / C_kappa: q is the wheels' inertia as a mass over the slip stiffness, which in a slide is a small part
-of the tyre's at rest. Its growth with speed tells it from `drive_lag`.
+of the tyre's at rest. Its growth with speed distinguishes it from `drive_lag`.
 """
 
 import jax.numpy as jnp
@@ -12,13 +12,13 @@ from driftjax.vehicle.effect.base import Effect, Parameter
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Mean force over the step; `memory` is the force reached."""
+    """Return the mean force over the step; `memory` is the lagged force."""
     mean, end = lag_step(memory, u.Fxr, p[0] * V, dt)
     return end, u._replace(Fxr=mean)
 
 
 def start(dt: float):
-    """Memory at rest."""
+    """Return the memory at rest."""
     return jnp.zeros(())
 
 

@@ -12,7 +12,7 @@ import pytest
 from driftjax.cli import main
 from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
-from driftjax.environment import WHOLE_LOOPS
+from driftjax.environment import SERIAL_LOOPS
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from driftjax.studies.bench.casadi_mpc import Transcribed
 from driftjax.studies.bench.compiling import EVENTS, Spans
@@ -143,7 +143,7 @@ def test_loading_the_steps_in_cpp_leaves_denormal_numbers_alone():
 def test_only_the_mpc_gets_more_threads():
     cfg = dataclasses.replace(QUICK, threads=2)
     mpc, gp = environment("mpc", cfg), environment("gp", cfg)
-    assert mpc["NPROC"] == "2" and WHOLE_LOOPS not in mpc["XLA_FLAGS"]
+    assert mpc["NPROC"] == "2" and SERIAL_LOOPS not in mpc["XLA_FLAGS"]
     assert gp["NPROC"] == "1"
 
 

@@ -13,7 +13,7 @@ from driftjax.vehicle import load_plant, load_vehicle
 
 @pytest.fixture(scope="module", params=["sedan", "rc"])
 def log(request):
-    vehicle = load_vehicle(request.param).with_slip(None)
+    vehicle = load_vehicle(request.param).with_combined_slip(None)
     return vehicle, measured(load_plant(request.param).build(), vehicle, np.random.default_rng(5))
 
 
@@ -42,7 +42,7 @@ def test_commands_keep_to_the_limits_and_measurements_have_the_noise_asked_for(l
 
 
 def test_a_car_that_cannot_be_held_is_told():
-    vehicle = load_vehicle("sedan").with_slip(None)
+    vehicle = load_vehicle("sedan").with_combined_slip(None)
     ice = dataclasses.replace(load_plant("sedan"), muf=0.15, mur=0.15)
     with pytest.raises(RuntimeError, match="it spun in 6 draws"):
         measured(ice.build(), vehicle, np.random.default_rng(5))

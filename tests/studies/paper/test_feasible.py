@@ -14,7 +14,7 @@ from driftjax.vehicle import build_car, load_vehicle
 
 
 def test_a_car_that_learnt_nothing_holds_its_own_corner_and_no_faster_one():
-    nominal = build_car(load_vehicle("sedan").with_slip(1.0))
+    nominal = build_car(load_vehicle("sedan").with_combined_slip(1.0))
     beta, R = jnp.asarray(-0.45), jnp.asarray(12.0)
     steady = solve_steady(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
     x: State = steady.x
