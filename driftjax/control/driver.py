@@ -16,7 +16,7 @@ from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, lag_step, require
 from driftjax.parallel import vmap_batch
-from driftjax.sim import Sensed, keep_where
+from driftjax.sim import Sensed, where_tree
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
@@ -160,5 +160,5 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))
 
     drifted = jax.lax.cond(jnp.any(engaged), drift, lambda: (idle, resting))
-    decision, memory = keep_where(engaged, drifted, (idle, resting))
+    decision, memory = where_tree(engaged, drifted, (idle, resting))
     return decision.command, vmap_batch(lambda d, m: d.after(m))(drivers, memory), decision

@@ -12,7 +12,7 @@ from driftjax.learning.config import ExploreConfig
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.scenario import SPEEDS, Scenario
 from driftjax.parallel import vmap_batch
-from driftjax.sim import Trace, keep_where
+from driftjax.sim import Trace, where_tree
 from driftjax.vehicle import AnyCar, Residual
 
 
@@ -100,7 +100,7 @@ def remaining(
     left = eqx.tree_at(lambda c: c.visited, found, visited)
     if scenario.config.explore.speeds != "sets":
         return left
-    return keep_where(better, candidates(scenario, trace, residual, aimed), left)
+    return where_tree(better, candidates(scenario, trace, residual, aimed), left)
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:

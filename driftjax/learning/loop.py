@@ -18,7 +18,7 @@ from driftjax.learning.residual import claims, estimate_lags, rows, samples
 from driftjax.learning.scenario import LEARNING, Scenario, entry_problems
 from driftjax.learning.stage import Stage
 from driftjax.parallel import vmap_batch
-from driftjax.sim import Trace, keep_where
+from driftjax.sim import Trace, where_tree
 from driftjax.solve import Options
 from driftjax.vehicle import AnyCar, Residual
 
@@ -89,7 +89,7 @@ def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Res
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error_measured, jnp.inf)
-        best = keep_where(error < best.error, Best(error, residual, stage.table), best)
+        best = where_tree(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error_measured
     fields = lambda p: (p.memory, p.approach, p.best, p.last_error)
     return eqx.tree_at(fields, progress, (memory, approach, best, last))

@@ -16,7 +16,7 @@ from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
 from driftjax.learning.arrival import Approach
 from driftjax.planner import Plan
-from driftjax.sim import keep_where
+from driftjax.sim import where_tree
 from driftjax.solve import Options
 
 POINTS = 400  # rows of a reference table
@@ -135,7 +135,7 @@ def entry_table(
         whole = jnp.maximum(found.plan.kkt, found.plan.violation)
         error = jnp.where(share < 1, jnp.inf, whole)  # a part of the model is a guess, never an answer
         new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)
-        return keep_where(steps > 0, new, last), None
+        return where_tree(steps > 0, new, last), None
 
     first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
     found, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))

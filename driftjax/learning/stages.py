@@ -14,7 +14,7 @@ from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS, Aim, Planned
 from driftjax.learning.scenario import Scenario, drivers
 from driftjax.learning.stage import CODES, Stage, run_stage, stage_values
-from driftjax.sim import keep_where
+from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.vehicle import Residual
 
@@ -135,7 +135,7 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
     planned = plan_reference(scenario, known, progress.approach, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
     # a lane that has driven all its sets repeats its best
-    table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
+    table, used = where_tree(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
     before = progress.best.error
     progress = remember(scenario, progress, stage, used, number)
