@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.lane_solve import Answer, Posed, acceptable, answers
+from driftjax.control.lane_solve import MPCProblem, MPCResult, acceptable, solve_batch
 from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
@@ -42,11 +42,11 @@ class SwitchConfig:
         require(self.handover_beta > 0, f"key 'handover_beta' is {self.handover_beta}; it must be positive.")
 
 
-class Memory(NamedTuple):
+class DriverState(NamedTuple):
     """What the driver carries from step to step."""
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
-    reached: Float[Array, " 2"]  # what steering and drive have made of the commands so far, by the learnt lags
+    lagged_input: Float[Array, " 2"]  # what steering and drive have made of the commands so far, by the learnt lags
     good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: what is driven where a solve fails
     drifting: Array  # whether the drift controller drove the last step
 
@@ -80,11 +80,11 @@ class Driver(eqx.Module):
         """Stages of the MPC."""
         return self.ocp.horizon
 
-    def start(self) -> Memory:
+    def start(self) -> DriverState:
         """Memory of a driver that has not driven yet: commands, and what was made of them, are 0."""
-        return Memory(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+        return DriverState(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
 
-    def engaged(self, sensed: Sensed, memory: Memory) -> Array:
+    def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
         """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
         if self.kind == "pursuit":
             return jnp.asarray(False)
@@ -92,25 +92,25 @@ class Driver(eqx.Module):
         sliding = memory.drifting & (jnp.abs(sensed.beta) > self.handover_beta) & (past < 3 * self.trail)
         return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
 
-    def after(self, memory: Memory) -> Memory:
+    def after(self, memory: DriverState) -> DriverState:
         """Memory one step later: what the actuators will have reached of the command."""
-        reached = lag_step(memory.reached, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
-        return memory._replace(reached=reached)
+        lagged_input = lag_step(memory.lagged_input, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
+        return memory._replace(lagged_input=lagged_input)
 
-    def pursue(self, sensed: Sensed, memory: Memory) -> Array:
+    def pursue(self, sensed: Sensed, memory: DriverState) -> Array:
         """Command (2,) of pure pursuit within the limits."""
         speed, slope = self.table.row(self.table.speed, sensed.s), self.table.slope(self.table.speed, sensed.s)
         now = (sensed.x, sensed.y, sensed.psi, sensed.V, sensed.r, sensed.s)
         u = self.pursuit(self.path, *now, speed, speed * slope)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
-    def stabilise(self, sensed: Sensed, memory: Memory) -> Array:
+    def stabilise(self, sensed: Sensed, memory: DriverState) -> Array:
         """Command (2,) of the LQR around the tracked state at `s`, within the limits."""
         x_ref, u_ref = self.table.state(sensed.s)
         u = self.lqr(State(sensed.V, sensed.beta, sensed.r), x_ref, u_ref)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
-    def pose(self, sensed: Sensed, memory: Memory, needed: Array) -> Posed:
+    def mpc_problem(self, sensed: Sensed, memory: DriverState, needed: Array) -> MPCProblem:
         """What the drift MPC has to solve now, with the reference as guess.
 
         The guess decides which optimum is found: beside the drift that is asked for there is often one with the front
@@ -123,18 +123,18 @@ class Driver(eqx.Module):
         reference, U = self.table.reference(s), self.table.inputs(s[:-1])
         X = reference.states().at[0].set(x)
         options = Options(self.options.tolerance, BARRIER, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
-        return Posed(x, memory.command, memory.reached, reference, X, U, options)
+        return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
-    def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:
+    def apply_result(self, problem: MPCProblem, found: MPCResult, memory: DriverState) -> tuple[Decision, DriverState]:
         """Command of the drift MPC; where the solve fails, that of the last good plan, one step later."""
-        solved = acceptable(found, posed.options)
-        good = jnp.where(memory.drifting, memory.good, posed.U)  # before the first solve: the reference's
+        solved = acceptable(found, problem.options)
+        good = jnp.where(memory.drifting, memory.good, problem.U)  # before the first solve: the reference's
         good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
-        return decision, Memory(good[0], memory.reached, shift(good), jnp.asarray(True))
+        return decision, DriverState(good[0], memory.lagged_input, shift(good), jnp.asarray(True))
 
 
-def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
+def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -> tuple[Control, DriverState, Decision]:
     """One step of all lanes (leading axis); the MPC runs only while some lane that is `alive` needs it."""
     engaged = vmap_batch(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
     pursued = vmap_batch(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
@@ -152,9 +152,9 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
 
     def drift():
         if drivers.kind == "mpc":
-            posed = vmap_batch(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
-            found = answers(drivers.ocp, posed, engaged)
-            return vmap_batch(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
+            problem = vmap_batch(lambda d, x, m, needed: d.mpc_problem(x, m, needed))(drivers, sensed, memory, engaged)
+            found = solve_batch(drivers.ocp, problem, engaged)
+            return vmap_batch(lambda d, p, a, m: d.apply_result(p, a, m))(drivers, problem, found, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))

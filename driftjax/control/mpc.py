@@ -132,11 +132,11 @@ class DriftOCP(AbstractOCP):
         one, none = jnp.eye(2), jnp.zeros((2, 2))
         path = jnp.concatenate([jnp.eye(5), jnp.zeros((5, 6))], axis=1)
         wide = jnp.zeros((2, 5))
-        acting, last, reached = (
+        acting, last, lagged_input = (
             jnp.concatenate([wide, none, *blocks], axis=1)
             for blocks in ((mean, one - mean), (none, one), (left, one - left))
         )
-        return jnp.concatenate([path, acting]), jnp.concatenate([last, reached])
+        return jnp.concatenate([path, acting]), jnp.concatenate([last, lagged_input])
 
     def around(self, X: Array, U: Array, p: Reference) -> Nearby:
         """The residual to second order at all stages."""
@@ -228,14 +228,14 @@ def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, 
     return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
 
 
-def along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
+def along(ocp: DriftOCP, lagged_input: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
     """What steering and drive have reached at each stage [rad, N]."""
 
     def move(y, u):
         end = lag_step(y, u, ocp.residual.lags, ocp.dt)[1]
         return end, end
 
-    return jnp.concatenate([reached[None], jax.lax.scan(move, reached, U)[1]])
+    return jnp.concatenate([lagged_input[None], jax.lax.scan(move, lagged_input, U)[1]])
 
 
 class MPCSolution(eqx.Module):
@@ -251,18 +251,18 @@ def solve_mpc(
     ocp: DriftOCP,
     x: Float[Array, " 5"],
     previous: Float[Array, " 2"],
-    reached: Float[Array, " 2"],
+    lagged_input: Float[Array, " 2"],
     reference: Reference,
     X: Float[Array, "N+1 5"],
     U: Float[Array, "N 2"],
     options: Options,
 ) -> MPCSolution:
     """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous`, of which steering and drive have
-    `reached` so much, and the guess `X`, `U`, all SI."""
+    `lagged_input` so much, and the guess `X`, `U`, all SI."""
     U = within_limits(ocp, U, previous)
     before = jnp.concatenate([previous[None], U])
-    guess = jnp.concatenate([X, before, along(ocp, reached, U)], axis=1) / ocp.x_scale
-    start = jnp.concatenate([x, previous, reached]) / ocp.x_scale
+    guess = jnp.concatenate([X, before, along(ocp, lagged_input, U)], axis=1) / ocp.x_scale
+    start = jnp.concatenate([x, previous, lagged_input]) / ocp.x_scale
     plan = solve(ocp, start, reference, guess, U / ocp.u_scale, options)
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
     inputs = within_limits(ocp, plan.U * ocp.u_scale, previous, share=0.0)

@@ -67,8 +67,8 @@ def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:
     """`Residual` by the chain rule from mean and nearness, at inputs (..., lanes)."""
     mean, near = expansions(residual.gp, z)
     wide = lambda a: a.T.reshape(3, *[1] * (z[0].ndim - 1), len(a))
-    reach, gate = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.gate)
-    value = lambda m, n: gate * (bounded(m, n, reach) if residual.bounded else m)
+    reach, trust_factor = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.trust_factor)
+    value = lambda m, n: trust_factor * (bounded(m, n, reach) if residual.bounded else m)
     n = jnp.broadcast_to(near.value, mean.value.shape)
     (by_m, by_n), ((mm, mn), (_, nn)) = hessian(value, mean.value, n)
     dm, dn = mean.gradient, near.gradient

@@ -27,7 +27,7 @@ class Roots(NamedTuple):
     x: State  # fields (8,)
     u: Control  # fields (8,)
     kind: Array  # (8,) `Branch`
-    found: Array  # (8,)
+    valid: Array  # (8,)
 
 
 def scan_roots(f: Callable[[Array], Array], lower: float, upper: float, size: int) -> tuple[Array, Array]:

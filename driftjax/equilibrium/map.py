@@ -103,7 +103,7 @@ def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
             result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
             return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
 
-        return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.found)
+        return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.valid)
 
     return jax.vmap(at)(V, r)
 
@@ -114,7 +114,7 @@ def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
     The nominal car may have none at this very yaw rate: two drifts meet at a fold and vanish, and effects move it.
     """
     roots = jax.vmap(lambda share: decoupled_roots(car.nominal, V, share * r))(jnp.asarray(NEAR))
-    x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.found))
+    x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.valid))
     out = jax.vmap(lambda x, u: solve_at(car, car, V, r, (x, u)))(x, u)
     good = exists & (out.result == RESULTS.successful)
     at = jnp.stack([out.x.beta, out.u.delta, out.u.Fxr / (car.m * G)])

@@ -13,5 +13,5 @@ from driftjax.gp.model import bounded as bounded
 from driftjax.gp.model import condition as condition
 from driftjax.gp.model import scales as scales
 from driftjax.gp.model import zero_gp as zero_gp
-from driftjax.gp.orthogonal import claimed as claimed
-from driftjax.gp.orthogonal import unclaimed as unclaimed
+from driftjax.gp.orthogonal import known_effect_part as known_effect_part
+from driftjax.gp.orthogonal import project_out as project_out

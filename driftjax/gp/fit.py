@@ -16,7 +16,7 @@ from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, scales, squares
 from driftjax.gp.optimise import minimise
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import directions, project_out
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
 LOWER = (0.1, 0.05, 1e-3)
@@ -75,7 +75,7 @@ def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **option
     """
     *basis, mask = rest
     held = [directions(J, mask) for J in basis]  # of these rows, to which T is made orthogonal
-    T = unclaimed(T, basis[0], mask) if basis else T
+    T = project_out(T, basis[0], mask) if basis else T
     rows = jnp.maximum(jnp.sum(mask), 1)
     X = jnp.where(mask[:, None], X - jnp.sum(jnp.where(mask[:, None], X, 0.0), axis=0) / rows, 0.0)
     pairs = squares(X)
@@ -138,7 +138,7 @@ def fit(
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
+        Y = project_out(Y, basis, mask)
     scale, output_scale = scales(Z, Y, mask)
     columns = (Z / scale, Y / output_scale, *([] if basis is None else [basis]))
     columns = _subset(mask, num_fit, key_rows, *columns)

@@ -7,7 +7,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.orthogonal import directions, unclaimed
+from driftjax.gp.orthogonal import directions, project_out
 
 FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
@@ -162,7 +162,7 @@ def condition(
     mask = mask.astype(bool)
     Z, Y = jnp.where(mask[:, None], Z, 0.0), jnp.where(mask[:, None], Y, 0.0)
     if basis is not None:
-        Y = unclaimed(Y, basis, mask)
+        Y = project_out(Y, basis, mask)
 
     pairs = squares(Z / scale)
 

@@ -35,7 +35,7 @@ def directions(basis: Float[Array, "M D k"], mask: Array) -> Float[Array, "D M k
     return jax.vmap(lambda J: J @ _orthonormal(J))(_rows(basis, mask))
 
 
-def claimed(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"]) -> Float[Array, "N D"]:
+def known_effect_part(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"]) -> Float[Array, "N D"]:
     """What the known causes make of N points with the basis `elsewhere`, fitted to the data by least squares.
 
     Each output for itself. Data are targets `Y` (M, D) with their `basis` (M, D, k) where `mask`.
@@ -49,7 +49,7 @@ def claimed(Y: Array, basis: Array, mask: Array, elsewhere: Float[Array, "N D k"
     return jax.vmap(one, out_axes=1)(_rows(basis, mask), targets, jnp.moveaxis(elsewhere, 1, 0))
 
 
-def unclaimed(Y: Array, basis: Array, mask: Array) -> Float[Array, "M D"]:
+def project_out(Y: Array, basis: Array, mask: Array) -> Float[Array, "M D"]:
     """P y of each output: the targets less what known causes can say of them; 0 outside `mask`."""
     rows = jnp.where(mask[:, None, None], basis, 0.0)
-    return jnp.where(mask[:, None], Y - claimed(Y, rows, mask, rows), 0.0)
+    return jnp.where(mask[:, None], Y - known_effect_part(Y, rows, mask, rows), 0.0)

@@ -13,9 +13,9 @@ ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 def compile_ahead(scenario: Scenario, names: list[str]) -> None:
     """Compile in the workers what the stages `names` need; without workers there is nothing to gain."""
-    if scenario.blocks.pool is None:
+    if scenario.executor.pool is None:
         return
-    dry = dataclasses.replace(scenario, blocks=CompileAheadExecutor(scenario.blocks.pool))
+    dry = dataclasses.replace(scenario, executor=CompileAheadExecutor(scenario.executor.pool))
 
     def row(stages: tuple[str, ...]) -> None:
         progress = first_progress(dry)

@@ -140,7 +140,7 @@ class LearnConfig:
     explore: ExploreConfig = field(default_factory=ExploreConfig)
 
     @property
-    def num_lanes(self) -> int:
+    def batch_size(self) -> int:
         """Laps driven side by side."""
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
 

@@ -64,8 +64,8 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Arra
     origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
     shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
-    shaped = scenario.blocks.map(
-        speed_lanes, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+    shaped = scenario.executor.map(
+        speed_sets_batch, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
     )
     if config.speeds != "sets":
         V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
@@ -113,8 +113,8 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
     return jnp.broadcast_to(even, (len(keys), K))
 
 
-def speed_lanes(
-    lanes: tuple[Trace, Array],
+def speed_sets_batch(
+    batch: tuple[Trace, Array],
     s: Array,
     origin: Array,
     r_b: Array,
@@ -139,29 +139,29 @@ def speed_lanes(
                       V_max=3 * V_b)  # fmt: skip
         return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
 
-    return vmap_batch(one)(*lanes)
+    return vmap_batch(one)(*batch)
 
 
 def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array, Array]:
     """GP inputs (lanes, K + 1, 5) of the drifts at speeds `V_ep` (lanes, K) and at the planned one; which exist."""
     planned = jnp.full((len(V_ep), 1), scenario.corner.V_b)
-    return scenario.blocks.map(state_lanes, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
+    return scenario.executor.map(drift_states_batch, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
 
 
-def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
+def drift_states_batch(batch: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
     """Drift states of lanes given as (speeds, residual)."""
-    return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
+    return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*batch)
 
 
 def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
     z, _ = _states(scenario, found.V_ep, residual)
     options = scenario.config.explore
-    lanes = (found.V_ep, found.visited, z, residual)
-    return scenario.blocks.map(choice_lanes, lanes, jnp.asarray(options.P), jnp.asarray(options.lam))
+    batch = (found.V_ep, found.visited, z, residual)
+    return scenario.executor.map(choose_batch, batch, jnp.asarray(options.P), jnp.asarray(options.lam))
 
 
-def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
+def choose_batch(batch: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
     """Choices by Algorithm 1 with these weights, of lanes given as (speeds, which were visited, drift states,
     residual)."""
 
@@ -169,4 +169,4 @@ def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Arr
         choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
-    return vmap_batch(one)(*lanes)
+    return vmap_batch(one)(*batch)

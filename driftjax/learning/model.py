@@ -7,17 +7,19 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.gp import GP, claimed, condition, fit, scales, select_dictionary, unclaimed, zero_gp
+from driftjax.gp import GP, condition, fit, known_effect_part, project_out, scales, select_dictionary, zero_gp
 from driftjax.learning.config import GPConfig
 from driftjax.vehicle import Residual, no_residual
 
-Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
+KnownEffectBasis = Callable[
+    [Array], Array
+]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
 
 FOLDS = 4  # stretches of time that are held out one after the other
 GAP = 5  # rows next to a stretch that are left out: smoothing over so many samples makes them share its noise
 
 
-class Memory(eqx.Module):
+class ModelState(eqx.Module):
     """Rows kept so far and what was learnt from them, of one lane."""
 
     Z: Array  # (M, 5)
@@ -27,53 +29,57 @@ class Memory(eqx.Module):
     residual: Residual
 
 
-def empty(config: GPConfig, lags: Array | None = None) -> Memory:
+def empty(config: GPConfig, lags: Array | None = None) -> ModelState:
     """Memory of a lane that has not driven; `lags` (2,) of its actuators may be known all the same [s]."""
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
     residual = no_residual(gp, lags, config.bounded)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
+    return ModelState(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
 
 def learn(
-    memory: Memory,
+    model_state: ModelState,
     Z: Array,
     Y: Array,
     mask: Array,
     lags: Array,
     config: GPConfig,
     key: Array,
-    claim: Claim | None = None,
+    known_basis: KnownEffectBasis | None = None,
     shortest: Array | None = None,
-) -> Memory:
-    """`memory` with a lap's rows, in the order driven, added: new dictionary, new GP, new gate; `lags` (2,) are those
-    of the lap.
+) -> ModelState:
+    """`model_state` with a lap's rows, in the order driven, added: new dictionary, new GP, new gate; `lags` (2,) are
+    those of the lap.
 
     The gate of an output is the factor within 0..1 on the mean that leaves least of rows which the GP was not
     conditioned on (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, a mean that
-    says too much or the wrong thing does. What known causes could say by `claim` the GP leaves to them.
+    says too much or the wrong thing does. What known causes could say by `known_basis` the GP leaves to them.
     `shortest` goes before that of `config`: a number that need not be known to compile.
     """
-    Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
-    mask = jnp.concatenate([memory.mask, mask])
-    begun = jnp.max(jnp.where(memory.mask, memory.order, 0.0)) + 2 * GAP
-    order = jnp.concatenate([memory.order, begun + jnp.arange(len(mask) - len(memory.mask))])
+    Z, Y = jnp.concatenate([model_state.Z, Z]), jnp.concatenate([model_state.Y, Y])
+    mask = jnp.concatenate([model_state.mask, mask])
+    begun = jnp.max(jnp.where(model_state.mask, model_state.order, 0.0)) + 2 * GAP
+    order = jnp.concatenate([model_state.order, begun + jnp.arange(len(mask) - len(model_state.mask))])
     # a column beside the targets, which the choice of rows does not look at
     inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
     kept = inputs, columns[:, :-1], valid
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
-        basis=None if claim is None else claim(kept[0]), key=key,
+        basis=None if known_basis is None else known_basis(kept[0]), key=key,
     )  # fmt: skip
-    gate = trust(found.gp, Z, Y, mask, order, config, claim)
+    trust_factor = trust_factors(found.gp, Z, Y, mask, order, config, known_basis)
     enough = jnp.sum(kept[2]) >= 20
-    lags = jnp.where(enough, lags, memory.residual.lags)
-    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
-    return Memory(*kept, columns[:, -1], residual)
+    lags = jnp.where(enough, lags, model_state.residual.lags)
+    residual = Residual(
+        found.gp, jnp.where(enough & jnp.isfinite(trust_factor), trust_factor, 0.0), lags, config.bounded
+    )
+    return ModelState(*kept, columns[:, -1], residual)
 
 
-def trust(gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfig, claim: Claim | None = None) -> Array:
+def trust_factors(
+    gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfig, known_basis: KnownEffectBasis | None = None
+) -> Array:
     """Return the least-squares factors (3,) in 0..1 on means at held-out rows.
 
     Rows are held out in `FOLDS` stretches of time (by `order`) of equally many rows, and the GP that predicts a
@@ -94,13 +100,13 @@ def trust(gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfi
         away = (order < first - GAP) | (order > end + GAP)
         train = select_dictionary(Z, Y, mask & away, config.size, kernel=config.kernel)
         left = Y
-        if claim is None:
+        if known_basis is None:
             rest = condition(*train, gp.hyper, *scales(*train), config.kernel)
         else:
             inputs, targets, kept = train
-            basis = claim(inputs)
-            left = Y - claimed(targets, basis, kept, claim(Z))
-            scale = scales(inputs, unclaimed(targets, basis, kept), kept)
+            basis = known_basis(inputs)
+            left = Y - known_effect_part(targets, basis, kept, known_basis(Z))
+            scale = scales(inputs, project_out(targets, basis, kept), kept)
             rest = condition(*train, gp.hyper, *scale, config.kernel, basis)
         values = (jax.vmap(rest.bounded_mean)(Z), left)
         return tuple(jnp.where(test[:, None], one, 0.0) for one in values)  # pyright: ignore[reportReturnType]

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
-from driftjax.learning.arrival import Approach
+from driftjax.learning.arrival import Arrival
 from driftjax.planner import Plan
 from driftjax.sim import where_tree
 from driftjax.solve import Options
@@ -79,7 +79,7 @@ class Planned(eqx.Module):
     """A reference from a corrected car and how well it was found; where it was not, `table` is what stands in."""
 
     table: ReferenceTable
-    found: Array  # bool
+    converged: Array  # bool
     error: Array  # scaled optimality error and violation, or the residual of the equilibrium [-]
     num_steps: Array
 
@@ -109,11 +109,11 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
 
 
 def entry_table(
-    ocp: DriftOCP, table: ReferenceTable, approach: Approach, lead: Array, aim: Aim, options: Options
+    ocp: DriftOCP, table: ReferenceTable, arrival: Arrival, lead: Array, aim: Aim, options: Options
 ) -> Planned:
     """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
 
-    Starts `lead` metres before the drift section as in `approach` and follows path and sideslip of the plan in `table`;
+    Starts `lead` metres before the drift section as in `arrival` and follows path and sideslip of the plan in `table`;
     speed, yaw rate and inputs come out consistent with the model. `aim` is added to the speed and path aimed at.
     Where the solve fails it is led from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the
     horizon keep the plan, and so does everything where that fails too.
@@ -131,7 +131,7 @@ def entry_table(
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
         allowed = Options(options.tolerance, options.barrier, steps)
-        found = solve_mpc(part, approach.x, approach.command, approach.reached, target, X_guess, U_guess, allowed)
+        found = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
         whole = jnp.maximum(found.plan.kkt, found.plan.violation)
         error = jnp.where(share < 1, jnp.inf, whole)  # a part of the model is a guess, never an answer
         new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)

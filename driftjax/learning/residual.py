@@ -35,8 +35,8 @@ def residual_rate(nominal: AnyCar, x: State, u: Control, after: State, dt: Array
     """
 
     def correct(_, d: State) -> State:
-        reached = rk4_step(lambda w: jax.tree.map(jnp.add, nominal(w, u), d), x, dt)
-        return jax.tree.map(lambda d, a, b: d + (a - b) / dt, d, after, reached)
+        predicted = rk4_step(lambda w: jax.tree.map(jnp.add, nominal(w, u), d), x, dt)
+        return jax.tree.map(lambda d, a, b: d + (a - b) / dt, d, after, predicted)
 
     # a loop, because XLA would merge the sweeps into one expression and evaluate its parts again and again
     return jnp.stack(jax.lax.fori_loop(0, 1 + SWEEPS, correct, jax.tree.map(jnp.zeros_like, x)))
@@ -56,7 +56,7 @@ def lag_response(command: Float[Array, "T *n"], lag: Array, dt: Array) -> tuple[
     return jax.lax.scan(step, jnp.zeros_like(command[0]), command)[1]
 
 
-def reached(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
+def lagged_input(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
     """Mean over each step of what a first-order lag [s] makes of the command held during it."""
     return lag_response(command, lag, dt)[1]
 
@@ -91,18 +91,18 @@ def samples(trace: Trace) -> Samples:
 def rows(nominal: AnyCar, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:
     """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data.
 
-    Only measurements and commands are used. The inputs hold the commands as `reached` through the `lags` of steering
-    and drive [s]: with the bare commands most of the residual would be the lag, which no function of the present
-    state and command can say.
+    Only measurements and commands are used. The inputs hold the commands as `lagged_input` through the `lags` of
+    steering and drive [s]: with the bare commands most of the residual would be the lag, which no function of the
+    present state and command can say.
     """
-    u = Control(*(reached(command, lag, dt) for command, lag in zip(lap.command, lags, strict=True)))
+    u = Control(*(lagged_input(command, lag, dt) for command, lag in zip(lap.command, lags, strict=True)))
     d = jax.vmap(lambda x, u, after: residual_rate(nominal, x, u, after, dt))(lap.before, u, lap.after)
     mask = lap.mask & jnp.all(jnp.isfinite(d), axis=1)
     z = features(lap.before, u)
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask
 
 
-def claims(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
+def known_effect_basis(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
     """How the rates at inputs of the GP change with the parameters of the named effects; None of the nominal car."""
     if isinstance(car, SingleTrack):
         return None

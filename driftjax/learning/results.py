@@ -9,7 +9,8 @@ from driftjax.learning.metrics import interval, reduction
 from driftjax.learning.scenario import Scenario
 from driftjax.store.variables import code_names
 
-PAPER = {  # Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+# Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+PUBLISHED_REDUCTIONS = {
     "sedan": (52.8, 27.1, 10.6),
     "rc": (36.7, 29.0, 7.2),
 }
@@ -71,7 +72,7 @@ def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str
 
 def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
     nominal, gpr, explored = (_lap(stages, name, controller) for name in ("nominal", "gpr-best", "explore-best"))
-    paper = PAPER.get(car, (None, None, None))
+    paper = PUBLISHED_REDUCTIONS.get(car, (None, None, None))
     error = lambda found: None if found is None else float(found["lateral_error"].mean())
     out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored)}
     pairs = {

@@ -13,10 +13,10 @@ from driftjax.core.config import to_dict
 from driftjax.environment import require_float64
 from driftjax.learning.compile_ahead import compile_ahead
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.learning.loop import Progress
 from driftjax.learning.results import results
 from driftjax.learning.scenario import Scenario, build
 from driftjax.learning.stages import drive_stage, first_progress, stage_names
+from driftjax.learning.updates import Progress
 from driftjax.parallel import num_workers as useful_workers
 from driftjax.parallel import process_executor
 from driftjax.planner import load_plan_config
@@ -52,7 +52,7 @@ def learn(
     folder = RunFolder.open(out) if there else RunFolder.create(out, to_dict(config))
     if folder.config != to_dict(config):
         raise BadInput(f"{out}: holds a run with another config; give another folder.")
-    num = useful_workers(config.num_lanes) if workers is None else workers
+    num = useful_workers(config.batch_size) if workers is None else workers
     run(config, folder, report, num if num > 1 else 0)
     return folder
 
@@ -75,15 +75,15 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     """
     names = stage_names(config)
     report("plan", 0, len(names) + 1)
-    with process_executor(num_workers) as blocks:
-        scenario = build(config, blocks)
+    with process_executor(num_workers) as executor:
+        scenario = build(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
         report("compile", 0, len(names) + 1)
         compile_ahead(scenario, [name for name in names if name not in done])
-        tell = lambda name: report(name, names.index(name) + 1, len(names) + 1)
-        for name, data, after in drive_stages(scenario, progress, done, tell):
+        before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
+        for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
     found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
     folder.write_json("results", found)
@@ -93,11 +93,12 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 
 
 def drive_stages(
-    scenario: Scenario, progress: Progress, done: Collection[str] = (), tell: Callable[[str], object] = str
+    scenario: Scenario, progress: Progress, done: Collection[str] = (), before_stage: Callable[[str], object] = str
 ) -> Iterator[tuple[str, xr.Dataset, Progress]]:
-    """Name, laps and progress of every stage that is not `done`, as it ends; `tell` hears of each before it begins."""
+    """Name, laps and progress of every stage that is not `done`, as it ends; `before_stage` hears of each before it
+    begins."""
     for index, name in enumerate(stage_names(scenario.config)):
-        tell(name)
+        before_stage(name)
         driven = None if name in done else drive_stage(scenario, progress, name, index)
         if driven is not None:
             progress, data = driven

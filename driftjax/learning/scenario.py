@@ -39,7 +39,7 @@ LEARNING, SPEEDS = 1000, 2000
 
 
 @dataclasses.dataclass(frozen=True)
-class Lane:
+class BatchEntry:
     """Who is driven by whom with which noise."""
 
     plant: str
@@ -62,21 +62,21 @@ class Scenario:
     x_eq: State  # nominal drift equilibrium of the corner
     u_eq: Control
     branch: Branch  # its kind
-    lanes: tuple[Lane, ...]
+    batch: tuple[BatchEntry, ...]
     plants: AnyPlant  # one per lane
     keys: Array  # noise key of each lane, a parent only
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
-    blocks: BatchExecutor  # how lanes are computed
+    executor: BatchExecutor  # how lanes are computed
 
     @property
-    def num_lanes(self) -> int:
+    def batch_size(self) -> int:
         """Number of lanes."""
-        return len(self.lanes)
+        return len(self.batch)
 
-    def over_lanes(self, tree):
+    def over_batch(self, tree):
         """`tree` repeated along a leading axis of lanes."""
-        return repeated(tree, self.num_lanes)
+        return repeated(tree, self.batch_size)
 
 
 def repeated(tree, num: int):
@@ -114,28 +114,28 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
-    return Route(vehicle, nominal, track, lap, table, where, *held(nominal, where, config))
+    return Route(vehicle, nominal, track, lap, table, where, *nominal_drift(nominal, where, config))
 
 
 def build(
-    config: LearnConfig, blocks: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
+    config: LearnConfig, executor: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
 ) -> Scenario:
     """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
 
     All lanes are `on` the plant that is given, told with its name.
     """
     vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
-    lanes, plants, keys = lay_out(config, on, float(track.length))
+    batch, plants, keys = lay_out(config, on, float(track.length))
     return Scenario(
         config, vehicle, nominal, named_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
-        lanes, plants, keys, load_sensors(config.sensors),
-        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
+        batch, plants, keys, load_sensors(config.sensors),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), executor,
     )  # fmt: skip
 
 
 def lay_out(
     config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
-) -> tuple[tuple[Lane, ...], AnyPlant, Array]:
+) -> tuple[tuple[BatchEntry, ...], AnyPlant, Array]:
     """Lanes with their plants and noise keys: every controller, plant and seed; all `on` one plant where it is given.
 
     `lap` is the length of the track [m].
@@ -144,23 +144,23 @@ def lay_out(
     plants = [] if on else load_plants(config.plant) or draw_plants(*drawn)
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
-        (Lane(name, controller, seed), index)
+        (BatchEntry(name, controller, seed), index)
         for controller in config.controllers
         for index, name in enumerate(names)
         for seed in range(config.noise_seeds)
     ]
     noise = jax.random.key(config.seed)
     keys = [
-        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), lane.seed) for lane, index in each
+        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), entry.seed) for entry, index in each
     ]
     if on:
         batch = repeated(on[1], len(each))
     else:
         batch = batch_of([plants[index] for _, index in each], lap, config.mpc.dt / config.lap.substeps)
-    return tuple(lane for lane, _ in each), batch, jnp.stack(keys)
+    return tuple(entry for entry, _ in each), batch, jnp.stack(keys)
 
 
-def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
+def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
     """The steady state aimed at in the corner, and its kind: a drift or, where the tyres have no peak below such a
     sideslip, as those of a car with driven wheels at both ends may, a slide within it."""
     fixed = SlipRadius(where.beta, where.R)
@@ -179,7 +179,7 @@ def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, 
 def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
     """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
     config = scenario.config
-    weights = [config.path if lane.controller == "path" else config.paper for lane in scenario.lanes]
+    weights = [config.path if entry.controller == "path" else config.paper for entry in scenario.batch]
     return _problems(scenario, config.mpc, weights, residual)
 
 
@@ -189,7 +189,7 @@ def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
     path = config.path
     weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
     mpc = dataclasses.replace(config.mpc, horizon=scenario.horizon)
-    return _problems(scenario, mpc, [weights] * scenario.num_lanes, residual)
+    return _problems(scenario, mpc, [weights] * scenario.batch_size, residual)
 
 
 def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residual: Residual) -> DriftOCP:
@@ -208,7 +208,7 @@ def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Resi
     options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
     switch: SwitchConfig = config.switch
     shared = (pure_pursuit(config.pursuit, vehicle), gain)
-    pursuit, gain = scenario.over_lanes(shared)
-    limits = scenario.over_lanes(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
-    path, options = scenario.over_lanes((scenario.plan.path, options))
+    pursuit, gain = scenario.over_batch(shared)
+    limits = scenario.over_batch(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
+    path, options = scenario.over_batch((scenario.plan.path, options))
     return Driver(kind, path, table, pursuit, gain, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]

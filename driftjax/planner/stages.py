@@ -18,7 +18,7 @@ DEVICE_OFF = -3.0  # slip bound that never binds [rad]
 G = 9.81  # [m/s^2]
 
 
-class Corner(NamedTuple):
+class TightCorner(NamedTuple):
     """A tight corner that is to be drifted, along the nodes' s."""
 
     start: float  # where it becomes tight [m]
@@ -31,7 +31,7 @@ def _sample(track: Track, s: Array):
     return jax.vmap(track.pose)(s), jax.vmap(track.widths)(s)
 
 
-def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[Corner]:
+def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[TightCorner]:
     """Runs of nodes tighter than `drift_radius` that turn by more than `drift_angle`."""
     side = np.where(np.abs(kappa) >= 1 / config.drift_radius, np.sign(kappa), 0).astype(int)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], side, [0]])))
@@ -39,13 +39,13 @@ def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[
     ds = s[1] - s[0]
     turned = [abs(np.sum(kappa[a : b + 1])) * ds for a, b in runs]
     return [
-        Corner(float(s[a]), float(s[b]), int(side[a]))
+        TightCorner(float(s[a]), float(s[b]), int(side[a]))
         for (a, b), angle in zip(runs, turned, strict=True)
         if angle >= config.drift_angle and b > a
     ]
 
 
-def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def device(s: np.ndarray, corners: list[TightCorner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`(side, slip, beta_max)` at the nodes; in a corner to be drifted -side beta >= slip, which ramps up to beta_d.
 
     Sideslip beyond `beta_normal` is only for these corners and their surroundings.
@@ -61,7 +61,7 @@ def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np
     return side, slip, beta_max
 
 
-def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarray) -> tuple[Stage, list[Corner]]:
+def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarray) -> tuple[Stage, list[TightCorner]]:
     """Corridor and device at nodes `s`; raises `BadInput` where the car and its margin do not fit."""
     ds = s[1] - s[0]
     fine = np.arange(2 * len(s) + 1) * ds / 2 + s[0]
@@ -94,7 +94,7 @@ def speed_profile(s: np.ndarray, kappa: np.ndarray, vehicle: VehicleConfig, conf
 
 
 def guesses(
-    s: np.ndarray, stage: Stage, corners: list[Corner], vehicle: VehicleConfig, config: PlanConfig
+    s: np.ndarray, stage: Stage, corners: list[TightCorner], vehicle: VehicleConfig, config: PlanConfig
 ) -> np.ndarray:
     """Guesses (2, n, 7) in SI on the centre line: gripping everywhere, and sideways in the drift corners."""
     kappa = np.asarray(stage.kappa[:, 0])

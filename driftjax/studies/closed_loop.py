@@ -11,7 +11,7 @@ from driftjax.core import BadInput, read_yaml
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
 from driftjax.learning.scenario import build, route_of
-from driftjax.learning.stage import Stage
+from driftjax.learning.stage import StageResult
 from driftjax.learning.stages import drive_nominal
 from driftjax.manoeuvres.truth import read_truth
 from driftjax.parallel import num_workers, process_executor
@@ -25,7 +25,7 @@ SEEDS = 4  # of the sensor noise, the same for each model
 
 
 @dataclasses.dataclass(frozen=True)
-class Course:
+class ClosedLoopCase:
     """What is driven, on what."""
 
     name: str  # of the plant, as typed
@@ -33,7 +33,7 @@ class Course:
     config: LearnConfig
 
 
-def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
+def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
     """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or
     vehicle YAML, or a shipped plant."""
     if vehicle.name not in CARS:
@@ -44,8 +44,10 @@ def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
     lap, step = float(load_track(config.track).length), config.mpc.dt / config.lap.substeps
     if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant or vehicle YAML holds
         car, theta, _ = read_truth(plant)
-        return Course(str(plant), plant_of(car, theta, lap, step), config)
-    return Course(str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config)
+        return ClosedLoopCase(str(plant), plant_of(car, theta, lap, step), config)
+    return ClosedLoopCase(
+        str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config
+    )
 
 
 def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
@@ -56,7 +58,7 @@ def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
     return dataclasses.replace(extended, effects=tuple(effects), covariance=())
 
 
-def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
+def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
     """What diagnosis.json holds under `closed_loop`: laps of the nominal and the `extended` car as models.
 
     Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the
@@ -65,23 +67,23 @@ def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig)
     models = {"nominal": before(nominal, extended)}
     if extended.effects != nominal.effects:
         models |= {"extended": extended}
-    laps: dict[str, Stage] = {}
-    told: dict[str, Any] = {}
-    with process_executor(num_workers(SEEDS)) as blocks:
+    laps: dict[str, StageResult] = {}
+    models_content: dict[str, Any] = {}
+    with process_executor(num_workers(SEEDS)) as executor:
         for name, vehicle in models.items():
             try:
-                scenario = build(course.config, blocks, route_of(course.config, vehicle), (course.name, course.plant))
+                scenario = build(case.config, executor, route_of(case.config, vehicle), (case.name, case.plant))
             except BadInput as error:  # of the corner on this car: the diagnosis stands without it
-                told[name] = {"not_driven": str(error)}
+                models_content[name] = {"not_driven": str(error)}
                 continue
             laps[name], _ = drive_nominal(scenario, 0)
-            told[name] = figures(laps[name])
+            models_content[name] = figures(laps[name])
     compared = compare(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
-    return {"plant": course.name, "corner": course.config.car, "controller": "path", "models": told,
+    return {"plant": case.name, "corner": case.config.car, "controller": "path", "models": models_content,
             "difference": compared}  # fmt: skip
 
 
-def figures(stage: Stage) -> dict[str, Any]:
+def figures(stage: StageResult) -> dict[str, Any]:
     """Laps of one model: how they ended, and figures per seed with their means.
 
     A velocity error is that of what was driven of the drift section; of laps that did not end well it says nothing
@@ -89,17 +91,17 @@ def figures(stage: Stage) -> dict[str, Any]:
     """
     codes, found = np.asarray(stage.laps.code), stage.figures
     done = np.asarray(found.completed)
-    each = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
-    each["velocity_rmse"] = np.where(done, each["velocity_rmse"], np.nan)
-    means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in each.items()}
+    values = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
+    values["velocity_rmse"] = np.where(done, values["velocity_rmse"], np.nan)
+    means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in values.items()}
     return {
         "completed": [int(done.sum()), len(done)],
         "codes": [LapCode(int(code)).name for code in codes],
-        **{name: {"mean": means[name], "per_seed": v.tolist()} for name, v in each.items()},
+        **{name: {"mean": means[name], "per_seed": v.tolist()} for name, v in values.items()},
     }
 
 
-def compare(nominal: Stage, extended: Stage) -> dict[str, Any]:
+def compare(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
     """Extended less nominal, seed by seed, with intervals over seeds; velocity errors of laps that both completed."""
     both = np.asarray(nominal.figures.completed & extended.figures.completed)
     every = np.ones_like(both)

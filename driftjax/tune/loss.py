@@ -14,18 +14,18 @@ from driftjax.sim import AnyPlant, LapCode, LapConfig, Trace, drive
 from driftjax.sim.sensors import SensorConfig
 from driftjax.tune.blend import blended
 from driftjax.tune.config import Scales
-from driftjax.tune.parameters import NAMES, moved
+from driftjax.tune.parameters import NAMES, scaled_drivers
 
 EDGE = 1.0  # length over which the ends of the drift section count less and less [m]
 
 
-class Slopes(NamedTuple):
+class LapGradients(NamedTuple):
     """Loss of each lane with the smooth switch and its derivatives; a lane without them has zeros and says so."""
 
     loss: Float[Array, " lanes"]
     gradient: Float[Array, "lanes 6"]
     gauss: Float[Array, "lanes 6 6"]  # Gauss-Newton Hessian
-    known: Bool[Array, " lanes"]  # lap completed, derivatives finite
+    valid: Bool[Array, " lanes"]  # lap completed, derivatives finite
 
 
 def lap_errors(trace: Trace, table: ReferenceTable, scales: Scales) -> Float[Array, "steps 3"]:
@@ -50,19 +50,19 @@ def lap_loss(errors: Float[Array, "steps 3"], code: Array, scales: Scales) -> Fl
     return jnp.where(code == int(LapCode.COMPLETED), jnp.sum(errors**2), scales.failed)
 
 
-def slope_lanes(
-    lanes: tuple[Driver, AnyPlant, Array, Array],
+def gradients_batch(
+    batch: tuple[Driver, AnyPlant, Array, Array],
     sensors: SensorConfig,
     lap: LapConfig,
     dt: float,
     scales: Scales,
     width: float,
-) -> Slopes:
+) -> LapGradients:
     """Forward mode through plant, sensors and solved MPC of lanes given as (drivers, plants, first speeds, keys)."""
-    drivers, plants, speed, keys = lanes
+    drivers, plants, speed, keys = batch
 
     def errors(p: Array) -> tuple[Array, tuple[Array, Array]]:
-        now = moved(drivers, p)
+        now = scaled_drivers(drivers, p)
         memory = eqx.filter_vmap(lambda d: d.start())(now)
         policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, jnp.asarray(width))
         laps = drive(plants, now.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
@@ -71,7 +71,7 @@ def slope_lanes(
         return flat, (flat, laps.code)
 
     J, (flat, code) = jax.jacfwd(errors, has_aux=True)(jnp.zeros(len(NAMES)))
-    known = (code == int(LapCode.COMPLETED)) & jnp.all(jnp.isfinite(J), axis=(1, 2))
-    J = jnp.where(known[:, None, None], J, 0.0)
+    valid = (code == int(LapCode.COMPLETED)) & jnp.all(jnp.isfinite(J), axis=(1, 2))
+    J = jnp.where(valid[:, None, None], J, 0.0)
     loss = jax.vmap(lambda r, c: lap_loss(r, c, scales))(flat, code)
-    return Slopes(loss, 2 * jnp.einsum("li,lip->lp", flat, J), 2 * jnp.einsum("lip,liq->lpq", J, J), known)
+    return LapGradients(loss, 2 * jnp.einsum("li,lip->lp", flat, J), 2 * jnp.einsum("lip,liq->lpq", J, J), valid)

@@ -13,7 +13,7 @@ from driftjax.control.driver import Driver
 NAMES = ("Q_V", "Q_beta", "Q_r", "R_delta", "R_Fxr", "lead")
 
 
-def moved(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
+def scaled_drivers(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
     """`drivers` of all lanes with their weights on V, beta, r, both changes of inputs and their lead times exp(p)."""
     factor = jnp.exp(p)
     Q = drivers.ocp.Q * jnp.concatenate([factor[:3], jnp.ones(2)])
@@ -23,6 +23,6 @@ def moved(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
 
 def values(drivers: Driver, p: Float[np.ndarray, " 6"]) -> dict[str, Any]:
     """Q [SI], R [SI] and lead [m] at `p`, for a person."""
-    now = moved(drivers, jnp.asarray(p))
+    now = scaled_drivers(drivers, jnp.asarray(p))
     every = np.concatenate([now.ocp.Q[0, :3], now.ocp.R[0], now.lead[:1]])
     return dict(zip(NAMES, every.tolist(), strict=True))

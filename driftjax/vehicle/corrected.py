@@ -18,17 +18,17 @@ class Residual(eqx.Module):
     """
 
     gp: GP
-    gate: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
+    trust_factor: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
     lags: Float[Array, "2"]  # time constants of steering and drive [s]; they only matter while commands change
     bounded: bool = eqx.field(static=True, default=True)  # False: the bare mean, however far from data
 
     def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
         """(dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
-        return self.gate * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
+        return self.trust_factor * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
 
     def scaled(self, share: Array) -> "Residual":
         """A share of what was learnt, from nothing at 0 to all of it at 1."""
-        return Residual(self.gp, share * self.gate, share * self.lags, self.bounded)
+        return Residual(self.gp, share * self.trust_factor, share * self.lags, self.bounded)
 
 
 class Corrected(eqx.Module):

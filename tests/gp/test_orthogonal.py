@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gp_data import smooth
 
-from driftjax.gp import Hyper, claimed, condition, fit, scales, unclaimed
+from driftjax.gp import Hyper, condition, fit, known_effect_part, project_out, scales
 from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squares
 from driftjax.gp.orthogonal import directions
@@ -36,7 +36,7 @@ def data():
 def built(Z, Y, basis, mask=None):
     Z, Y, mask = jnp.asarray(Z), jnp.asarray(Y), jnp.ones(len(Z), bool) if mask is None else jnp.asarray(mask)
     basis = None if basis is None else jnp.asarray(basis)
-    left = Y if basis is None else unclaimed(Y, basis, mask)
+    left = Y if basis is None else project_out(Y, basis, mask)
     return conditioned(Z, Y, mask, HYPER, *scales(Z, left, mask), "se", basis)
 
 
@@ -72,7 +72,7 @@ def test_mean_variance_and_likelihood_equal_those_of_the_conditioned_prior(data,
     np.testing.assert_allclose(
         jax.vmap(gp.variance)(points)[:, d], scale**2 * variance, rtol=1e-5, atol=1e-9 * scale**2
     )
-    Q, y = directions(jnp.asarray(basis), gp.mask)[d], unclaimed(jnp.asarray(Y), jnp.asarray(basis), gp.mask)[:, d]
+    Q, y = directions(jnp.asarray(basis), gp.mask)[d], project_out(jnp.asarray(Y), jnp.asarray(basis), gp.mask)[:, d]
     hyper = jax.tree.map(lambda a: a[d], HYPER)
     found = likelihood("se", hyper, squares(gp.Z / gp.scale), y / scale, gp.mask, Q)
     np.testing.assert_allclose(found, value, rtol=1e-6)
@@ -92,11 +92,11 @@ def test_what_known_causes_can_say_is_left_to_them_and_found_elsewhere(data):
     Z, Y, basis = data
     caused = basis @ np.array([0.5, 2e-3, 300.0])
     mask = jnp.ones(N, bool)
-    assert np.abs(unclaimed(jnp.asarray(caused), jnp.asarray(basis), mask)).max() < 1e-9 * np.abs(caused).max()
+    assert np.abs(project_out(jnp.asarray(caused), jnp.asarray(basis), mask)).max() < 1e-9 * np.abs(caused).max()
     with_causes, without = (jax.vmap(built(Z, y, basis).mean)(jnp.asarray(Z)) for y in (Y + caused, Y))
     np.testing.assert_allclose(with_causes, without, rtol=1e-6, atol=1e-7 * np.abs(caused).max())
     other = basis_at(smooth(30, seed=2)[0])
-    found = claimed(jnp.asarray(caused), jnp.asarray(basis), mask, jnp.asarray(other))
+    found = known_effect_part(jnp.asarray(caused), jnp.asarray(basis), mask, jnp.asarray(other))
     np.testing.assert_allclose(found, other @ np.array([0.5, 2e-3, 300.0]), rtol=1e-6, atol=1e-9)
 
 

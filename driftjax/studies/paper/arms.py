@@ -81,7 +81,7 @@ def changed(base: LearnConfig, change: dict) -> LearnConfig:
     return dataclasses.replace(base, **parts)
 
 
-def fingerprint(arm: Arm) -> str:
+def settings_hash(arm: Arm) -> str:
     """SHA-256 of the settings that a run drives with: its options, and what is in the files that they name."""
     learn = arm.learn
     held = {kind: read_yaml(path) for kind, path in files_of(learn).items()}

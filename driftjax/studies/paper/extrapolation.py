@@ -17,8 +17,8 @@ def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) 
         if name not in run.finished():
             continue
         data, found = run.read_stage(name), []
-        for lane in np.flatnonzero(data["controller"].values == controller):
-            lap = data.isel(lane=int(lane))
+        for entry in np.flatnonzero(data["controller"].values == controller):
+            lap = data.isel(lane=int(entry))
             inside = driven(lap, section)
             z = np.stack([lap[key].values[inside] for key in ("V", "beta", "r", "delta", "Fxr")], axis=1)
             found.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))

@@ -25,17 +25,17 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
     scenario = build(config, BatchExecutor(1))
-    residual = read_progress(scenario, run, STAGE).memory.residual
+    residual = read_progress(scenario, run, STAGE).model_state.residual
     corner = scenario.corner
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))
     guess, branch = (scenario.x_eq, scenario.u_eq), jnp.asarray(scenario.branch)
     exists, steady, speed = map(np.asarray, call(on_learnt, residual, scenario.nominal, planned, guess, branch))
     found: dict[str, Any] = {"V_b": float(corner.V_b), "r_b": float(corner.r_b)}
     for who in config.controllers:
-        lanes = np.array([lane.controller == who for lane in scenario.lanes])
-        ratio = speed[lanes & steady] / corner.V_b
+        batch = np.array([entry.controller == who for entry in scenario.batch])
+        ratio = speed[batch & steady] / corner.V_b
         ends = [float(f(ratio)) if len(ratio) else None for f in (np.mean, np.min, np.max)]
-        found[who] = {"exists": float(exists[lanes].mean()), "steady": float(steady[lanes].mean()), "speed": ends}
+        found[who] = {"exists": float(exists[batch].mean()), "steady": float(steady[batch].mean()), "speed": ends}
     return found
 
 

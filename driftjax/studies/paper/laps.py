@@ -14,9 +14,9 @@ def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -
     RMSE and the parts of the lateral error are over what was driven of the section by the drift controller; lap times
     are those of completed laps, NaN of plants without one.
     """
-    lanes = data.isel(lane=np.flatnonzero(data["controller"].values == controller))
-    rows = [_lap(lanes.isel(lane=i), section) for i in range(lanes.sizes["lane"])]
-    plants = lanes["plant"].values
+    batch = data.isel(lane=np.flatnonzero(data["controller"].values == controller))
+    rows = [_lap(batch.isel(lane=i), section) for i in range(batch.sizes["lane"])]
+    plants = batch["plant"].values
     of = {
         plant: [row for row, name in zip(rows, plants, strict=True) if name == plant] for plant in dict.fromkeys(plants)
     }

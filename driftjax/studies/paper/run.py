@@ -14,7 +14,7 @@ from driftjax.parallel import process_executor
 from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
-from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, fingerprint
+from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
 from driftjax.studies.paper.config import Config
 from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
@@ -36,7 +36,7 @@ def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> di
         drive(arm, folder.path, say, num_workers)
         if arm.name == MAIN:
             write_report(run_of(arm, folder.path))
-        done.append((arm, shown(arm, folder.path)))
+        done.append((arm, arm_results(arm, folder.path)))
         found = write(cfg, done, folder)  # what is measured is told whatever comes next
     report("done", len(todo), len(todo))
     write_figures(found, folder.path / "figures")
@@ -49,7 +49,7 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
     if not done or done[0].name != MAIN:
         raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
-    found = write(cfg, [(arm, shown(arm, folder.path)) for arm in done], folder)
+    found = write(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
     write_figures(found, folder.path / "figures")
     return found
 
@@ -57,12 +57,12 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
 def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
     """The laps of one run, or what is left of them."""
     path = out / arm.folder
-    run = RunFolder.open(path) if (path / "config.yaml").exists() else begin(arm, out, num_workers)
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, num_workers)
     if not run.has("results.json"):
         learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
 
 
-def begin(arm: Arm, out: Path, num_workers: int) -> RunFolder:
+def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
     """A new run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
@@ -80,8 +80,8 @@ def extended(arm: Arm, out: Path, num_workers: int) -> Path:
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
-        with process_executor(min(num_workers, 1)) as blocks:
-            extend(arm.car, nominal, folder, blocks)
+        with process_executor(min(num_workers, 1)) as executor:
+            extend(arm.car, nominal, folder, executor)
     return (folder / CAR).resolve()
 
 
@@ -90,11 +90,11 @@ def run_of(arm: Arm, out: Path) -> RunFolder:
     return RunFolder.open(out / arm.folder)
 
 
-def shown(arm: Arm, out: Path) -> dict[str, Any]:
+def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
     """What one finished run shows."""
     run = run_of(arm, out)
     if arm.name == MAIN:
-        return {"settings": fingerprint(arm), **compared(run, arm.car), "feasible": feasible(run)}
+        return {"settings": settings_hash(arm), **compared(run, arm.car), "feasible": feasible(run)}
     found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from driftjax.learning.metrics import interval, reduction
-from driftjax.learning.results import PAPER
+from driftjax.learning.results import PUBLISHED_REDUCTIONS
 from driftjax.store import RunFolder
 from driftjax.studies.paper.extrapolation import extrapolated
 from driftjax.studies.paper.laps import per_plant, section_of
@@ -28,7 +28,7 @@ GAINS = {  # name: (before, after, figure)
 }
 TARGETS: dict[str, dict[str, float]] = {  # of the paper's controller [%]
     car: dict(zip(("gpr", "exploration", "exploration_velocity"), published, strict=True))
-    for car, published in PAPER.items()
+    for car, published in PUBLISHED_REDUCTIONS.items()
 }
 BEST_ERROR = {"sedan": 0.25, "rc": 0.06}  # that the best method is to reach [m]
 DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of the section

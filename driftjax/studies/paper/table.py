@@ -117,10 +117,10 @@ def _ablations(ablations: dict[str, Any]) -> list[str]:
             rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
     head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
             "completed: GPR, explored")  # fmt: skip
-    told = [
+    notes = [
         f"{found['words'][0].upper()}{found['words'][1:]}, from 60 s of the car that the plants are drawn around: "
         f"{found['diagnosis']['verdict']}. {found['diagnosis']['sentence']}"
         for found in ablations.values()
         if "diagnosis" in found
     ]
-    return _rows(head, rows) + [line for words in told for line in (words, "")]
+    return _rows(head, rows) + [line for words in notes for line in (words, "")]

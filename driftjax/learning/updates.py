@@ -9,14 +9,14 @@ from driftjax.control.mpc import DriftOCP
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, as_float
 from driftjax.equilibrium import SlipRadius, continuation
-from driftjax.learning.arrival import Approach, planned_approach, seen
+from driftjax.learning.arrival import Arrival, planned_arrival, update_arrival
 from driftjax.learning.config import GPConfig
 from driftjax.learning.explore import Candidates
-from driftjax.learning.model import Memory, empty, learn
+from driftjax.learning.model import ModelState, empty, learn
 from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_table
-from driftjax.learning.residual import claims, estimate_lags, rows, samples
+from driftjax.learning.residual import estimate_lags, known_effect_basis, rows, samples
 from driftjax.learning.scenario import LEARNING, Scenario, entry_problems
-from driftjax.learning.stage import Stage
+from driftjax.learning.stage import StageResult
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Trace, where_tree
 from driftjax.solve import Options
@@ -37,76 +37,78 @@ class Best(eqx.Module):
 class Progress(eqx.Module):
     """All that one stage hands to the next: enough to go on after a kill."""
 
-    memory: Memory
-    approach: Approach  # of each lane
+    model_state: ModelState
+    arrival: Arrival  # of each lane
     best: Best
     last_error: Array  # measured, of the stage before, per lane [m]
     converged: Array  # bool: GP laps are over
-    found: Candidates
+    candidates: Candidates
     explored: Array  # bool: at least one exploration lap was driven
 
 
 def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     """Progress before the first lap."""
-    memory = scenario.over_lanes(empty(scenario.config.gp, scenario.lags))
-    table = scenario.over_lanes(scenario.table)
-    approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
-    far = jnp.full(scenario.num_lanes, jnp.inf)
+    model_state = scenario.over_batch(empty(scenario.config.gp, scenario.lags))
+    table = scenario.over_batch(scenario.table)
+    arrival = scenario.over_batch(planned_arrival(scenario.table, scenario.config.switch.lead))
+    far = jnp.full(scenario.batch_size, jnp.inf)
     no = jnp.asarray(False)
-    return Progress(memory, approach, Best(far, memory.residual, table), far, no, empty_candidates, no)
+    return Progress(model_state, arrival, Best(far, model_state.residual, table), far, no, empty_candidates, no)
 
 
-def learn_lanes(
-    lanes: tuple[Memory, Approach, Trace, ReferenceTable, Array],
+def learn_batch(
+    batch: tuple[ModelState, Arrival, Trace, ReferenceTable, Array],
     nominal: AnyCar,
     dt: Array,
     lead: Array,
     shortest: Array,
     config: GPConfig,
-) -> tuple[Memory, Approach]:
+) -> tuple[ModelState, Arrival]:
     """Memories and approaches of lanes given as (both before, lap, its reference, keys)."""
-    claim = claims(nominal) if config.orthogonal else None
+    known_basis = known_effect_basis(nominal) if config.orthogonal else None
 
-    def one(memory: Memory, approach: Approach, trace: Trace, table: ReferenceTable, key: Array):
+    def one(model_state: ModelState, arrival: Arrival, trace: Trace, table: ReferenceTable, key: Array):
         lap = samples(trace)
-        lags = estimate_lags(nominal, lap, dt) if config.lags else memory.residual.lags
-        memory = learn(memory, *rows(nominal, lap, dt, lags), lags, config, key, claim, shortest)
-        return memory, seen(approach, trace, table.drift_start - lead, memory.residual.lags, dt)
+        lags = estimate_lags(nominal, lap, dt) if config.lags else model_state.residual.lags
+        model_state = learn(model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest)
+        return model_state, update_arrival(arrival, trace, table.drift_start - lead, model_state.residual.lags, dt)
 
-    return vmap_batch(one)(*lanes)
+    return vmap_batch(one)(*batch)
 
 
-def remember(scenario: Scenario, progress: Progress, stage: Stage, residual: Residual | None, number: int) -> Progress:
+def update_progress(
+    scenario: Scenario, progress: Progress, stage: StageResult, residual: Residual | None, number: int
+) -> Progress:
     """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was.
 
     Laps are judged by their measured lateral error: a car has no other.
     """
     keys = jax.vmap(lambda key: jax.random.fold_in(key, LEARNING + number))(scenario.keys)
-    lanes = (progress.memory, progress.approach, stage.laps.trace, stage.table, keys)
+    batch = (progress.model_state, progress.arrival, stage.laps.trace, stage.table, keys)
     config = scenario.config
     numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
-    memory, approach = scenario.blocks.map(learn_lanes, lanes, scenario.nominal, *numbers, config.gp.program)
+    model_state, arrival = scenario.executor.map(learn_batch, batch, scenario.nominal, *numbers, config.gp.program)
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error_measured, jnp.inf)
         best = where_tree(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error_measured
-    fields = lambda p: (p.memory, p.approach, p.best, p.last_error)
-    return eqx.tree_at(fields, progress, (memory, approach, best, last))
+    fields = lambda p: (p.model_state, p.arrival, p.best, p.last_error)
+    return eqx.tree_at(fields, progress, (model_state, arrival, best, last))
 
 
-def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, asked: Aim | None = None) -> Planned:
+def plan_reference(scenario: Scenario, residual: Residual, arrival: Arrival, aim: Aim | None = None) -> Planned:
     """The reference of every lane from its corrected car, with what exploration asked for (leading axis of lanes).
 
     `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """
     config = scenario.config
-    aim: Aim = scenario.over_lanes(no_aim(scenario.table)) if asked is None else asked
+    aims: Aim = scenario.over_batch(no_aim(scenario.table)) if aim is None else aim
     if config.reference == "entry":
         ocp = entry_problems(scenario, residual)
-        return scenario.blocks.map(
-            entry_lanes,
-            (ocp, approach, aim),
+        return scenario.executor.map(
+            entry_table_batch,
+            (ocp, arrival, aims),
             scenario.table,
             as_float(config.switch.lead),
             as_float(config.mpc.tolerance),
@@ -114,13 +116,15 @@ def plan_reference(scenario: Scenario, residual: Residual, approach: Approach, a
     corner = scenario.corner
     fixed = SlipRadius(jnp.asarray(corner.beta), jnp.asarray(corner.R))
     guess = (scenario.x_eq, scenario.u_eq)
-    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, aim.V)
+    return _steps(scenario.nominal, residual, fixed, guess, jnp.asarray(scenario.branch), scenario.table, aims.V)
 
 
-def entry_lanes(lanes: tuple[DriftOCP, Approach, Aim], table: ReferenceTable, lead: Array, tolerance: Array) -> Planned:
+def entry_table_batch(
+    batch: tuple[DriftOCP, Arrival, Aim], table: ReferenceTable, lead: Array, tolerance: Array
+) -> Planned:
     """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return vmap_batch(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*lanes)
+    return vmap_batch(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*batch)
 
 
 @eqx.filter_jit
