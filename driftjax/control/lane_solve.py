@@ -1,4 +1,4 @@
-"""The drift MPC of many closed-loop laps at once: batched solves, and the safeguarded solver for lanes they leave."""
+"""Solve the drift MPC of many closed-loop laps at once: batched solver, with a globalised solver as fallback."""
 
 from typing import NamedTuple
 
@@ -13,16 +13,16 @@ from driftjax.parallel import vmap_batch
 from driftjax.solve import LanePlans, Options, solve_lanes
 from driftjax.vehicle import SingleTrack
 
-MIN_BATCH = 16  # below so many the batched solver gains nothing
-ATTEMPTS = (1.0, 10.0)  # times the first barrier: what jams at its limits with a small one is often solved with a large
+MIN_BATCH = 16  # the batched solver is no faster below this size
+ATTEMPTS = (1.0, 10.0)  # times the first barrier: a larger one often solves what stalls at the limits
 
 
 class MPCProblem(NamedTuple):
-    """One problem of the drift MPC, as `solve_mpc` takes it, all SI."""
+    """One drift MPC problem with the arguments of `solve_mpc`, all SI."""
 
     x: Float[Array, " 5"]  # V, beta, r, e, theta
     previous: Float[Array, " 2"]  # last command
-    lagged_input: Float[Array, " 2"]  # what actuators have made of the commands
+    lagged_input: Float[Array, " 2"]  # actuator outputs
     reference: Reference
     X: Float[Array, "N+1 5"]  # guess
     U: Float[Array, "N 2"]
@@ -30,7 +30,7 @@ class MPCProblem(NamedTuple):
 
 
 class MPCResult(NamedTuple):
-    """What came of it, SI."""
+    """Solution of one drift MPC problem, SI."""
 
     X: Float[Array, "N+1 5"]
     U: Float[Array, "N 2"]
@@ -40,17 +40,17 @@ class MPCResult(NamedTuple):
 
 
 def acceptable(answer: MPCResult, options: Options) -> Array:
-    """Whether an answer, or each of a batch, is as near to optimal as `options` accept; False on NaN."""
+    """Return whether each solution meets the accepted multiple of its tolerance; False on NaN."""
     return jnp.maximum(answer.kkt, answer.violation) <= options.implicit * options.tolerance
 
 
 def solve_with_fallback(ocp: DriftOCP, problem: MPCProblem) -> MPCResult:
-    """One problem by `solve_mpc`; where the answer is not acceptable, once more, first further from the limits."""
+    """Solve one problem by `solve_mpc`; if not acceptable, repeat it, starting further from the limits."""
 
     def attempt(last: MPCResult, far: Array) -> tuple[MPCResult, None]:
         done, given = acceptable(last, problem.options), problem.options
 
-        def again() -> MPCResult:  # a batch comes here with lanes that are done, which must not iterate
+        def again() -> MPCResult:  # a batch may hold solved entries, which must not iterate
             steps = jnp.where(done, 0, given.max_steps)
             options = Options(given.tolerance, far * given.barrier, steps, given.implicit)
             found = solve_mpc(ocp, *problem._replace(options=options))
@@ -65,10 +65,10 @@ def solve_with_fallback(ocp: DriftOCP, problem: MPCProblem) -> MPCResult:
 
 
 def solve_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"]) -> MPCResult:
-    """All lanes (leading axis): many of a single track at once, few or other cars by the safeguarded solver alone.
+    """Solve a batch (leading axis): large single-track batches in one batched solve, others by `solve_with_fallback`.
 
-    Of many, those whose answer by the batched solver is not acceptable go through the safeguarded one, one after the
-    other. Lanes not `needed` cost nothing and come back unsolved.
+    Problems that the batched solver leaves unacceptable are solved by `solve_with_fallback`, one after the other.
+    Entries not `needed` cost nothing and are returned unsolved.
     """
     if len(needed) < MIN_BATCH or not isinstance(ocp.nominal, SingleTrack):
         return vmap_batch(solve_with_fallback)(ocp, problem)
@@ -83,12 +83,12 @@ def solve_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"
 
 
 def _batched(ocp: DriftOCP, problem: MPCProblem, needed: Array) -> MPCResult:
-    """All lanes by the batched solver, forces in units of the car's weight."""
+    """Solve the batch by the batched solver, forces in units of the car's weight."""
     scale, options = jax.vmap(lambda one: one.u_scale)(ocp), problem.options  # (batch, 2)
     U = jax.vmap(within_limits)(ocp, problem.U, problem.previous)
     lagged_input = jax.vmap(along)(ocp, problem.lagged_input, U)
     guess = jnp.concatenate([problem.X, lagged_input / scale[:, None]], axis=2)
-    last = lambda a: jnp.transpose(a, (2, 1, 0))  # the batch, to and fro
+    last = lambda a: jnp.transpose(a, (2, 1, 0))  # move the batch axis to the end, and back
     plans: LanePlans = solve_lanes(
         lanes_of(ocp, scale[:, 1]),
         jnp.concatenate([problem.x, problem.lagged_input / scale], axis=1).T,

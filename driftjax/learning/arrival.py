@@ -1,4 +1,4 @@
-"""In what state the car arrives where the drift controller takes over: the corner is planned from there."""
+"""Estimate the state in which the car arrives where the drift controller takes over; the corner is planned from it."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from driftjax.sim import Trace
 
 
 class Arrival(eqx.Module):
-    """Mean over the laps seen of state and commands at the take-over; the plan's before the first."""
+    """Mean state and commands at the take-over over the measured laps; the plan's values before the first lap."""
 
     x: Float[Array, " 5"]  # V, beta, r, e, theta
     command: Float[Array, " 2"]  # last delta, Fxr
@@ -20,14 +20,15 @@ class Arrival(eqx.Module):
 
 
 def planned_arrival(table: ReferenceTable, lead: Array | float) -> Arrival:
-    """As the plan in `table` has it, `lead` [m] before the drift section: on its path, with its inputs reached."""
+    """Return the planned arrival `lead` [m] before the drift section of `table`: on the path, with its inputs
+    applied."""
     x, u = table.state(table.drift_start - lead)
     inputs, zero = jnp.stack([u.delta, u.Fxr]), jnp.zeros_like(x.V)
     return Arrival(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))
 
 
 def update_arrival(before: Arrival, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Arrival:
-    """`before` with one lap (time on the leading axis) taken in, by measurements and commands only.
+    """Update `before` with one lap (time on the leading axis), from measurements and commands only.
 
     `s0` [m] is where the drift controller takes over; a lap that does not get there changes nothing.
     """

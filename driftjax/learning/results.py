@@ -1,4 +1,4 @@
-"""What a run found: per stage and controller, and the reductions beside the paper's."""
+"""Summarise a run: figures per stage and controller, and the reductions next to the paper's."""
 
 from typing import Any
 
@@ -17,26 +17,26 @@ PUBLISHED_REDUCTIONS = {
 
 
 def results(scenario: Scenario, stages: dict[str, xr.Dataset]) -> dict[str, Any]:
-    """results.json of the run: one entry per stage, and the summary per controller."""
+    """Return the content of results.json: one entry per stage, and the summary per controller."""
     config = scenario.config
     entries = [{"name": name, "controllers": _controllers(data)} for name, data in stages.items()]
     summary = {who: _summary(stages, who, config.car) for who in config.controllers}
     return {"car": config.car, "seed": config.seed, "stages": entries, "summary": summary}
 
 
-def _lanes(data: xr.Dataset, controller: str) -> xr.Dataset:
+def _entries(data: xr.Dataset, controller: str) -> xr.Dataset:
     return data.isel(lane=np.flatnonzero(np.asarray(data["controller"].values) == controller))
 
 
 def _controllers(data: xr.Dataset) -> dict[str, Any]:
     names = list(dict.fromkeys(np.asarray(data["controller"].values).tolist()))
-    return {name: _figures(_lanes(data, name)) for name in names}
+    return {name: _figures(_entries(data, name)) for name in names}
 
 
 def _per_plant(data: xr.Dataset, name: str) -> dict[str, float]:
-    """Mean over noise seeds, per plant: seeds of one plant are not independent plants.
+    """Return the mean over noise seeds per plant: seeds of one plant are not independent plants.
 
-    Of the laps that have the figure; NaN of a plant without one.
+    Over the laps that have the figure; NaN for a plant without one.
     """
     plants, values = np.asarray(data["plant"].values), np.asarray(data[name].values, float)
     of = {plant: values[(plants == plant) & np.isfinite(values)] for plant in dict.fromkeys(plants.tolist())}
@@ -63,10 +63,10 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
 
 
 def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str, np.ndarray] | None:
-    """Lateral error and velocity RMSE per plant of one stage."""
+    """Return lateral error and velocity RMSE per plant of one stage."""
     if stage not in stages:
         return None
-    data = _lanes(stages[stage], controller)
+    data = _entries(stages[stage], controller)
     return {name: np.array(list(_per_plant(data, name).values())) for name in ("lateral_error", "velocity_rmse")}
 
 

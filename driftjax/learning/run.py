@@ -1,4 +1,4 @@
-"""`driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
+"""Run `driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
 
 import io
 from collections.abc import Callable, Collection, Iterator
@@ -40,10 +40,10 @@ def learn(
 ) -> RunFolder:
     """Run the paper's experiment: plan, nominal laps, GP laps and active exploration, on a batch of plants.
 
-    `config` may be the name of a shipped car (sedan, rc). What `out` holds already is not driven again, so that a
-    stopped run goes on; `workers` processes drive side by side, one per core where left out, none on a GPU.
-    `report(text, done, total)` hears of every stage. Returns the run folder, with `.results` and `.laps`. Raises
-    `BadInput` for files that do not fit, and where `out` holds a run with another config.
+    `config` may be the name of a shipped car (sedan, rc). Stages already in `out` are not driven again, so that a
+    stopped run continues; `workers` processes drive in parallel, one per core if omitted, none on a GPU. `report(text,
+    done, total)` is called at every stage. Returns the run folder, with `.results` and `.laps`. Raises `BadInput` for
+    files that do not fit, and where `out` holds a run with another config.
     """
     require_float64()
     config = load_learn_config(config) if isinstance(config, str) else config
@@ -69,7 +69,7 @@ def check_files(config: LearnConfig) -> None:
 
 
 def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
-    """Drive every stage that `folder` does not hold yet; write and return its results, and collect its laps.
+    """Drive every stage missing in `folder`; write and return the results, and collect the laps.
 
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
@@ -95,8 +95,7 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 def drive_stages(
     scenario: Scenario, progress: Progress, done: Collection[str] = (), before_stage: Callable[[str], object] = str
 ) -> Iterator[tuple[str, xr.Dataset, Progress]]:
-    """Name, laps and progress of every stage that is not `done`, as it ends; `before_stage` hears of each before it
-    begins."""
+    """Yield name, laps and progress of every stage not in `done`; `before_stage` is called before each of them."""
     for index, name in enumerate(stage_names(scenario.config)):
         before_stage(name)
         driven = None if name in done else drive_stage(scenario, progress, name, index)
@@ -112,7 +111,7 @@ def _dump(progress: Progress) -> bytes:
 
 
 def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
-    """What the stage after `name` starts from."""
+    """Read the progress after the stage `name`."""
     try:
         return eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(name)), first_progress(scenario))
     except (RuntimeError, ValueError, EOFError) as error:

@@ -1,4 +1,4 @@
-"""What an experiment drives: plants, path, sensors, seeds and controllers as one batch of lanes."""
+"""Set up an experiment: plants, path, sensors, seeds and controllers as one batch."""
 
 import dataclasses
 from typing import NamedTuple
@@ -34,13 +34,13 @@ from driftjax.vehicle import (
 )
 from driftjax.vehicle.single_track import G
 
-# What a lane's noise key is folded in with, beside the number of a stage for the noise of its lap; it draws nothing
+# Offsets folded into an entry's noise key, besides stage numbers for the noise of laps; the key itself draws nothing
 LEARNING, SPEEDS = 1000, 2000
 
 
 @dataclasses.dataclass(frozen=True)
 class BatchEntry:
-    """Who is driven by whom with which noise."""
+    """Plant, controller and noise seed of one batch entry."""
 
     plant: str
     controller: str
@@ -49,7 +49,7 @@ class BatchEntry:
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """Everything that stays the same over the stages of one run."""
+    """Constant data of a run."""
 
     config: LearnConfig
     vehicle: VehicleConfig
@@ -63,29 +63,29 @@ class Scenario:
     u_eq: Control
     branch: Branch  # its kind
     batch: tuple[BatchEntry, ...]
-    plants: AnyPlant  # one per lane
-    keys: Array  # noise key of each lane, a parent only
+    plants: AnyPlant  # one per entry
+    keys: Array  # noise key of each entry, used as a parent only
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
-    executor: BatchExecutor  # how lanes are computed
+    executor: BatchExecutor  # evaluates the batch
 
     @property
     def batch_size(self) -> int:
-        """Number of lanes."""
+        """Number of batch entries."""
         return len(self.batch)
 
     def over_batch(self, tree):
-        """`tree` repeated along a leading axis of lanes."""
+        """Repeat `tree` along a leading batch axis."""
         return repeated(tree, self.batch_size)
 
 
 def repeated(tree, num: int):
-    """`tree` repeated `num` times along a leading axis."""
+    """Repeat `tree` `num` times along a leading axis."""
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
 
 
 class Route(NamedTuple):
-    """What is known of car and track before anything is driven."""
+    """Car, track and plan before any lap."""
 
     vehicle: VehicleConfig
     nominal: AnyCar  # with the effects that were named
@@ -100,7 +100,7 @@ class Route(NamedTuple):
 def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route:
     """Read the car and track that `config` names and plan the lap; raises `BadInput` for what does not fit.
 
-    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
+    A given `vehicle` overrides the one in `config`, and keeps its own friction ellipse.
     """
     vehicle = load_vehicle(config.vehicle).with_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
@@ -120,9 +120,9 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
 def build(
     config: LearnConfig, executor: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
 ) -> Scenario:
-    """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
+    """Set up the batch of `config`, on a given `route` or its own; raises as `route_of` does.
 
-    All lanes are `on` the plant that is given, told with its name.
+    With `on` (name, plant) all entries use that plant.
     """
     vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
     batch, plants, keys = lay_out(config, on, float(track.length))
@@ -136,7 +136,7 @@ def build(
 def lay_out(
     config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
 ) -> tuple[tuple[BatchEntry, ...], AnyPlant, Array]:
-    """Lanes with their plants and noise keys: every controller, plant and seed; all `on` one plant where it is given.
+    """Return the batch with plants and noise keys: every controller, plant and seed; all `on` one plant where given.
 
     `lap` is the length of the track [m].
     """
@@ -161,8 +161,8 @@ def lay_out(
 
 
 def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
-    """The steady state aimed at in the corner, and its kind: a drift or, where the tyres have no peak below such a
-    sideslip, as those of a car with driven wheels at both ends may, a slide within it."""
+    """Return the steady state of the corner and its branch: a drift or, where the tyres have no peak below such a
+    sideslip, as may be with driven wheels at both ends, a slide below the peak."""
     fixed = SlipRadius(where.beta, where.R)
     steady = solve_steady(car, fixed, branch=Branch.COUNTERSTEER)
     if bool(steady.result == RESULTS.successful):
@@ -177,14 +177,14 @@ def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equi
 
 
 def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
-    """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
+    """Build the MPC problem of every entry, with its own residual (leading axis) and its controller's weights."""
     config = scenario.config
     weights = [config.path if entry.controller == "path" else config.paper for entry in scenario.batch]
     return _problems(scenario, config.mpc, weights, residual)
 
 
 def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
-    """Every lane's problem of planning the corner anew: the path controller's, with a dearer lateral error."""
+    """Build every entry's corner planning problem: the path controller's, with a larger weight on lateral error."""
     config = scenario.config
     path = config.path
     weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
@@ -200,7 +200,7 @@ def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residu
 
 
 def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
-    """The drivers of all lanes: `kind` drives the drift section along `table` (leading axis of lanes)."""
+    """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)
     first = jax.tree.map(lambda a: a[0], ocp)

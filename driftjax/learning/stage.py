@@ -1,4 +1,4 @@
-"""One stage of the experiment: every lane drives one lap, and what came of it."""
+"""Drive one stage of the experiment: one lap per batch entry, and its figures."""
 
 import equinox as eqx
 import jax
@@ -18,18 +18,18 @@ MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
 
 
 class StageResult(eqx.Module):
-    """Laps of one stage, the references they tracked and their figures (leading axis of lanes)."""
+    """Laps of one stage, the references they tracked and their figures (leading axis: batch)."""
 
     laps: Laps
     table: ReferenceTable
-    V_ref: Array  # reference speed where the car was (lanes, steps)
+    V_ref: Array  # reference speed where the car was (batch, steps)
     figures: LapFigures
 
 
 def drive_batch(
     batch: tuple[Driver, AnyPlant, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
 ) -> tuple[Trace, Array, Array, LapFigures]:
-    """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
+    """Return traces, lap codes, reference speeds and figures of entries (drivers, plants, initial speeds, keys)."""
     drivers, plants, speed, keys = batch
     memory = vmap_batch(lambda d: d.start())(drivers)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
@@ -42,7 +42,7 @@ def drive_batch(
 
 
 def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
-    """Drive stage `number` in every lane; each stage has noise of its own."""
+    """Drive stage `number` for the whole batch; each stage has its own noise."""
     config = scenario.config
     keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
     speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
@@ -52,7 +52,7 @@ def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
 
 
 def stage_values(scenario: Scenario, stage: StageResult, kind: str) -> dict[str, np.ndarray]:
-    """The stage as named arrays, ready for the run folder (see `driftjax.store.variables`)."""
+    """Return the stage as named arrays for the run folder (see `driftjax.store.variables`)."""
     trace, table = stage.laps.trace, stage.table
     row = jax.vmap(lambda t, s: jax.vmap(lambda one: t.state(one)[0])(s))
     reference = row(table, trace.s)

@@ -1,4 +1,4 @@
-"""The stages of `driftjax learn`, each one lap of every lane: what is driven, and what is learnt from it."""
+"""Stages of `driftjax learn`, each one lap per batch entry: what is driven, and what is learnt from it."""
 
 import dataclasses
 
@@ -20,10 +20,11 @@ from driftjax.vehicle import Residual
 
 
 def stage_names(config: LearnConfig) -> list[str]:
-    """All stages that a run may have, in order; GP laps end early where they converge.
+    """List all stages that a run may have, in order; GP laps end early where they converge.
 
-    The `-best` stages drive each lane's best setting again with fresh noise: a lap picked for its low error says
-    little of the setting's, one driven afterwards does. They alone enter the summary, and nothing is learnt there.
+    The `-best` stages drive each entry's best setting again with fresh noise: a lap selected for its low error is a
+    biased estimate of the setting, a lap driven afterwards is not. Only they enter the summary, and nothing is learnt
+    there.
     """
     names = ["pursuit", "lqr"] if config.compare else []
     names += ["paper"] if config.compare and "paper" not in config.controllers else []
@@ -36,7 +37,7 @@ def stage_names(config: LearnConfig) -> list[str]:
 
 
 def first_progress(scenario: Scenario) -> Progress:
-    """What the first stage starts from."""
+    """Return the progress before the first stage."""
     batch, K = scenario.batch_size, scenario.config.explore.num_sets
     curve = jnp.zeros((batch, AIM_POINTS))
     sets = jnp.zeros((batch, K, AIM_POINTS))
@@ -45,7 +46,7 @@ def first_progress(scenario: Scenario) -> Progress:
 
 
 def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
-    """Progress after stage `name` and its dataset; None where there is nothing to drive in it."""
+    """Drive stage `name` and return the progress and its dataset; None if the stage has nothing to drive."""
     kind = name.split("-")[0]
     if name.endswith("-best"):
         return _best(scenario, progress, name, number)
@@ -75,19 +76,19 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
 
 
 def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned]:
-    """One lap of every lane by the drift MPC before anything is learnt, and the reference that it tracked."""
+    """Drive one lap per entry by the drift MPC before learning, and return it with the reference that it tracked."""
     initial = _initial_residual(scenario)
     planned = _nominal_reference(scenario, initial)
     return run_stage(scenario, drivers(scenario, "mpc", planned.table, initial), number), planned
 
 
 def _initial_residual(scenario: Scenario) -> Residual:
-    """What every lane knows before its first lap."""
+    """Return the residual of every entry before its first lap."""
     return scenario.over_batch(empty(scenario.config.gp, scenario.lags).residual)
 
 
 def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
-    """What the reference, and what the MPC, knows of what was learnt."""
+    """Return the residuals that the reference and the MPC may use."""
     layers = scenario.config.layers
     return (
         _initial_residual(scenario) if layers == "mpc" else residual,
@@ -96,13 +97,13 @@ def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]
 
 
 def _nominal_reference(scenario: Scenario, initial: Residual) -> Planned:
-    """The reference as the nominal car can drive it; the planner's may have more grip."""
+    """Return the reference that the nominal car can drive; the planner's car may have more grip."""
     arrival = scenario.over_batch(planned_arrival(scenario.table, scenario.config.switch.lead))
     return plan_reference(scenario, initial, arrival)
 
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
-    """One GP lap: reference and MPC from what was learnt, then learn from it."""
+    """Drive one GP lap: reference and MPC use the learnt model, then it is updated."""
     known, residual = _layers(scenario, progress.model_state.residual)
     planned = plan_reference(scenario, known, progress.arrival)
     stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
@@ -114,7 +115,7 @@ def _gpr(scenario: Scenario, progress: Progress, number: int):
 
 
 def _best(scenario: Scenario, progress: Progress, name: str, number: int):
-    """Each lane's best setting once more; before exploration its lap also makes the V-sets."""
+    """Repeat each entry's best setting; before exploration its lap also gives the V-sets."""
     if name == "explore-best" and not bool(progress.explored):
         return None
     best = progress.best
@@ -130,7 +131,7 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
-    """One lap of Algorithm 1: choose, plan, drive, learn; None where every lane has driven all its sets."""
+    """Drive one lap of Algorithm 1: choose, plan, drive, learn; None where every entry has driven all its sets."""
     found, residual = progress.candidates, progress.model_state.residual
     chosen, V_ep, left = choose(scenario, found, residual)
     if not bool(jnp.any(left)):
@@ -138,7 +139,7 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     known, residual = _layers(scenario, residual)
     aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
     planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
-    # a lane that has driven all its sets repeats its best
+    # an entry that has driven all its sets repeats its best
     table, used = where_tree(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
     before = progress.best.error
@@ -173,7 +174,7 @@ def _data(
         widest = found.widest[:, None]
         values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}
         values |= {"vset_lower": found.origin - widest, "vset_upper": found.origin + widest}
-    if kind != "mpc":  # these drivers do not depend on the controller: one block of lanes says it all
+    if kind != "mpc":  # these drivers do not depend on the controller: one block of entries suffices
         num = scenario.batch_size // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}
     return dataset({name: np.asarray(value) for name, value in values.items()}, {"codes": CODES})

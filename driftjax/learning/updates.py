@@ -1,4 +1,5 @@
-"""The loop of Section V-A: nominal laps, GP laps until convergence, V-sets, exploration; every lane keeps its best."""
+"""Learning updates (Section V-A): start, update of model and best lap, reference planning; each entry keeps its
+best."""
 
 import equinox as eqx
 import jax
@@ -27,7 +28,7 @@ ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
 
 
 class Best(eqx.Module):
-    """What drove each lane's best lap so far (leading axis of lanes)."""
+    """Model and reference of each entry's best lap so far (leading axis: batch)."""
 
     error: Array  # mean measured lateral error, infinite before the first completed lap [m]
     residual: Residual
@@ -35,19 +36,19 @@ class Best(eqx.Module):
 
 
 class Progress(eqx.Module):
-    """All that one stage hands to the next: enough to go on after a kill."""
+    """State passed from one stage to the next, sufficient to resume a stopped run."""
 
     model_state: ModelState
-    arrival: Arrival  # of each lane
+    arrival: Arrival  # of each entry
     best: Best
-    last_error: Array  # measured, of the stage before, per lane [m]
+    last_error: Array  # measured, of the stage before, per entry [m]
     converged: Array  # bool: GP laps are over
     candidates: Candidates
     explored: Array  # bool: at least one exploration lap was driven
 
 
 def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
-    """Progress before the first lap."""
+    """Return the progress before the first lap."""
     model_state = scenario.over_batch(empty(scenario.config.gp, scenario.lags))
     table = scenario.over_batch(scenario.table)
     arrival = scenario.over_batch(planned_arrival(scenario.table, scenario.config.switch.lead))
@@ -64,7 +65,7 @@ def learn_batch(
     shortest: Array,
     config: GPConfig,
 ) -> tuple[ModelState, Arrival]:
-    """Memories and approaches of lanes given as (both before, lap, its reference, keys)."""
+    """Update models and arrivals of batch entries (both before, lap, its reference, keys)."""
     known_basis = known_effect_basis(nominal) if config.orthogonal else None
 
     def one(model_state: ModelState, arrival: Arrival, trace: Trace, table: ReferenceTable, key: Array):
@@ -79,9 +80,9 @@ def learn_batch(
 def update_progress(
     scenario: Scenario, progress: Progress, stage: StageResult, residual: Residual | None, number: int
 ) -> Progress:
-    """`progress` after a lap: its rows learnt, and, unless `residual` is None, kept as the best where it was.
+    """Update `progress` after a lap: learn from it and, unless `residual` is None, update the best laps.
 
-    Laps are judged by their measured lateral error: a car has no other.
+    Laps are compared by their measured lateral error, as a real car has no other.
     """
     keys = jax.vmap(lambda key: jax.random.fold_in(key, LEARNING + number))(scenario.keys)
     batch = (progress.model_state, progress.arrival, stage.laps.trace, stage.table, keys)
@@ -98,9 +99,10 @@ def update_progress(
 
 
 def plan_reference(scenario: Scenario, residual: Residual, arrival: Arrival, aim: Aim | None = None) -> Planned:
-    """The reference of every lane from its corrected car, with what exploration asked for (leading axis of lanes).
+    """Plan the reference of every entry for its corrected car, with the exploration targets `aim` (leading axis:
+    batch).
 
-    `entry` plans the corner anew on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
+    `entry` replans the corner on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """
     config = scenario.config
     aims: Aim = scenario.over_batch(no_aim(scenario.table)) if aim is None else aim
@@ -122,7 +124,7 @@ def plan_reference(scenario: Scenario, residual: Residual, arrival: Arrival, aim
 def entry_table_batch(
     batch: tuple[DriftOCP, Arrival, Aim], table: ReferenceTable, lead: Array, tolerance: Array
 ) -> Planned:
-    """The planned corner of lanes given as (problem, how the car arrives, what is aimed at)."""
+    """Plan the corner for batch entries (problem, arrival, target)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
     return vmap_batch(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*batch)
 

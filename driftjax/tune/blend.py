@@ -1,4 +1,4 @@
-"""The driver with a smooth switch, whose laps are differentiable in the switching lead."""
+"""A driver with a smooth switch, whose laps are differentiable by the switching lead."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,11 +12,12 @@ from driftjax.sim import Sensed
 def blended(
     drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array, width: Array
 ) -> tuple[Control, DriverState, Decision]:
-    """`decide` for all lanes, where the drift controller takes over smoothly along `width` [m] about its lead.
+    """Apply `decide` to the batch, with the drift controller blended in along `width` [m] about its lead.
 
-    The command is pure pursuit's and becomes the drift MPC's along a cubic in s. With the hard switch a lap is constant
-    in the lead between two control steps and jumps there, so that it has no useful derivative; this has one, and tends
-    to the hard switch as the width goes to 0. The way back behind the corner stays hard: it is after what is judged.
+    The command changes from pure pursuit to the drift MPC along a cubic in s. With the hard switch a lap is constant in
+    the lead between two control steps and jumps there, so that it has no useful derivative; this one has, and tends to
+    the hard switch as the width goes to 0. The switch back after the corner stays hard: it lies after the evaluated
+    section.
     """
     over_batch = eqx.filter_vmap
     early = eqx.tree_at(lambda d: d.lead, drivers, drivers.lead + width / 2)

@@ -1,4 +1,4 @@
-"""Closed-loop laps of chosen plants at chosen parameters, in processes beside each other."""
+"""Drive closed-loop laps of selected plants at given parameters, in parallel processes."""
 
 import dataclasses
 from functools import cached_property
@@ -26,7 +26,7 @@ from driftjax.vehicle import no_residual
 
 
 class LapResults(NamedTuple):
-    """Laps with the controller as it is driven: points K, plants L."""
+    """Laps with the hard switch: points K, plants L."""
 
     loss: Float[np.ndarray, "K L"]
     code: np.ndarray
@@ -35,7 +35,7 @@ class LapResults(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class LapEvaluator:
-    """All plants of a run on one course."""
+    """All plants of a run on its track."""
 
     config: TuneConfig
     scenario: Scenario
@@ -44,23 +44,23 @@ class LapEvaluator:
     def drivers(self) -> Driver:
         """Nominal drivers of all plants, before tuning."""
         scenario = self.scenario
-        untaught = scenario.over_batch(no_residual(zero_gp(1, 5, 3), scenario.lags))
-        return drivers(scenario, "mpc", scenario.over_batch(scenario.table), untaught)
+        initial = scenario.over_batch(no_residual(zero_gp(1, 5, 3), scenario.lags))
+        return drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
 
     @cached_property
     def plants(self) -> list[str]:
-        """Names of the plants: those to tune on, then those held out."""
+        """Names of the plants: the training plants, then the held-out ones."""
         return [entry.plant for entry in self.scenario.batch]
 
     def batch(self, p: Float[np.ndarray, " 6"], which: slice):
-        """Lanes of the plants `which` at `p`."""
+        """Return the batch of the plants `which` at `p`."""
         scenario = self.scenario
         speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
         every = (scaled_drivers(self.drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
         return jax.tree.map(lambda a: a[which] if eqx.is_array(a) else a, every)
 
     def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> LapResults:
-        """A lap of each plant `which` at each of `points`."""
+        """Drive a lap of each plant `which` at each of `points`."""
         learn = self.scenario.config
         each = [self.batch(p, which) for p in points]
         batch = concatenate(*each)
@@ -72,7 +72,7 @@ class LapEvaluator:
         return LapResults(*plain)
 
     def gradients(self, p: Float[np.ndarray, " 6"], which: slice) -> LapGradients:
-        """Derivatives at `p` of the laps of the plants `which` with the smooth switch."""
+        """Return the derivatives at `p` of the laps of the plants `which` with the smooth switch."""
         learn = self.scenario.config
         shared = (self.scenario.sensors, learn.lap, learn.mpc.dt, self.config.scales, self.config.blend)
         found = self.scenario.executor.map(gradients_batch, self.batch(p, which), *shared)
@@ -85,5 +85,5 @@ def _losses(trace: Trace, code: Array, table: ReferenceTable, scales: Scales) ->
 
 
 def lap_outcome(code: int) -> str:
-    """How a lap ended, in a word."""
+    """Name how a lap ended."""
     return LapCode(code).name.lower().replace("_", " ")

@@ -1,4 +1,4 @@
-"""What a lap is judged by, as a sum of squares, and its slopes through the closed loop."""
+"""Loss of a lap, as a sum of squares, and its derivatives through the closed loop."""
 
 from typing import NamedTuple
 
@@ -20,19 +20,19 @@ EDGE = 1.0  # length over which the ends of the drift section count less and les
 
 
 class LapGradients(NamedTuple):
-    """Loss of each lane with the smooth switch and its derivatives; a lane without them has zeros and says so."""
+    """Loss of each entry with the smooth switch and its derivatives; zeros where they are not `valid`."""
 
-    loss: Float[Array, " lanes"]
-    gradient: Float[Array, "lanes 6"]
-    gauss: Float[Array, "lanes 6 6"]  # Gauss-Newton Hessian
-    valid: Bool[Array, " lanes"]  # lap completed, derivatives finite
+    loss: Float[Array, " batch"]
+    gradient: Float[Array, "batch 6"]
+    gauss: Float[Array, "batch 6 6"]  # Gauss-Newton Hessian
+    valid: Bool[Array, " batch"]  # lap completed, derivatives finite
 
 
 def lap_errors(trace: Trace, table: ReferenceTable, scales: Scales) -> Float[Array, "steps 3"]:
-    """Errors of one lap over the drift section, whose squares add up to means over distance.
+    """Return the errors of one lap over the drift section, whose squares add up to means over distance.
 
-    Lateral error, sideslip less the planned one, change of the steering command; weights fade over a metre at the ends
-    of the section, so that no step enters or leaves with a jump.
+    Lateral error, deviation from the planned sideslip, change of the steering command; weights fade over a metre at the
+    ends of the section, so that no step enters or leaves with a jump.
     """
     s = trace.s
     weight = jax.nn.sigmoid((s - table.drift_start) / EDGE) * jax.nn.sigmoid((table.drift_end - s) / EDGE)
@@ -46,7 +46,7 @@ def lap_errors(trace: Trace, table: ReferenceTable, scales: Scales) -> Float[Arr
 
 
 def lap_loss(errors: Float[Array, "steps 3"], code: Array, scales: Scales) -> Float[Array, ""]:
-    """Sum of squares; the fixed loss of a failed lap where it was not completed."""
+    """Return the sum of squares, or the fixed loss of a lap that was not completed."""
     return jnp.where(code == int(LapCode.COMPLETED), jnp.sum(errors**2), scales.failed)
 
 
@@ -58,7 +58,8 @@ def gradients_batch(
     scales: Scales,
     width: float,
 ) -> LapGradients:
-    """Forward mode through plant, sensors and solved MPC of lanes given as (drivers, plants, first speeds, keys)."""
+    """Differentiate in forward mode through plant, sensors and solved MPC, for entries (drivers, plants, initial
+    speeds, keys)."""
     drivers, plants, speed, keys = batch
 
     def errors(p: Array) -> tuple[Array, tuple[Array, Array]]:

@@ -1,4 +1,4 @@
-"""`driftjax tune`: both searches on the training plants, then one lap each on the plants held out."""
+"""Run `driftjax tune`: both searches on the training plants, then one lap each on the held-out plants."""
 
 import dataclasses
 import time
@@ -22,7 +22,7 @@ PAIRS = (("default", "tuned"), ("default", "random"), ("random", "tuned"))
 
 
 def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
-    """Search, judge, write `results.json`; return it. Deterministic but for the seconds."""
+    """Search, evaluate, write `results.json`; return it. Deterministic except for the seconds."""
     report("plan", 0, 4)
     num = config.training + config.held_out
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
@@ -38,7 +38,7 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
 
 
 def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str, Any]]:
-    """The three settings: where the search starts, and what either search found on the training plants."""
+    """Return the three settings: the start, and the result of each search on the training plants."""
     config, notes = evaluator.config, {"failed_laps": 0, "laps_without_slope": 0, "slopes": 0, "slope_seconds": 0.0}
     training, box = slice(0, config.training), config.box
 
@@ -70,7 +70,7 @@ def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str,
 
 
 def results_content(evaluator: LapEvaluator, found: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:
-    """`results.json`."""
+    """Return the content of `results.json`."""
     config, names = evaluator.config, evaluator.plants
     error = np.asarray(driven.figures.lateral_error)
     settings = {

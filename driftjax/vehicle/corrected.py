@@ -12,9 +12,9 @@ from driftjax.gp import GP
 
 
 class Residual(eqx.Module):
-    """What was learnt of a car: the lags of its actuators, and the model error d(z) left at what these reached.
+    """Learnt model of a car: the lags of its actuators, and the residual rate d(z) at the actuator outputs.
 
-    The model error is a GP, faded to nothing where it has no data.
+    The residual is a GP, faded to zero where it has no data.
     """
 
     gp: GP
