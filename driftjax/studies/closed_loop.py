@@ -1,4 +1,4 @@
-"""The gain in closed loop: the corner of `driftjax learn`, driven with each model as MPC on one and the same plant."""
+"""Measure the closed-loop gain: the corner of `driftjax learn`, driven with each model in the MPC on the same plant."""
 
 import dataclasses
 from pathlib import Path
@@ -26,7 +26,7 @@ SEEDS = 4  # of the sensor noise, the same for each model
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoopCase:
-    """What is driven, on what."""
+    """Plant and configuration of the closed-loop laps."""
 
     name: str  # of the plant, as typed
     plant: AnyPlant
@@ -34,8 +34,8 @@ class ClosedLoopCase:
 
 
 def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
-    """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or
-    vehicle YAML, or a shipped plant."""
+    """Load the corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or vehicle YAML, or a
+    shipped plant."""
     if vehicle.name not in CARS:
         raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
                        f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
@@ -51,18 +51,18 @@ def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
 
 
 def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
-    """The car `vehicle` as the `extended` one with its effects where they started: the same car, and the same compiled
-    program."""
+    """Return the `extended` car with its effects at their initial values: the same car as `vehicle`, and the same
+    compiled program."""
     start = {one.name: one.value for one in vehicle.effects}
     effects = (dataclasses.replace(e, value=start.get(e.name, 0.0), ci95_half=None) for e in extended.effects)
     return dataclasses.replace(extended, effects=tuple(effects), covariance=())
 
 
 def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
-    """What diagnosis.json holds under `closed_loop`: laps of the nominal and the `extended` car as models.
+    """Return the content of `closed_loop` in diagnosis.json: laps of the nominal and the `extended` car as models.
 
-    Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the
-    same sensor noise, so that their difference is paired.
+    Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the same
+    sensor noise, so that their difference is paired.
     """
     models = {"nominal": before(nominal, extended)}
     if extended.effects != nominal.effects:
@@ -84,10 +84,9 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
 
 
 def figures(stage: StageResult) -> dict[str, Any]:
-    """Laps of one model: how they ended, and figures per seed with their means.
+    """Return how the laps of one model ended, and figures per seed with their means.
 
-    A velocity error is that of what was driven of the drift section; of laps that did not end well it says nothing
-    and is left out.
+    A velocity error refers to the driven part of the drift section; for failed laps it is meaningless and omitted.
     """
     codes, found = np.asarray(stage.laps.code), stage.figures
     done = np.asarray(found.completed)
@@ -102,7 +101,8 @@ def figures(stage: StageResult) -> dict[str, Any]:
 
 
 def compare(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
-    """Extended less nominal, seed by seed, with intervals over seeds; velocity errors of laps that both completed."""
+    """Return extended minus nominal, seed by seed, with intervals over seeds; velocity errors of laps that both
+    completed."""
     both = np.asarray(nominal.figures.completed & extended.figures.completed)
     every = np.ones_like(both)
     pairs = {"lateral_error": every, "velocity_rmse": both, "drift_share": every}

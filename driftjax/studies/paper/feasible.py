@@ -1,4 +1,4 @@
-"""Whether a plant can drive what is planned: the steady drift of the corner on the car as learnt from each plant."""
+"""Check whether a plant can drive the plan: the steady drift of the corner on the car learnt from each plant."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ STAGE = "gpr-best"
 
 
 def feasible(run: RunFolder) -> dict[str, Any] | None:
-    """Of each plant, by controller: whether a drift exists at the planned V_b and r_b, and the speed of the one at the
-    planned sideslip and radius over V_b, on nominal + GP; None where the run has no GP laps."""
+    """Return for each controller whether its plants have a drift at the planned V_b and r_b, and the speed of the one
+    at the planned sideslip and radius relative to V_b, on nominal + GP; None where the run has no GP laps."""
     if STAGE not in run.finished():
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
@@ -42,7 +42,7 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
 def on_learnt(
     residual: Residual, nominal: AnyCar, planned: tuple[Array, ...], guess: tuple[State, Control], branch: Array
 ) -> tuple[Array, Array, Array]:
-    """Per lane: whether a drift at (V_b, r_b) exists; whether one at (beta, R) does, and its speed."""
+    """Return per batch entry whether a drift at (V_b, r_b) exists; whether one at (beta, R) does, and its speed."""
     V_b, r_b, beta, R = planned
 
     def one(d: Residual) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Drive every run of the comparison that is not there yet, and put together what they show."""
+"""Drive every missing run of the comparison, and summarise the results."""
 
 import dataclasses
 from collections.abc import Callable
@@ -28,7 +28,7 @@ Report = Callable[[str, int, int], None]
 
 
 def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
-    """Results of the comparison; each run has a folder of its own and goes on where it stopped."""
+    """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, found = arms(cfg), [], {}
     for number, arm in enumerate(todo):
@@ -37,14 +37,14 @@ def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> di
         if arm.name == MAIN:
             write_report(run_of(arm, folder.path))
         done.append((arm, arm_results(arm, folder.path)))
-        found = write(cfg, done, folder)  # what is measured is told whatever comes next
+        found = write(cfg, done, folder)  # written after every run, whatever happens next
     report("done", len(todo), len(todo))
     write_figures(found, folder.path / "figures")
     return found
 
 
 def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
-    """Results, tables and figures from the runs that are finished."""
+    """Rebuild results, tables and figures from the finished runs."""
     cfg = cfg.reduced() if cfg.quick else cfg
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
     if not done or done[0].name != MAIN:
@@ -55,7 +55,7 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
 
 
 def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
-    """The laps of one run, or what is left of them."""
+    """Drive the missing laps of one run."""
     path = out / arm.folder
     run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, num_workers)
     if not run.has("results.json"):
@@ -63,7 +63,7 @@ def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
 
 
 def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
-    """A new run folder, with the laps that another run has driven already."""
+    """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
         config = dataclasses.replace(config, vehicle=extended(arm, out, num_workers))
@@ -76,7 +76,7 @@ def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
 
 
 def extended(arm: Arm, out: Path, num_workers: int) -> Path:
-    """YAML of the car extended by a diagnosis, which is made where it is not there yet."""
+    """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_slip(arm.learn.combined_slip)
@@ -86,12 +86,12 @@ def extended(arm: Arm, out: Path, num_workers: int) -> Path:
 
 
 def run_of(arm: Arm, out: Path) -> RunFolder:
-    """The folder of a finished run."""
+    """Open the folder of a finished run."""
     return RunFolder.open(out / arm.folder)
 
 
 def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
-    """What one finished run shows."""
+    """Return the results of one finished run."""
     run = run_of(arm, out)
     if arm.name == MAIN:
         return {"settings": settings_hash(arm), **compared(run, arm.car), "feasible": feasible(run)}
@@ -103,7 +103,7 @@ def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
 
 
 def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
-    """results.json and results.md of the runs that are `done`, with what each shows; the former is returned."""
+    """Write results.json and results.md of the runs in `done`; return the former."""
     cars: dict[str, Any] = {}
     for arm, one in done:
         if arm.name == MAIN:
