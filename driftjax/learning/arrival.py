@@ -15,7 +15,7 @@ class Arrival(eqx.Module):
 
     x: Float[Array, " 5"]  # V, beta, r, e, theta
     command: Float[Array, " 2"]  # last delta, Fxr
-    lagged_input: Float[Array, " 2"]  # what steering and drive had made of the commands
+    lagged_input: Float[Array, " 2"]  # actuator outputs delta, Fxr
     laps: Array
 
 

@@ -22,12 +22,12 @@ class Candidates(eqx.Module):
     s: Array  # (batch, AIM_POINTS) arc length of the curves [m]
     origin: Array  # (batch, AIM_POINTS) planned speed, from which they start [m/s]
     target: Array  # (batch, AIM_POINTS) r_b e, where they tend to [m/s]
-    e: Array  # (batch, AIM_POINTS) measured lateral error that leads them [m]
-    aimed: Array  # (batch, AIM_POINTS) offset from the path that the lap with this error aimed at [m]
-    widest: Array  # (batch,) bound on gamma of the last one, either way [m/s]
+    e: Array  # (batch, AIM_POINTS) measured lateral error behind them [m]
+    aimed: Array  # (batch, AIM_POINTS) target offset from the path of the lap with this error [m]
+    widest: Array  # (batch,) largest bound on gamma, both signs [m/s]
     V: Array  # (batch, K, AIM_POINTS) generated curves [m/s]
     V_ep: Array  # (batch, K) their means [m/s]
-    visited: Array  # (batch, K) driven, or not to be driven: a duplicate, or no equilibrium
+    visited: Array  # (batch, K) driven or excluded: a duplicate, or no equilibrium
 
 
 class Drifts(eqx.Module):

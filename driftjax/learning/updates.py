@@ -42,7 +42,7 @@ class Progress(eqx.Module):
     arrival: Arrival  # of each entry
     best: Best
     last_error: Array  # measured, of the stage before, per entry [m]
-    converged: Array  # bool: GP laps are over
+    converged: Array  # bool: GP laps have converged
     candidates: Candidates
     explored: Array  # bool: at least one exploration lap was driven
 

@@ -16,7 +16,7 @@ from driftjax.tune.blend import blended
 from driftjax.tune.config import Scales
 from driftjax.tune.parameters import NAMES, scaled_drivers
 
-EDGE = 1.0  # length over which the ends of the drift section count less and less [m]
+EDGE = 1.0  # length over which weights fade at the ends of the drift section [m]
 
 
 class LapGradients(NamedTuple):

@@ -127,7 +127,7 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
 
 
 def answer(out: str) -> None:
-    """Batched and safeguarded answers of lanes that have learnt differently; the first is not needed."""
+    """Batched and fallback solutions of entries with different residuals; the first is not needed."""
     num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-7, max_steps=60)
     problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(num)]
     ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)

@@ -1,4 +1,4 @@
-"""The learnt residual: a planted one passes the gate, noise does not, and no data means no residual."""
+"""The learnt residual: a planted one gets a high trust factor, noise does not, and no data means no residual."""
 
 import equinox as eqx
 import jax
@@ -69,7 +69,7 @@ def test_without_a_lap_there_is_no_residual():
 
 
 def test_noise_of_the_data_does_not_lower_the_gate():
-    """A gate of explained variance would: no mean explains more of noisy targets than what is no noise in them."""
+    """Explained variance would be: no mean explains the noise in its targets."""
     Z, Y, mask = data(noise=0.75, signal=1.0, num=400)
     found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
     explained = 1 - (0.75 * SIZE) ** 2 / np.mean(np.asarray(Y) ** 2, axis=0)

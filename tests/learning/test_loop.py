@@ -100,7 +100,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, fin
         assert again.read_stage(name).identical(folder.read_stage(name))
 
 
-@pytest.mark.parametrize("lanes", [2, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("batch", [2, pytest.param(16, marks=pytest.mark.slow)])
 def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
     scenario = build(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
@@ -111,6 +111,6 @@ def test_a_batch_equals_its_single_laps(batch):
     assert jnp.all(jnp.any(batch.decision.drifting, axis=1))
     alive = np.asarray(batch.alive)
     np.testing.assert_array_equal(singles.alive, alive)
-    for name in ("V", "beta", "r", "x", "y", "delta"):  # after a lap's end a lane waits for the others
+    for name in ("V", "beta", "r", "x", "y", "delta"):  # after a lap's end its entry waits for the others
         one, other = (np.asarray(getattr(trace, name))[alive] for trace in (singles, batch))
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)

@@ -83,7 +83,7 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
 
 
 def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
-    e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # lane 1 was lost there
+    e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # entry 1 was lost there
     found = eqx.tree_at(lambda c: (c.e, c.aimed), first_progress(scenario).candidates, (e, jnp.full_like(e, 0.1)))
     aimed = [np.asarray(offset(scenario, found, jnp.asarray([k, k]))) for k in range(3)]
     for k in range(3):

@@ -1,4 +1,5 @@
-"""The gain in closed loop: what is driven on what, how laps are told, one sentence for bad input, and a whole run."""
+"""The gain in closed loop: plant and model of each lap, content of the results, one sentence for bad input, and a whole
+run."""
 
 import dataclasses
 import json

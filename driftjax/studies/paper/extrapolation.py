@@ -6,7 +6,7 @@ from driftjax.gp.model import FADE_LENGTH, faded
 from driftjax.store import RunFolder
 from driftjax.studies.paper.laps import driven
 
-FADED = 0.5  # from which the mean counts as asked for far from data
+FADED = 0.5  # fade factor below which an input counts as far from data
 STAGES = ("single-layer", "gpr-1", "gpr-best", "explore-best")
 
 

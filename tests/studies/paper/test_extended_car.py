@@ -1,4 +1,5 @@
-"""The log from which the comparison's extended car is found: a double-track car that holds drifts, told with noise."""
+"""The log from which the comparison's extended car is found: a double-track car that sustains drifts, measured with
+noise."""
 
 import dataclasses
 
