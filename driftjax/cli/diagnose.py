@@ -15,7 +15,7 @@ from driftjax.manoeuvres.truth import drive_again
 from driftjax.parallel import num_workers, process_executor
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.store import RunFolder
-from driftjax.studies.closed_loop import Course, closed_loop, load_course
+from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle
 
 STEPS = ("noise and nominal car", "naming", "gain", "show", "done")
@@ -57,31 +57,31 @@ def run(argv: list[str]) -> int:
     lone = asked.drive is None or not (asked.columns or asked.runs)
     require(lone, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
     vehicle = load_vehicle(asked.vehicle, asked.combined_slip)
-    course = load_course(asked.closed_loop, vehicle) if asked.closed_loop else None
+    case = load_case(asked.closed_loop, vehicle) if asked.closed_loop else None
     log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
     options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut}
-    options |= {"options": dataclasses.asdict(asked.options), "closed_loop": course.name if course else None}
+    options |= {"options": dataclasses.asdict(asked.options), "closed_loop": case.name if case else None}
     folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     def both() -> int:
-        diagnosis = work(vehicle, log, asked.options, folder, course)
+        diagnosis = work(vehicle, log, asked.options, folder, case)
         if asked.drive and diagnosis.proposal:
             more = folder.path / "next.csv"
             drive_again(asked.drive, diagnosis.proposal.manoeuvre, more)
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
-            work(vehicle, read_log((*asked.logs, more), cut=asked.cut), asked.options, again, course)
+            work(vehicle, read_log((*asked.logs, more), cut=asked.cut), asked.options, again, case)
         return 0
 
     return within(folder, both)
 
 
 def work(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, course: Course | None
+    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, case: ClosedLoopCase | None
 ) -> Diagnosis:
-    """Diagnose into `folder` and print what came out, with the laps on `course`."""
+    """Diagnose into `folder` and print what came out, with the laps on `case`."""
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
@@ -98,10 +98,10 @@ def work(
     if content["show"]:
         print(f"{content['show']['worst']}\n{parity_words(content['show']['kinematic_parity'])}\n")
         print(gain_table(content["gain"]))
-    if course and diagnosis.evidence:
-        print(f"closed loop: driving on {course.name}", flush=True)
+    if case and diagnosis.evidence:
+        print(f"closed loop: driving on {case.name}", flush=True)
         tell(diagnosis.extended)
-        content["closed_loop"] = closed_loop(course, vehicle, diagnosis.extended)
+        content["closed_loop"] = closed_loop(case, vehicle, diagnosis.extended)
         folder.write_json("diagnosis", content)
         print(closed_loop_table(folder.read_json("diagnosis")["closed_loop"]))
     print(f"report: {write_diagnosis(folder)}")

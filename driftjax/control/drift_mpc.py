@@ -22,11 +22,11 @@ WARM_BARRIER = 0.1  # of a warm start, which lies near the optimum
 
 
 class MPCState(NamedTuple):
-    """What the car does now; a leading axis is a batch."""
+    """State of the car and its actuators; a leading axis is a batch."""
 
     x: Float[Array, "*batch 5"]  # V [m/s], beta [rad], r [rad/s], offset e [m], heading error theta [rad]
     command: Float[Array, "*batch 2"]  # last command: delta [rad], Fxr [N]
-    reached: Float[Array, "*batch 2"]  # what steering and drive have made of the commands; `command` without lags
+    lagged_input: Float[Array, "*batch 2"]  # actuator outputs, delta [rad] and Fxr [N]; `command` without lags
 
 
 def mpc_state(x: ArrayLike, command: ArrayLike) -> MPCState:
@@ -77,7 +77,7 @@ class DriftMPC(eqx.Module):
 
     @property
     def horizon(self) -> int:
-        """Number of steps looked ahead."""
+        """Number of prediction steps."""
         return self.ocp.horizon
 
     @eqx.filter_jit
@@ -111,5 +111,5 @@ class DriftMPC(eqx.Module):
             options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.full_like(self.options.barrier, WARM_BARRIER))
         elif warm_start is not None:
             U = warm_start
-        start = (state.x, state.command, state.reached)
+        start = (state.x, state.command, state.lagged_input)
         return solve_mpc(self.ocp, *start, reference, X.at[0].set(state.x), U, options)

@@ -1,4 +1,4 @@
-"""Who drives: pure pursuit on normal segments, a drift controller in the corner, and the switch between them."""
+"""Drivers: pure pursuit on normal segments, a drift controller in the corner, and the switch between them."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -9,14 +9,14 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.lane_solve import Answer, Posed, acceptable, answers
+from driftjax.control.lane_solve import MPCProblem, MPCResult, acceptable, solve_batch
 from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, lag_step, require
 from driftjax.parallel import vmap_batch
-from driftjax.sim import Sensed, keep_where
+from driftjax.sim import Sensed, where_tree
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
@@ -27,7 +27,7 @@ ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the
 
 @dataclass(frozen=True)
 class SwitchConfig:
-    """When the drift controller takes over and gives back; fixed before methods are compared."""
+    """Where the drift controller takes over and hands back; fixed before methods are compared."""
 
     lead: float = 6.0
     """Distance before the drift section at which the drift controller takes over [m]."""
@@ -42,17 +42,17 @@ class SwitchConfig:
         require(self.handover_beta > 0, f"key 'handover_beta' is {self.handover_beta}; it must be positive.")
 
 
-class Memory(NamedTuple):
-    """What the driver carries from step to step."""
+class DriverState(NamedTuple):
+    """State of the driver, carried from step to step."""
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
-    reached: Float[Array, " 2"]  # what steering and drive have made of the commands so far, by the learnt lags
-    good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: what is driven where a solve fails
+    lagged_input: Float[Array, " 2"]  # actuator outputs by the learnt lags
+    good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: applied where a solve fails
     drifting: Array  # whether the drift controller drove the last step
 
 
 class Decision(NamedTuple):
-    """Command of one step and how it came about."""
+    """Command of one step and how it was computed."""
 
     command: Control
     drifting: Array  # bool
@@ -62,7 +62,7 @@ class Decision(NamedTuple):
 
 
 class Driver(eqx.Module):
-    """One lane's driver; `kind` is which controller drives the drift section."""
+    """Driver of one batch entry; `kind` selects the controller of the drift section."""
 
     kind: Literal["mpc", "lqr", "pursuit"] = eqx.field(static=True)
     path: Track
@@ -77,65 +77,65 @@ class Driver(eqx.Module):
 
     @property
     def horizon(self) -> int:
-        """Stages of the MPC."""
+        """Horizon of the MPC [steps]."""
         return self.ocp.horizon
 
-    def start(self) -> Memory:
-        """Memory of a driver that has not driven yet: commands, and what was made of them, are 0."""
-        return Memory(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+    def start(self) -> DriverState:
+        """Return the initial state of the driver: commands and actuator outputs are 0."""
+        return DriverState(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
 
-    def engaged(self, sensed: Sensed, memory: Memory) -> Array:
-        """The switch rule: within the drift section widened by lead and trail, longer while still sliding."""
+    def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
+        """Evaluate the switch rule: within the drift section widened by lead and trail, longer while still sliding."""
         if self.kind == "pursuit":
             return jnp.asarray(False)
         past = sensed.s - self.table.drift_end
         sliding = memory.drifting & (jnp.abs(sensed.beta) > self.handover_beta) & (past < 3 * self.trail)
         return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
 
-    def after(self, memory: Memory) -> Memory:
-        """Memory one step later: what the actuators will have reached of the command."""
-        reached = lag_step(memory.reached, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
-        return memory._replace(reached=reached)
+    def after(self, memory: DriverState) -> DriverState:
+        """Return the driver state one step later: actuator outputs after the command."""
+        lagged_input = lag_step(memory.lagged_input, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
+        return memory._replace(lagged_input=lagged_input)
 
-    def pursue(self, sensed: Sensed, memory: Memory) -> Array:
-        """Command (2,) of pure pursuit within the limits."""
+    def pursue(self, sensed: Sensed, memory: DriverState) -> Array:
+        """Return the command (2,) of pure pursuit within the limits."""
         speed, slope = self.table.row(self.table.speed, sensed.s), self.table.slope(self.table.speed, sensed.s)
         now = (sensed.x, sensed.y, sensed.psi, sensed.V, sensed.r, sensed.s)
         u = self.pursuit(self.path, *now, speed, speed * slope)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
-    def stabilise(self, sensed: Sensed, memory: Memory) -> Array:
-        """Command (2,) of the LQR around the tracked state at `s`, within the limits."""
+    def stabilise(self, sensed: Sensed, memory: DriverState) -> Array:
+        """Return the command (2,) of the LQR around the tracked state at `s`, within the limits."""
         x_ref, u_ref = self.table.state(sensed.s)
         u = self.lqr(State(sensed.V, sensed.beta, sensed.r), x_ref, u_ref)
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
-    def pose(self, sensed: Sensed, memory: Memory, needed: Array) -> Posed:
-        """What the drift MPC has to solve now, with the reference as guess.
+    def mpc_problem(self, sensed: Sensed, memory: DriverState, needed: Array) -> MPCProblem:
+        """Build the drift MPC problem of this step, with the reference as initial guess.
 
-        The guess decides which optimum is found: beside the drift that is asked for there is often one with the front
-        wheel saturated and the speed falling, hardly dearer where speed weighs little, and a solve that goes on from
-        the last one slides over into it. Where it is not `needed` no iteration is spent: a lane at rest must not hold
-        up the batch.
+        The guess decides which optimum is found: besides the wanted drift there is often one with the front wheel
+        saturated and falling speed, hardly more expensive where the speed weight is small, and a solve warm-started
+        from the last one drifts into it. Where it is not `needed` no iteration is spent: an idle entry must not hold up
+        the batch.
         """
         x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
         s = self.table.schedule(sensed.s, self.horizon, self.ocp.dt)
         reference, U = self.table.reference(s), self.table.inputs(s[:-1])
         X = reference.states().at[0].set(x)
         options = Options(self.options.tolerance, BARRIER, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
-        return Posed(x, memory.command, memory.reached, reference, X, U, options)
+        return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
-    def conclude(self, posed: Posed, found: Answer, memory: Memory) -> tuple[Decision, Memory]:
-        """Command of the drift MPC; where the solve fails, that of the last good plan, one step later."""
-        solved = acceptable(found, posed.options)
-        good = jnp.where(memory.drifting, memory.good, posed.U)  # before the first solve: the reference's
+    def apply_result(self, problem: MPCProblem, found: MPCResult, memory: DriverState) -> tuple[Decision, DriverState]:
+        """Return the command of the drift MPC; where the solve failed, that of the last good plan, one step later."""
+        solved = acceptable(found, problem.options)
+        good = jnp.where(memory.drifting, memory.good, problem.U)  # before the first solve: the reference's
         good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
         decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
-        return decision, Memory(good[0], memory.reached, shift(good), jnp.asarray(True))
+        return decision, DriverState(good[0], memory.lagged_input, shift(good), jnp.asarray(True))
 
 
-def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tuple[Control, Memory, Decision]:
-    """One step of all lanes (leading axis); the MPC runs only while some lane that is `alive` needs it."""
+def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -> tuple[Control, DriverState, Decision]:
+    """Compute one step of the whole batch (leading axis); the MPC runs only while an `alive` entry needs it."""
     engaged = vmap_batch(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
     pursued = vmap_batch(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
     idle = Decision(
@@ -148,17 +148,17 @@ def decide(drivers: Driver, sensed: Sensed, memory: Memory, alive: Array) -> tup
     idle_flag = jnp.zeros_like(engaged)
     resting = memory._replace(command=pursued, drifting=idle_flag)
     if drivers.kind == "pursuit":
-        return idle.command, resting, idle  # nothing here looks at what is reached
+        return idle.command, resting, idle  # nothing here uses the actuator outputs
 
     def drift():
         if drivers.kind == "mpc":
-            posed = vmap_batch(lambda d, x, m, needed: d.pose(x, m, needed))(drivers, sensed, memory, engaged)
-            found = answers(drivers.ocp, posed, engaged)
-            return vmap_batch(lambda d, p, a, m: d.conclude(p, a, m))(drivers, posed, found, memory)
+            problem = vmap_batch(lambda d, x, m, needed: d.mpc_problem(x, m, needed))(drivers, sensed, memory, engaged)
+            found = solve_batch(drivers.ocp, problem, engaged)
+            return vmap_batch(lambda d, p, a, m: d.apply_result(p, a, m))(drivers, problem, found, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))
 
     drifted = jax.lax.cond(jnp.any(engaged), drift, lambda: (idle, resting))
-    decision, memory = keep_where(engaged, drifted, (idle, resting))
+    decision, memory = where_tree(engaged, drifted, (idle, resting))
     return decision.command, vmap_batch(lambda d, m: d.after(m))(drivers, memory), decision

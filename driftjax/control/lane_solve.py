@@ -1,4 +1,4 @@
-"""The drift MPC of many closed-loop laps at once: batched solves, and the safeguarded solver for lanes they leave."""
+"""Solve the drift MPC of many closed-loop laps at once: batched solver, with a globalised solver as fallback."""
 
 from typing import NamedTuple
 
@@ -13,24 +13,24 @@ from driftjax.parallel import vmap_batch
 from driftjax.solve import LanePlans, Options, solve_lanes
 from driftjax.vehicle import SingleTrack
 
-FEW_LANES = 16  # below so many the batched solver gains nothing
-ATTEMPTS = (1.0, 10.0)  # times the first barrier: what jams at its limits with a small one is often solved with a large
+MIN_BATCH = 16  # the batched solver is no faster below this size
+ATTEMPTS = (1.0, 10.0)  # times the first barrier: a larger one often solves what stalls at the limits
 
 
-class Posed(NamedTuple):
-    """One problem of the drift MPC, as `solve_mpc` takes it, all SI."""
+class MPCProblem(NamedTuple):
+    """One drift MPC problem with the arguments of `solve_mpc`, all SI."""
 
     x: Float[Array, " 5"]  # V, beta, r, e, theta
     previous: Float[Array, " 2"]  # last command
-    reached: Float[Array, " 2"]  # what actuators have made of the commands
+    lagged_input: Float[Array, " 2"]  # actuator outputs
     reference: Reference
     X: Float[Array, "N+1 5"]  # guess
     U: Float[Array, "N 2"]
     options: Options
 
 
-class Answer(NamedTuple):
-    """What came of it, SI."""
+class MPCResult(NamedTuple):
+    """Solution of one drift MPC problem, SI."""
 
     X: Float[Array, "N+1 5"]
     U: Float[Array, "N 2"]
@@ -39,61 +39,61 @@ class Answer(NamedTuple):
     num_steps: Array
 
 
-def acceptable(answer: Answer, options: Options) -> Array:
-    """Whether an answer, or each of a batch, is as near to optimal as `options` accept; False on NaN."""
+def acceptable(answer: MPCResult, options: Options) -> Array:
+    """Return whether each solution meets the accepted multiple of its tolerance; False on NaN."""
     return jnp.maximum(answer.kkt, answer.violation) <= options.implicit * options.tolerance
 
 
-def safeguarded(ocp: DriftOCP, posed: Posed) -> Answer:
-    """One problem by `solve_mpc`; where the answer is not acceptable, once more, first further from the limits."""
+def solve_with_fallback(ocp: DriftOCP, problem: MPCProblem) -> MPCResult:
+    """Solve one problem by `solve_mpc`; if not acceptable, repeat it, starting further from the limits."""
 
-    def attempt(last: Answer, far: Array) -> tuple[Answer, None]:
-        done, given = acceptable(last, posed.options), posed.options
+    def attempt(last: MPCResult, far: Array) -> tuple[MPCResult, None]:
+        done, given = acceptable(last, problem.options), problem.options
 
-        def again() -> Answer:  # a batch comes here with lanes that are done, which must not iterate
+        def again() -> MPCResult:  # a batch may hold solved entries, which must not iterate
             steps = jnp.where(done, 0, given.max_steps)
             options = Options(given.tolerance, far * given.barrier, steps, given.implicit)
-            found = solve_mpc(ocp, *posed._replace(options=options))
+            found = solve_mpc(ocp, *problem._replace(options=options))
             num_steps = last.num_steps + found.plan.num_steps
-            return Answer(found.X, found.U, found.plan.kkt, found.plan.violation, num_steps)
+            return MPCResult(found.X, found.U, found.plan.kkt, found.plan.violation, num_steps)
 
         return jax.lax.cond(done, lambda: last, again), None
 
-    none = jnp.full_like(posed.options.tolerance, jnp.inf)
-    first = Answer(posed.X, posed.U, none, none, jnp.zeros_like(posed.options.max_steps))
+    none = jnp.full_like(problem.options.tolerance, jnp.inf)
+    first = MPCResult(problem.X, problem.U, none, none, jnp.zeros_like(problem.options.max_steps))
     return jax.lax.scan(attempt, first, jnp.asarray(ATTEMPTS))[0]
 
 
-def answers(ocp: DriftOCP, posed: Posed, needed: Bool[Array, " batch"]) -> Answer:
-    """All lanes (leading axis): many of a single track at once, few or other cars by the safeguarded solver alone.
+def solve_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"]) -> MPCResult:
+    """Solve a batch (leading axis): large single-track batches in one batched solve, others by `solve_with_fallback`.
 
-    Of many, those whose answer by the batched solver is not acceptable go through the safeguarded one, one after the
-    other. Lanes not `needed` cost nothing and come back unsolved.
+    Problems that the batched solver leaves unacceptable are solved by `solve_with_fallback`, one after the other.
+    Entries not `needed` cost nothing and are returned unsolved.
     """
-    if len(needed) < FEW_LANES or not isinstance(ocp.nominal, SingleTrack):
-        return vmap_batch(safeguarded)(ocp, posed)
-    found = _batched(ocp, posed, needed)
-    left = needed & ~acceptable(found, posed.options)
+    if len(needed) < MIN_BATCH or not isinstance(ocp.nominal, SingleTrack):
+        return vmap_batch(solve_with_fallback)(ocp, problem)
+    found = _batched(ocp, problem, needed)
+    left = needed & ~acceptable(found, problem.options)
 
-    def again(lane: tuple[DriftOCP, Posed, Answer, Array]) -> Answer:
-        ocp, posed, found, left = lane
-        return jax.lax.cond(left, lambda: safeguarded(ocp, posed), lambda: found)
+    def again(lane: tuple[DriftOCP, MPCProblem, MPCResult, Array]) -> MPCResult:
+        ocp, problem, found, left = lane
+        return jax.lax.cond(left, lambda: solve_with_fallback(ocp, problem), lambda: found)
 
-    return jax.lax.cond(jnp.any(left), lambda: jax.lax.map(again, (ocp, posed, found, left)), lambda: found)
+    return jax.lax.cond(jnp.any(left), lambda: jax.lax.map(again, (ocp, problem, found, left)), lambda: found)
 
 
-def _batched(ocp: DriftOCP, posed: Posed, needed: Array) -> Answer:
-    """All lanes by the batched solver, forces in units of the car's weight."""
-    scale, options = jax.vmap(lambda one: one.u_scale)(ocp), posed.options  # (batch, 2)
-    U = jax.vmap(within_limits)(ocp, posed.U, posed.previous)
-    reached = jax.vmap(along)(ocp, posed.reached, U)
-    guess = jnp.concatenate([posed.X, reached / scale[:, None]], axis=2)
-    last = lambda a: jnp.transpose(a, (2, 1, 0))  # the batch, to and fro
+def _batched(ocp: DriftOCP, problem: MPCProblem, needed: Array) -> MPCResult:
+    """Solve the batch by the batched solver, forces in units of the car's weight."""
+    scale, options = jax.vmap(lambda one: one.u_scale)(ocp), problem.options  # (batch, 2)
+    U = jax.vmap(within_limits)(ocp, problem.U, problem.previous)
+    lagged_input = jax.vmap(along)(ocp, problem.lagged_input, U)
+    guess = jnp.concatenate([problem.X, lagged_input / scale[:, None]], axis=2)
+    last = lambda a: jnp.transpose(a, (2, 1, 0))  # move the batch axis to the end, and back
     plans: LanePlans = solve_lanes(
         lanes_of(ocp, scale[:, 1]),
-        jnp.concatenate([posed.x, posed.reached / scale], axis=1).T,
-        (posed.previous / scale).T,
-        jax.tree.map(lambda a: a.T, posed.reference),
+        jnp.concatenate([problem.x, problem.lagged_input / scale], axis=1).T,
+        (problem.previous / scale).T,
+        jax.tree.map(lambda a: a.T, problem.reference),
         last(guess),
         last(U / scale[:, None]),
         Options(options.tolerance, options.barrier, options.max_steps),
@@ -101,6 +101,6 @@ def _batched(ocp: DriftOCP, posed: Posed, needed: Array) -> Answer:
     )
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
     inputs = last(plans.U) * scale[:, None]
-    inputs = jax.vmap(lambda ocp, U, u: within_limits(ocp, U, u, share=0.0))(ocp, inputs, posed.previous)
+    inputs = jax.vmap(lambda ocp, U, u: within_limits(ocp, U, u, share=0.0))(ocp, inputs, problem.previous)
     num_steps = jnp.where(needed, plans.num_steps, 0).astype(int)
-    return Answer(last(plans.X[:5]), inputs, plans.kkt, plans.violation, num_steps)
+    return MPCResult(last(plans.X[:5]), inputs, plans.kkt, plans.violation, num_steps)

@@ -1,4 +1,4 @@
-"""The drift MPC for batches, the batch on the last axis: the problem of `mpc.DriftOCP`, entry by entry."""
+"""The drift MPC for batches, with the batch on the last axis: the problem of `mpc.DriftOCP` by components."""
 
 from collections.abc import Callable, Sequence
 
@@ -21,9 +21,9 @@ from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_re
 class DriftLanes(AbstractLanes):
     """Eq. 10 (Wu et al. 2025): inputs delta [rad] and Fxr in `Fxr_unit` newtons, state (V, beta, r) in SI.
 
-    Where the path is tracked (e, theta) follow, and where actuators lag, what they have reached. Parameters of the
-    solver are a `Reference` of components (N+1, batch). Leaves are (batch,), or (1,) where all lanes share them; those
-    of the residual have that axis in front. The residual is held over the Runge-Kutta stages.
+    Where the path is tracked (e, theta) follow, and with actuator lags the actuator outputs. Parameters of the solver
+    are a `Reference` of components (N+1, batch). Leaves are (batch,), or (1,) where all entries share them; those of
+    the residual have that axis in front. The residual is constant over the Runge-Kutta stages.
     """
 
     car: AnyCar
@@ -39,7 +39,7 @@ class DriftLanes(AbstractLanes):
     Fxr_unit: Array  # [N]
 
     def _rates(self, kappa: Array) -> Callable[..., list[Array]]:
-        """Rates of what is tracked by that, what acts, and the residual's rates where there are any."""
+        """Return the rates of the tracked state as a function of state, inputs, and the residual's rates if any."""
         n = len(self.Q)
 
         def rates(*w: Array) -> list[Array]:
@@ -50,20 +50,20 @@ class DriftLanes(AbstractLanes):
         return rates
 
     def _actuated(self, x: Components, u: Components) -> tuple[Components, Components]:
-        """What acts over a step, and what is reached at its end."""
+        """Return the mean input over a step, and the actuator outputs at its end."""
         if self.lags is None:
             return u, []
         moved = [lag_step(y, t, lag, self.dt) for y, t, lag in zip(x[len(self.Q) :], u, self.lags, strict=True)]
         return [acting for acting, _ in moved], [end for _, end in moved]
 
     def _shares(self) -> tuple[Components, Components]:
-        """Shares of what was reached in what acts over a step and in what is reached at its end."""
+        """Return the weights of the initial actuator outputs in the mean input and in the final outputs."""
         one = jnp.ones_like(self.dt)
         kept = [lag_step(one, 0 * one, lag, self.dt) for lag in self.lags or ()]
         return [mean for mean, _ in kept], [left for _, left in kept]
 
     def _columns(self) -> list[tuple[int, Array | float]]:
-        """For each entry of (x, u) the entry of (tracked, acting) that it moves, and by how much."""
+        """Return for each entry of (x, u) the entry of (tracked, input) that it changes, and the factor."""
         n, (mean, _) = len(self.Q), self._shares()
         direct: list[tuple[int, Array | float]] = [(i, 1.0) for i in range(n)]
         if self.lags is None:
@@ -79,20 +79,20 @@ class DriftLanes(AbstractLanes):
         return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
 
     def around(self, X: Components, U: Components, p: Reference) -> Learnt | None:
-        """The residual at all stages."""
+        """Return the residual at all stages."""
         if self.residual is None:
             return None
         acting = self._actuated(X, U)[0]
         return learnt(self.residual, [*X[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
     def _moved(self, x: Components, u: Components, p: Reference, around: Learnt | None):
-        """What is tracked one step later, and its derivatives by (tracked, acting, residual's rates)."""
+        """Return the tracked state one step later, and its derivatives by (tracked, input, residual's rates)."""
         acting = self._actuated(x, u)[0]
         held = [] if around is None else around.d
         return runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
 
     def linearise(self, x: Components, u: Components, p: Reference, around: Learnt | None) -> tuple[Components, Matrix]:
-        """Next state and its derivatives, chained over the slopes of the RK4 step."""
+        """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
         y, M = self._moved(x, u, p, around)
         return [*y, *self._actuated(x, u)[1]], self._by_state_and_input(M, x, around)
 
@@ -144,7 +144,7 @@ class DriftLanes(AbstractLanes):
         return [*H[:3], *[[None] * 5 for _ in range(len(self.Q) - 3)], *H[3:]]
 
     def cost(self, x: Components, u: Components, p: Reference) -> Array:
-        """Tracking of this state, and front slip beyond the peak."""
+        """Return the tracking cost of this state, and of front slip beyond the peak."""
         tracking = self.terminal(x, p)
         if self.front_slip is None:
             return tracking
@@ -154,20 +154,20 @@ class DriftLanes(AbstractLanes):
         )
 
     def terminal(self, x: Components, p: Reference) -> Array:
-        """Tracking of this state."""
+        """Return the tracking cost of this state."""
         aims = (p.V, p.beta, p.r, p.e, p.theta)
         return jnp.asarray(sum(q * (a - b) ** 2 for q, a, b in zip(self.Q, x, aims, strict=False)))
 
     def rate_weight(self) -> Sequence[Array]:
-        """Weights of the changes of the inputs."""
+        """Return the weights on input changes."""
         return self.R
 
     def input_limits(self) -> Limits:
-        """Of delta and Fxr."""
+        """Return the limits of delta and Fxr."""
         return list(zip(self.lower, self.upper, strict=True))
 
     def change_limits(self) -> Limits:
-        """Of their changes per step."""
+        """Return the limits of input changes per step."""
         return [(-rate, rate) for rate in self.rate]
 
 
@@ -180,7 +180,7 @@ def lanes_of(
     residual: bool = True,
     lags: bool = True,
 ) -> DriftLanes:
-    """The problems of `ocp`, whose leaves have a leading axis of lanes as `Fxr_unit` has, with what matters of them."""
+    """Convert problems `ocp`, with a leading batch axis as `Fxr_unit` has, keeping only the requested terms."""
     unit = jnp.stack([jnp.ones_like(Fxr_unit), Fxr_unit], axis=-1)
     split = lambda a: list(a.T)
     return DriftLanes(
@@ -201,7 +201,7 @@ def lanes_of(
 def drift_lanes(
     config: MPCConfig, weights: Weights, vehicle: VehicleConfig, residual: Residual | None = None, dtype: type = float
 ) -> DriftLanes:
-    """The problem that all lanes share, in one precision, without what its weights and lags leave out."""
+    """Build the problem shared by all entries, in one precision, without terms that weights and lags disable."""
     ocp = drift_ocp(config, weights, vehicle, no_residual(zero_gp(1, 5, 3)) if residual is None else residual)
     wide = jax.tree.map(lambda a: a[None].astype(dtype) if eqx.is_inexact_array(a) else a[None], ocp)
     return lanes_of(

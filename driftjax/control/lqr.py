@@ -1,4 +1,4 @@
-"""LQR around a drift equilibrium: one of the controllers the paper compares with."""
+"""LQR around a drift equilibrium: a controller that the paper compares with."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State, rk4_step
 
-SWEEPS = 500  # Riccati iterations; drift equilibria settle in under 100
+SWEEPS = 500  # Riccati iterations; drift equilibria converge in under 100
 
 
 class LQR(eqx.Module):
@@ -19,13 +19,13 @@ class LQR(eqx.Module):
     K: Float[Array, "2 3"]
 
     def __call__(self, x: State, x_eq: State, u_eq: Control) -> Control:
-        """Unlimited command."""
+        """Return the command, without limits."""
         error = jnp.stack([x.V - x_eq.V, x.beta - x_eq.beta, x.r - x_eq.r])
         correction = self.K @ error
         return Control(u_eq.delta - correction[0], u_eq.Fxr - correction[1])
 
 
-@eqx.filter_jit  # eager, its loop would be compiled anew, and kept, in every call
+@eqx.filter_jit  # without it the loop would be compiled, and stored, in every call
 def lqr(
     model: Callable[[State, Control], State],
     x: State,
@@ -34,9 +34,9 @@ def lqr(
     R: Float[Array, " 2"],
     dt: Array,
 ) -> LQR:
-    """Infinite-horizon discrete LQR of `model` linearised at (x, u), weights as in the MPC (all SI).
+    """Compute the infinite-horizon discrete LQR of `model` linearised at (x, u), weights as in the MPC (all SI).
 
-    The MPC charges changes of the input; a static gain cannot, so `R` here charges departures from u_eq.
+    The MPC penalises input changes; a static gain cannot, so `R` here penalises deviations from u_eq.
     """
 
     def step(x: Array, u: Array) -> Array:

@@ -15,15 +15,15 @@ from driftjax.solve import AbstractOCP, Linear, Options, Plan, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, build_car
 
-INTERIOR = 1e-3  # share of a limit kept free by a guess, so that the barrier is finite there
+INTERIOR = 1e-3  # distance of a guess from a limit, as a share of its range, so that the barrier is finite
 
 
 @dataclass(frozen=True)
 class MPCConfig:
-    """Horizon, price of control effort and accuracy of the drift MPC; the paper leaves horizon and step open."""
+    """Horizon, weight on control effort and accuracy of the drift MPC; the paper leaves horizon and step open."""
 
     horizon: int = 30
-    """Number of steps N looked ahead."""
+    """Number of prediction steps N."""
     dt: float = 0.05
     """Step of prediction and control [s]."""
     R: tuple[float, float] = (10.0, 0.001)
@@ -46,7 +46,7 @@ class MPCConfig:
 
 @dataclass(frozen=True)
 class Weights:
-    """What tells controllers apart: weights on the errors tracked. The defaults are the paper's for the sedan."""
+    """Weights on the tracking errors, which differ between controllers. The defaults are the paper's for the sedan."""
 
     Q: tuple[float, float, float] = (1.0, 700.0, 500.0)
     """Weights on V [m/s], beta [rad] and r [rad/s]."""
@@ -62,7 +62,7 @@ class Weights:
 
 
 class Reference(eqx.Module):
-    """What to track over one horizon: x_1..x_N are compared with rows 1..N."""
+    """Reference over one horizon: x_1..x_N are compared with rows 1..N."""
 
     V: Float[Array, " N+1"]  # speed [m/s]
     beta: Float[Array, " N+1"]  # sideslip [rad]
@@ -72,15 +72,15 @@ class Reference(eqx.Module):
     kappa: Float[Array, " N+1"]  # curvature of the path where the car is expected [1/m]
 
     def states(self) -> Float[Array, "... 5"]:
-        """(V, beta, r, e, theta), the states that it asks for; also of a single stage."""
+        """Return the reference states (V, beta, r, e, theta); also of a single stage."""
         return jnp.stack([self.V, self.beta, self.r, self.e, self.theta], axis=-1)
 
 
 class DriftOCP(AbstractOCP):
-    """Eq. 10 with the state (V, beta, r, e, theta, last command (2), command reached (2)), each over its scale.
+    """Eq. 10 with the state (V, beta, r, e, theta, last command (2), actuator outputs (2)), each over its scale.
 
-    The residual rate is taken at the start of a step and held over its Runge-Kutta stages, exactly as it is
-    measured in `learn`; so the GP is evaluated once a step and model and data agree at any step length. Commands
+    The residual rate is evaluated at the start of a step and constant over its Runge-Kutta stages, exactly as it is
+    measured in `learning`; the GP is thus evaluated once a step, and model and data agree at any step length. Commands
     act through the learnt lags; with lags of 0, as in the paper, they act at once.
     """
 
@@ -102,13 +102,13 @@ class DriftOCP(AbstractOCP):
         return self.x_scale[5:7]
 
     def _acting(self, x: Array, u: Array) -> Array:
-        """What acts over the step (2,), scaled: the mean of the lagging response to the command."""
+        """Return the mean input over the step (2,), scaled: the lag response to the command."""
         return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
     def _motion(self, v: Array, p: Reference, around: Nearby | None = None) -> Array:
-        """(V, beta, r, e, theta) one step later from these and what acts, `v` (7,); all scaled.
+        """Return (V, beta, r, e, theta) one step later from these and the mean input, `v` (7,); all scaled.
 
-        With the residual `around` here it is cheap to differentiate, and right up to second order.
+        With the residual's expansion `around` this point it is cheap to differentiate, and exact to second order.
         """
         y, acting = v[:5] * self.x_scale[:5], Control(*(v[5:] * self.u_scale))
         z = features(State(y[0], y[1], y[2]), acting)
@@ -122,29 +122,30 @@ class DriftOCP(AbstractOCP):
         return (rk4_step if around is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
-        """Next state by one RK4 step of nominal car, residual and curvilinear frame."""
+        """Return the next state by one RK4 step of nominal car, residual and curvilinear frame."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
         return jnp.concatenate([self._motion(jnp.concatenate([x[:5], acting]), p), u, end])
 
     def _selection(self) -> tuple[Array, Array]:
-        """Constant derivatives in (x, u): of what `_motion` takes (7, 11), of last and reached command (4, 11)."""
+        """Return the constant derivatives by (x, u): of the arguments of `_motion` (7, 11), of last command and
+        actuator outputs (4, 11)."""
         mean, left = (jnp.diag(share) for share in lag_step(jnp.ones(2), jnp.zeros(2), self.residual.lags, self.dt))
         one, none = jnp.eye(2), jnp.zeros((2, 2))
         path = jnp.concatenate([jnp.eye(5), jnp.zeros((5, 6))], axis=1)
         wide = jnp.zeros((2, 5))
-        acting, last, reached = (
+        acting, last, lagged_input = (
             jnp.concatenate([wide, none, *blocks], axis=1)
             for blocks in ((mean, one - mean), (none, one), (left, one - left))
         )
-        return jnp.concatenate([path, acting]), jnp.concatenate([last, reached])
+        return jnp.concatenate([path, acting]), jnp.concatenate([last, lagged_input])
 
     def around(self, X: Array, U: Array, p: Reference) -> Nearby:
-        """The residual to second order at all stages."""
+        """Expand the residual to second order at all stages."""
         acting = jax.vmap(self._acting)(X, U) * self.u_scale
         return nearby(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
 
     def linearise(self, x: Array, u: Array, p: Reference, around: Nearby) -> Linear:
-        """`step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
+        """Return `step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
         taken, linear = self._selection()
         motion = lambda v: (lambda y: (y, y))(self._motion(v, p, around))
@@ -153,7 +154,8 @@ class DriftOCP(AbstractOCP):
         return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
 
     def curvature(self, x: Array, u: Array, costate: Array, p: Reference, around: Nearby) -> Array:
-        """Second derivative (11, 11) of `costate @ step`; without the residual's share solves do not converge."""
+        """Return the second derivative (11, 11) of `costate @ step`; without the residual's part solves do not
+        converge."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()
         return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
@@ -163,7 +165,7 @@ class DriftOCP(AbstractOCP):
         return jnp.sum(self.Q * error**2)
 
     def cost(self, x: Array, u: Array, p: Reference) -> Array:
-        """Tracking of this state, change of the input, front slip beyond the peak."""
+        """Return the cost of tracking this state, of the input change, and of front slip beyond the peak."""
         change = (u - x[5:7]) * self.u_scale
         y = x[:3] * self.x_scale[:3]
         acting = Control(*(self._acting(x, u) * self.u_scale))
@@ -171,11 +173,11 @@ class DriftOCP(AbstractOCP):
         return self._tracking(x, p) + jnp.sum(self.R * change**2) + self.front_slip * beyond**2
 
     def terminal(self, x: Array, p: Reference) -> Array:
-        """Tracking of the last state."""
+        """Return the tracking cost of the last state."""
         return self._tracking(x, p)
 
     def constraints(self, x: Array, u: Array, p: Reference) -> Array:
-        """Input and rate limits, over their scales."""
+        """Return the gaps of input and rate limits, over their scales."""
         scale = self.u_scale
         change = u - x[5:7]
         return jnp.concatenate(
@@ -195,7 +197,7 @@ def drift_ocp(
     residual: Residual,
     nominal: AnyCar | None = None,
 ) -> DriftOCP:
-    """The problem of one car; `nominal` defaults to the car that `vehicle` describes, named effects included."""
+    """Build the problem of one car; `nominal` defaults to the car of `vehicle`, named effects included."""
     weight = vehicle.m * 9.81
     speed = (9.81 * (vehicle.a + vehicle.b) * 5) ** 0.5  # drifting speed of a turn five wheelbases wide
     length = vehicle.a + vehicle.b
@@ -217,7 +219,7 @@ def drift_ocp(
 
 
 def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, " 2"], share: float = INTERIOR):
-    """Inputs [rad, N] moved inside rate limits (first) and input limits, by `share` of each limit's range."""
+    """Project inputs [rad, N] into rate limits (first) and input limits, shrunk by `share` of each limit's range."""
     margin = share * (ocp.upper - ocp.lower)
 
     def limit(last, u):
@@ -228,18 +230,18 @@ def within_limits(ocp: DriftOCP, U: Float[Array, "N 2"], previous: Float[Array, 
     return jax.lax.scan(limit, jnp.clip(previous, ocp.lower, ocp.upper), U)[1]
 
 
-def along(ocp: DriftOCP, reached: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
-    """What steering and drive have reached at each stage [rad, N]."""
+def along(ocp: DriftOCP, lagged_input: Float[Array, " 2"], U: Float[Array, "N 2"]) -> Float[Array, "N+1 2"]:
+    """Return the actuator outputs at each stage [rad, N]."""
 
     def move(y, u):
         end = lag_step(y, u, ocp.residual.lags, ocp.dt)[1]
         return end, end
 
-    return jnp.concatenate([reached[None], jax.lax.scan(move, reached, U)[1]])
+    return jnp.concatenate([lagged_input[None], jax.lax.scan(move, lagged_input, U)[1]])
 
 
 class MPCSolution(eqx.Module):
-    """One solve in SI units: the command to apply, the plan behind it, and how it ended."""
+    """Solution in SI units: the command to apply, the plan behind it, and its convergence."""
 
     u: Control  # first input of the plan
     X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
@@ -251,18 +253,18 @@ def solve_mpc(
     ocp: DriftOCP,
     x: Float[Array, " 5"],
     previous: Float[Array, " 2"],
-    reached: Float[Array, " 2"],
+    lagged_input: Float[Array, " 2"],
     reference: Reference,
     X: Float[Array, "N+1 5"],
     U: Float[Array, "N 2"],
     options: Options,
 ) -> MPCSolution:
-    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous`, of which steering and drive have
-    `reached` so much, and the guess `X`, `U`, all SI."""
+    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous`, actuator outputs `lagged_input`,
+    and the guess `X`, `U`, all SI."""
     U = within_limits(ocp, U, previous)
     before = jnp.concatenate([previous[None], U])
-    guess = jnp.concatenate([X, before, along(ocp, reached, U)], axis=1) / ocp.x_scale
-    start = jnp.concatenate([x, previous, reached]) / ocp.x_scale
+    guess = jnp.concatenate([X, before, along(ocp, lagged_input, U)], axis=1) / ocp.x_scale
+    start = jnp.concatenate([x, previous, lagged_input]) / ocp.x_scale
     plan = solve(ocp, start, reference, guess, U / ocp.u_scale, options)
     # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
     inputs = within_limits(ocp, plan.U * ocp.u_scale, previous, share=0.0)

@@ -14,14 +14,14 @@ from driftjax.vehicle.single_track import G
 
 @dataclass(frozen=True)
 class PursuitConfig:
-    """Pure pursuit (Wang et al. 2017 in the paper): looks ahead along the path, steers along a circle."""
+    """Pure pursuit (Wang et al. 2017 in the paper): steers along the circle through a look-ahead point of the path."""
 
     preview_time: float = 0.35
     """Look-ahead distance per speed [s]."""
     preview_min: float = 3.0
     """Shortest look-ahead distance [m]."""
     speed_gain: float = 2.0
-    """Acceleration asked for per error of speed [1/s]."""
+    """Acceleration command per speed error [1/s]."""
 
     def __post_init__(self) -> None:
         require(self.preview_time >= 0, f"key 'preview_time' is {self.preview_time}; it must not be negative.")
@@ -30,7 +30,7 @@ class PursuitConfig:
 
 
 class PurePursuit(eqx.Module):
-    """Steering of the circle through the look-ahead point, force from the error of speed."""
+    """Steering along the circle through the look-ahead point, force from the speed error."""
 
     preview_time: Array = eqx.field(converter=as_float)
     preview_min: Array = eqx.field(converter=as_float)
@@ -52,12 +52,12 @@ class PurePursuit(eqx.Module):
         speed: Array,
         acceleration: Array,
     ) -> Control:
-        """Command, within no limits of actuators, for a car at (x, y, psi), `s` along `path`, that should drive at
-        `speed` and gain it at `acceleration` [m/s^2].
+        """Return the command, without actuator limits, for a car at (x, y, psi), `s` along `path`, for the target
+        `speed` and its rate `acceleration` [m/s^2].
 
         delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d. The
-        force leaves to the rear axle what it needs to turn at V and `r`, so that full drive out of a corner does not
-        spin the car.
+        force leaves the rear axle the grip to turn at V and `r`, so that full drive out of a corner does not spin the
+        car.
         """
         ahead = jnp.maximum(self.preview_min, self.preview_time * V)
         target_x, target_y, _, _ = path.pose(s + ahead)
@@ -72,7 +72,7 @@ class PurePursuit(eqx.Module):
 
 
 def pure_pursuit(config: PursuitConfig, vehicle: VehicleConfig) -> PurePursuit:
-    """The controller for one car."""
+    """Build the controller of one car."""
     return PurePursuit(
         config.preview_time,
         config.preview_min,

@@ -1,4 +1,4 @@
-"""What was learnt of the car, at many points at once and to second order."""
+"""Evaluate the learnt residual at many points at once, to second order."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,7 +22,7 @@ DEGREES = np.array([0.5 if i == j else 1.0 for i, j in PAIRS])  # of a pair's te
 
 
 class Nearby(NamedTuple):
-    """Residual rates (dV, dbeta, dr) about some points, in SI."""
+    """Second-order expansion of the residual rates (dV, dbeta, dr) about points, in SI."""
 
     z: Float[Array, "... 5"]
     value: Float[Array, "... 3"]
@@ -30,7 +30,7 @@ class Nearby(NamedTuple):
     hessian: Float[Array, "... 3 15"]  # of `PAIRS`
 
     def at(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
-        """The polynomial of second order about one point."""
+        """Evaluate the second-order polynomial about one point."""
         dz = z - self.z
         products = jnp.stack([degree * dz[i] * dz[j] for degree, (i, j) in zip(DEGREES, PAIRS, strict=True)])
         return self.value + self.gradient @ dz + self.hessian @ products
@@ -45,16 +45,16 @@ class Learnt(NamedTuple):
 
 
 def nearby(residual: Residual, z: Float[Array, "P 5"]) -> Nearby:
-    """The residual at all points `z` = (V, beta, r, delta, Fxr)."""
+    """Expand the residual at all points `z` = (V, beta, r, delta, Fxr)."""
     found = _expanded(jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, residual), list(z.T[:, :, None]))
     last = lambda entries: jnp.stack(entries, axis=-1)[:, :, 0].transpose(1, 0, 2)  # (3, P, 1) each
     return Nearby(z, found.value[:, :, 0].T, last(found.gradient), last(found.hessian))
 
 
 def learnt(residual: Residual, z: Components, unit: Sequence[Array | float]) -> Learnt:
-    """The residual at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch), derivatives per that unit.
+    """Expand the residual at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch), derivatives per that unit.
 
-    Leaves of `residual` have a leading axis, of 1 where all lanes share it.
+    Leaves of `residual` have a leading axis, of 1 where all entries share it.
     """
     found = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
     J: Matrix = [[found.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
@@ -64,11 +64,11 @@ def learnt(residual: Residual, z: Components, unit: Sequence[Array | float]) -> 
 
 
 def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:
-    """`Residual` by the chain rule from mean and nearness, at inputs (..., lanes)."""
+    """Expand `Residual` by the chain rule from mean and nearness, at inputs (..., batch)."""
     mean, near = expansions(residual.gp, z)
     wide = lambda a: a.T.reshape(3, *[1] * (z[0].ndim - 1), len(a))
-    reach, gate = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.gate)
-    value = lambda m, n: gate * (bound_mean(m, n, reach) if residual.bounded else m)
+    reach, trust_factor = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.trust_factor)
+    value = lambda m, n: trust_factor * (bound_mean(m, n, reach) if residual.bounded else m)
     n = jnp.broadcast_to(near.value, mean.value.shape)
     (by_m, by_n), ((mm, mn), (_, nn)) = hessian(value, mean.value, n)
     dm, dn = mean.gradient, near.gradient

@@ -1,4 +1,4 @@
-"""Reference values along the planned path, and the stretch of them that one MPC horizon sees."""
+"""Reference values along the planned path, and their samples over one MPC horizon."""
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ from driftjax.core import Control, State, as_float
 
 
 class ReferenceTable(eqx.Module):
-    """What the controllers track, on a uniform grid of arc length along the planned path (all SI)."""
+    """Reference of the controllers, on a uniform grid of arc length along the planned path (all SI)."""
 
     start: Array = eqx.field(converter=as_float)  # arc length of the first row [m]
     spacing: Array = eqx.field(converter=as_float)  # [m]
@@ -28,23 +28,24 @@ class ReferenceTable(eqx.Module):
     drift_end: Array = eqx.field(converter=as_float)
 
     def row(self, values: Float[Array, " n"], s: Array) -> Array:
-        """One column at arc length `s`, linear between rows, constant beyond the ends."""
+        """Return one column at arc length `s`, linear between rows, constant beyond the ends."""
         i, share = self._position(values, s)
         return values[i] + share * (values[i + 1] - values[i])
 
     def slope(self, values: Float[Array, " n"], s: Array) -> Array:
-        """Derivative of one column along the arc length at `s` [unit/m]; beyond the ends that of the nearest rows."""
+        """Return the derivative of one column by arc length at `s` [unit/m]; beyond the ends that of the
+        nearest rows."""
         i, _ = self._position(values, s)
         return (values[i + 1] - values[i]) / self.spacing
 
     def _position(self, values: Float[Array, " n"], s: Array) -> tuple[Array, Array]:
-        """Row before `s` and how far `s` is on the way to the next one."""
+        """Return the row before `s` and the fraction of the way to the next one."""
         q = jnp.clip((s - self.start) / self.spacing, 0.0, values.shape[0] - 1.0)
         i = jnp.clip(jnp.floor(q).astype(int), 0, values.shape[0] - 2)
         return i, q - i
 
     def schedule(self, s: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
-        """Arc lengths at `num` steps of `dt` [s] from `s` on, at the speed tracked."""
+        """Return the arc lengths at `num` steps of `dt` [s] from `s` on, at the reference speed."""
 
         def move(s, _):
             after = s + dt * self.row(self.V, s)
@@ -53,15 +54,15 @@ class ReferenceTable(eqx.Module):
         return jnp.concatenate([s[None], jax.lax.scan(move, s, length=num)[1]])
 
     def inputs(self, s: Float[Array, " N"]) -> Float[Array, "N 2"]:
-        """Steering [rad] and force [N] that go with the rows at `s`."""
+        """Return the reference steering [rad] and force [N] at `s`."""
         return jnp.stack([jax.vmap(lambda one, c=c: self.row(c, one))(s) for c in (self.delta, self.Fxr)], axis=1)
 
     def reference(self, s: Float[Array, " N+1"]) -> Reference:
-        """Rows where the car is expected to be at each stage of the horizon."""
+        """Return the rows at the expected position of each stage of the horizon."""
         at = lambda values: jax.vmap(lambda one: self.row(values, one))(s)
         return Reference(at(self.V), at(self.beta), at(self.r), at(self.e), at(self.theta), at(self.kappa))
 
     def state(self, s: Array) -> tuple[State, Control]:
-        """Tracked state and its input at `s`."""
+        """Return the reference state and input at `s`."""
         x = State(self.row(self.V, s), self.row(self.beta, s), self.row(self.r, s))
         return x, Control(self.row(self.delta, s), self.row(self.Fxr, s))

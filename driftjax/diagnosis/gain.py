@@ -14,8 +14,8 @@ from driftjax.diagnosis.observer import Track
 from driftjax.diagnosis.runs import each_piece, follow, spans
 from driftjax.gp import GP
 from driftjax.parallel import call
-from driftjax.sim.rollout import acting, move, told
-from driftjax.sim.step import acts_of
+from driftjax.sim.rollout import acting, move, sensor_reading
+from driftjax.sim.step import hold_of
 from driftjax.vehicle.universal import Universal
 
 HORIZONS = (0.5, 1.0, 2.0)  # beside one step [s]
@@ -62,10 +62,10 @@ def ahead_of(
     def one(k):
         def on(z, j):
             row = jnp.minimum(k + j, len(run.y) - 1)
-            at = features(State(*z[:3]), acts_of(u[row]).mean)
+            at = features(State(*z[:3]), hold_of(u[row]).mean)
             push = None if residual is None else State(*residual.bounded_mean(at))
             after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
-            return after.z, (after.z[:3], told(model, after.z[:3], after.rates, step))
+            return after.z, (after.z[:3], sensor_reading(model, after.z[:3], after.rates, step))
 
         return jax.lax.scan(on, z[k], jnp.arange(num))[1]
 

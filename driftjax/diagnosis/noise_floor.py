@@ -16,7 +16,7 @@ from driftjax.diagnosis.gain import Ahead
 from driftjax.diagnosis.observer import Track, put
 from driftjax.diagnosis.runs import each_piece
 from driftjax.parallel import call
-from driftjax.sim.rollout import acting, move, told
+from driftjax.sim.rollout import acting, move, sensor_reading
 from driftjax.vehicle.universal import Universal
 
 DRAWS = 16  # drives from each start
@@ -52,7 +52,7 @@ def strays(
             (z, d), (j, kicked) = carry, row
             at = jnp.minimum(k + j, len(run.y) - 1)
             after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
-            return (after.z, left * d + kick * kicked), told(model, after.z[:3], after.rates, step)
+            return (after.z, left * d + kick * kicked), sensor_reading(model, after.z[:3], after.rates, step)
 
         rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
         off = jax.lax.scan(on, (start, w[3:]), rows)[1] - ahead

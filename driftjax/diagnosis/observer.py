@@ -15,7 +15,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import acting, begin, move, told
+from driftjax.sim.rollout import acting, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
@@ -90,7 +90,7 @@ def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
     """Commands acting (T, 4), and state with what is felt (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
-    x = 2 * run.start - told(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
+    x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
@@ -103,7 +103,7 @@ def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: flo
     def on(carry, row):
         z, d, rates = carry
         u, place, y, seen, L, alive = row
-        e = seen * (y - told(model, z[:3], rates, step))
+        e = seen * (y - sensor_reading(model, z[:3], rates, step))
         update = L @ e
         d = d + update[3:]
         after = put(model, z, z[:3] + update[:3], u)
@@ -219,7 +219,7 @@ def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -
     def one(path: Path, place: Place):
         by = move_with_derivatives(car, path.z, path.u, place, step, path.d).by
         A, by_u, push, by_theta = jnp.split(by, (6, 10, 13), axis=1)
-        sensed = lambda x, p: told(model.with_parameters(p), x, path.rates, step)
+        sensed = lambda x, p: sensor_reading(model.with_parameters(p), x, path.rates, step)
         D, F = jax.jacrev(sensed, (0, 1))(path.before[:3], theta)
         slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
         return Local(A, by_u, by_theta, D, F, slip, push, late_by)

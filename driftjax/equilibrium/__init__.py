@@ -1,4 +1,4 @@
-"""Steady drifts: every one of the nominal car, and those of a corrected one, with honest branch checks."""
+"""Steady states: all of the nominal car, and those of a corrected one, with explicit branch checks."""
 
 from driftjax.equilibrium.branch import Branch as Branch
 from driftjax.equilibrium.branch import classify as classify

@@ -1,4 +1,4 @@
-"""Which kind of steady state a point of a car is."""
+"""Classify the kind of a steady state."""
 
 from enum import IntEnum
 
@@ -12,14 +12,14 @@ from driftjax.vehicle import AnyCar
 class Branch(IntEnum):
     """Kinds of steady state; a drift has its rear axle beyond the peak and slides outwards (beta r < 0)."""
 
-    OTHER = 0  # rear within the peak but front beyond it, or both slides the wrong way
+    OTHER = 0  # rear within the peak but front beyond it, or both but sliding inwards
     GRIP = 1  # both axles within the peak
-    COUNTERSTEER = 2  # a drift with the front axle within the peak: the one drivers hold
+    COUNTERSTEER = 2  # a drift with the front axle within the peak: the one that drivers use
     FRONT_SATURATED = 3  # a drift with the front axle beyond the peak too
 
 
 def classify(nominal: AnyCar, x: State, u: Control) -> Array:
-    """`Branch` of one point as an integer, judged by the slip angles of the car."""
+    """Return the `Branch` of one point as an integer, from the slip angles of the car."""
     alpha_f, alpha_r = nominal.slip_angles(x, u)
     front, rear = nominal.peaks
     front_grips, rear_grips = jnp.abs(alpha_f) < front, jnp.abs(alpha_r) < rear

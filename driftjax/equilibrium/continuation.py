@@ -1,4 +1,4 @@
-"""From the nominal car to a better one: a learnt residual, or named effects, are switched on gradually."""
+"""Continue a steady state from the nominal car to a corrected one, scaling up a learnt residual or named effects."""
 
 from collections.abc import Callable
 
@@ -13,17 +13,17 @@ from driftjax.vehicle import AnyCar, Corrected, SingleTrack
 from driftjax.vehicle.single_track import G
 
 NUM_STAGES = 8
-LARGEST_JUMP = 0.25  # of an unknown from stage to stage, above which a root is not the continued one
+LARGEST_JUMP = 0.25  # of an unknown from stage to stage; beyond it a root is not the continued one
 
 
 class Scaled(eqx.Module):
-    """The share `eta` of a residual rate."""
+    """A residual rate scaled by `eta`."""
 
     residual: Callable[[Array], Array]
     eta: Array
 
     def __call__(self, z: Array) -> Array:
-        """eta d(z)."""
+        """Return eta d(z)."""
         return self.eta * self.residual(z)
 
 
@@ -35,11 +35,11 @@ def continuation(
     *,
     branch: Array | int = ANY,
 ) -> Equilibrium:
-    """Steady state of `nominal + residual`, followed from the root of `nominal` at `guess` through f + eta d.
+    """Continue the steady state of `nominal` at `guess` through f + eta d to that of `nominal + residual`.
 
-    Stops at the first stage that fails and says so: `eta` is how far it came, `result` why. `off_branch` also
-    means a jump: a stage moved the unknowns (rad, force over weight, speed over sqrt(g R)) by more than
-    `LARGEST_JUMP`, so that the root is not the continued one. Differentiable at eta = 1 like `solve`.
+    Stops at the first failed stage: `eta` is how far it came, `result` why. `off_branch` also means a jump: a stage
+    moved the unknowns (rad, force over weight, speed over sqrt(g R)) by more than `LARGEST_JUMP`, so that the root is
+    not the continued one. Differentiable at eta = 1 like `solve`.
     """
     first = solve(nominal, nominal, fixed, guess, branch=branch)
     part = lambda eta: (Corrected(nominal, Scaled(residual, eta)), nominal)
@@ -47,11 +47,12 @@ def continuation(
 
 
 def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
-    """The steady state of a car on `branch`, from no guess; `no_root` where the published car has none there.
+    """Solve for the steady state of a car on `branch`, without a guess; `no_root` where the published car has none
+    there.
 
-    That of an extended car is followed from that of its nominal car as all effects grow, see `continuation`; each
-    stage is judged by its own slip angles and peaks. At fixed speed and yaw rate drifts come in pairs that may meet
-    and vanish on the way; at fixed sideslip they do not.
+    For an extended car it is continued from its nominal car while all effects grow, see `continuation`; each stage is
+    judged by its own slip angles and peaks. At fixed speed and yaw rate drifts come in pairs that may merge and vanish
+    on the way; at fixed sideslip they do not.
     """
     if isinstance(car, SingleTrack):
         return solve_nominal(car, fixed, branch=branch)
@@ -70,7 +71,7 @@ def _follow(
     first: Equilibrium,
     branch: Array | int,
 ) -> Equilibrium:
-    """`first` followed through `part(eta)`, a model and the car it is judged by, to `whole` at eta = 1."""
+    """Continue `first` through `part(eta)`, a model and the car that judges it, to `whole` at eta = 1."""
 
     def stage(last: Equilibrium, eta: Array):
         new = solve(*part(eta), fixed, (last.x, last.u), branch=branch)
@@ -92,7 +93,7 @@ def _follow(
 
 
 def _unless_jumped(last: Equilibrium, new: Equilibrium, fixed: Fixed, car: AnyCar) -> RESULTS:
-    """Result of stage `new`, or that it left the branch where it lies far from `last`."""
+    """Return the result of stage `new`, or `off_branch` where it lies far from `last`."""
     move = jnp.stack(
         [
             fixed.free(new.x) - fixed.free(last.x),

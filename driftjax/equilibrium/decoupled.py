@@ -1,7 +1,7 @@
-"""Every steady state of the nominal car by scalar root-finds: initialiser of the solvers and oracle of their tests.
+"""Find every steady state of the nominal car by scalar root-finding: initial guess of the solvers and test oracle.
 
-With r_dot = 0 the axle forces share V r cos(beta) like the static loads, so that the unknowns separate (from Wu et
-al. 2025, Eq. 1-3, set to zero): the rear axle gives beta, the front axle then delta, and V_dot = 0 then Fxr.
+With r_dot = 0 the axle forces share V r cos(beta) like the static loads, so that the unknowns separate (from Wu et al.
+2025, Eq. 1-3, set to zero): the rear axle gives beta, the front axle then delta, and V_dot = 0 then Fxr.
 """
 
 from collections.abc import Callable
@@ -22,16 +22,16 @@ NUM_DELTA = 2  # the front axle's equation has the same sign at both ends of the
 
 
 class Roots(NamedTuple):
-    """Steady states at one (V, r); rows where `found` is false are padding."""
+    """Steady states at one (V, r); rows that are not `valid` are padding."""
 
     x: State  # fields (8,)
     u: Control  # fields (8,)
     kind: Array  # (8,) `Branch`
-    found: Array  # (8,)
+    valid: Array  # (8,)
 
 
 def scan_roots(f: Callable[[Array], Array], lower: float, upper: float, size: int) -> tuple[Array, Array]:
-    """Roots of scalar `f` in [lower, upper], ascending, at most `size`, and which are found: scan, then bisect."""
+    """Find at most `size` roots of scalar `f` in [lower, upper], ascending, and which are valid: scan, then bisect."""
     grid = jnp.linspace(lower, upper, GRID + 1)
     positive = jax.vmap(f)(grid) > 0
     (cell,) = jnp.nonzero(positive[1:] != positive[:-1], size=size, fill_value=GRID)
@@ -49,7 +49,7 @@ def scan_roots(f: Callable[[Array], Array], lower: float, upper: float, size: in
 
 
 def front_steer(nominal: SingleTrack, beta: Array, curvature: Array, ay: Array) -> tuple[Array, Array]:
-    """The (2,) steering angles that hold the front axle's share of `ay` = V r cos(beta) [m/s^2], and which exist."""
+    """Return the (2,) steering angles for the front axle's share of `ay` = V r cos(beta) [m/s^2], and which exist."""
     tyre = nominal.tyre
     alpha_0 = jnp.arctan2(jnp.sin(beta) + nominal.a * curvature, jnp.cos(beta))
     share = nominal.Fzf / G * ay
@@ -58,13 +58,13 @@ def front_steer(nominal: SingleTrack, beta: Array, curvature: Array, ay: Array) 
 
 
 def _complete(nominal: SingleTrack, x: State, delta: Array) -> Control:
-    """Control with the force that holds the speed: Fxr = Fyf sin(delta) - m V r sin(beta)."""
+    """Add the force that keeps the speed constant: Fxr = Fyf sin(delta) - m V r sin(beta)."""
     Fyf, _ = nominal.lateral_forces(x, Control(delta, jnp.zeros_like(delta)))
     return Control(delta, Fyf * jnp.sin(delta) - nominal.m * x.V * x.r * jnp.sin(x.beta))
 
 
 def decoupled_roots(nominal: SingleTrack, V: Array, r: Array) -> Roots:
-    """Every steady state of the nominal car at speed `V` [m/s] > 0 and yaw rate `r` [rad/s] != 0, either turn."""
+    """Find every steady state of the nominal car at speed `V` [m/s] > 0 and yaw rate `r` [rad/s] != 0, either turn."""
     tyre, curvature = nominal.tyre, r / V
 
     def rear(beta: Array) -> Array:
@@ -81,7 +81,7 @@ def decoupled_roots(nominal: SingleTrack, V: Array, r: Array) -> Roots:
 
 
 def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
-    """The (2,) steady states at sideslip `beta` [rad] and radius `R` [m], positive to the left: V is closed form.
+    """Find the (2,) steady states at sideslip `beta` [rad] and radius `R` [m], positive to the left: V in closed form.
 
     The rear slip angle depends on beta and R only, so that V^2 = R (rear force per mass) / cos(beta).
     """
@@ -99,14 +99,15 @@ def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
 
 
 def preference(x: State, u: Control) -> Array:
-    """Orders roots of one kind: most sideslip, then most steering into the turn; the same for both turns."""
+    """Return the order of roots of one kind: most sideslip, then most steering into the turn; the same for both
+    turns."""
     return jnp.abs(x.beta) + 1e-6 * jnp.sign(x.r) * u.delta
 
 
 def pick(roots: Roots, branch: Array | int) -> tuple[State, Control, Array]:
-    """The root of kind `branch` with the most sideslip, and whether there is one (else any values).
+    """Return the root of kind `branch` with the most sideslip, and whether there is one (else arbitrary values).
 
-    Close to V r = mu g a branch may hold two: the other, near the rear axle's peak, is not a drift one can hold.
+    Close to V r = mu g a branch may have two: the other, near the rear axle's peak, is not a sustainable drift.
     """
     match = roots.kind == branch
     row = jnp.argmax(jnp.where(match, preference(roots.x, roots.u), -jnp.inf))

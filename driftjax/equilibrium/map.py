@@ -1,4 +1,4 @@
-"""Which steady states does a car have? Map of sideslip, steering and drive force over speed and yaw rate.
+"""Map the steady states of a car: sideslip, steering and drive force over speed and yaw rate.
 
 `driftjax equilibria` writes `equilibria.png` and `equilibria.csv` (one row per steady state).
 """
@@ -91,7 +91,8 @@ def equilibria(vehicle: VehicleConfig, V: ArrayLike, r: ArrayLike) -> xr.Dataset
 
 @eqx.filter_jit
 def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
-    """Every steady state at each (V, r), each confirmed on the full model; rows (point, root), kind -1 is padding."""
+    """Solve for every steady state at each (V, r), each verified on the full model; rows (point, root), kind -1 is
+    padding."""
     if isinstance(car, Extended):
         return jax.vmap(lambda V, r: around_nominal(car, V, r))(V, r)
 
@@ -103,18 +104,18 @@ def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
             result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
             return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
 
-        return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.found)
+        return jax.vmap(confirm)(roots.x, roots.u, roots.kind, roots.valid)
 
     return jax.vmap(at)(V, r)
 
 
 def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
-    """The steady states of an extended car at one (V, r) that lie near those of its nominal car at `NEAR` yaw rates.
+    """Return the steady states of an extended car at one (V, r) near those of its nominal car at `NEAR` yaw rates.
 
-    The nominal car may have none at this very yaw rate: two drifts meet at a fold and vanish, and effects move it.
+    The nominal car may have none at this yaw rate: two drifts merge at a fold and vanish, and effects move the fold.
     """
     roots = jax.vmap(lambda share: decoupled_roots(car.nominal, V, share * r))(jnp.asarray(NEAR))
-    x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.found))
+    x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.valid))
     out = jax.vmap(lambda x, u: solve_at(car, car, V, r, (x, u)))(x, u)
     good = exists & (out.result == RESULTS.successful)
     at = jnp.stack([out.x.beta, out.u.delta, out.u.Fxr / (car.m * G)])
@@ -126,14 +127,14 @@ def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
 
 
 def grid(cfg: Config, car: AnyCar) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds [m/s] and V r / (mu g) [-] of the map."""
+    """Return speeds [m/s] and V r / (mu g) [-] of the map."""
     limit, wheelbase = float(car.tyre.mu) * G, float(car.a + car.b)
     low = cfg.V_min or (3 * wheelbase * limit) ** 0.5
     return np.linspace(low, cfg.V_max or 3 * low, cfg.num_V), np.linspace(cfg.ratio_min, cfg.ratio_max, cfg.num_ratio)
 
 
 def main(cfg: Config, out: Path) -> dict[str, float]:
-    """Write map and table to `out`; returns counts and the worst residual."""
+    """Write map and table to `out`; return counts and the worst residual."""
     vehicle = load_vehicle(cfg.vehicle)
     car = build_car(vehicle)
     speeds, ratios = grid(cfg, car)
@@ -162,7 +163,7 @@ def main(cfg: Config, out: Path) -> dict[str, float]:
 
 
 def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
-    """One row per steady state, SI and radians."""
+    """Write one row per steady state, SI and radians."""
     columns = (points.x.V, points.x.r, points.x.beta, points.u.delta, points.u.Fxr, points.residual)
     values = [np.asarray(column)[found] for column in columns]
     names = [Branch(k).name.lower() for k in np.asarray(points.kind)[found]]
@@ -174,7 +175,7 @@ def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
 
 
 def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.ndarray, title: str) -> Figure:
-    """One row per branch, one column per unknown; where there is no such steady state the map is hatched.
+    """Draw one row per branch, one column per unknown; hatched where no such steady state exists.
 
     Of two on one branch the one with more sideslip is shown, then the one with more steering into the turn.
     """

@@ -1,4 +1,4 @@
-"""Steady states of any car model by Levenberg-Marquardt, with implicit gradients."""
+"""Solve for steady states of any car model by Levenberg-Marquardt, with implicit gradients."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,11 @@ from driftjax.vehicle.single_track import G
 
 Model = Callable[[State, Control], State]
 TOLERANCE = 1e-9  # largest scaled residual of a solution
-ANY = -1  # `branch` of a caller who takes any
+ANY = -1  # `branch` that accepts any
 
 
 class Equilibrium(eqx.Module):
-    """A steady state and what justifies it; without `result == successful` the values are the last iterate."""
+    """A steady state and its quality measures; without `result == successful` the values are the last iterate."""
 
     x: State
     u: Control
@@ -32,21 +32,21 @@ class Equilibrium(eqx.Module):
 
 
 class SpeedYaw(eqx.Module):
-    """Fixed speed and yaw rate (Wu et al. 2025, Sec. III-D); 0, 1, 2 or 3 values of beta fit."""
+    """Fixed speed and yaw rate (Wu et al. 2025, Sec. III-D); 0 to 3 values of beta are solutions."""
 
     V: Array = eqx.field(converter=as_float)  # [m/s]
     r: Array = eqx.field(converter=as_float)  # [rad/s]
 
     def point(self, free: Array) -> State:
-        """State whose free part is `free` [-]."""
+        """Return the state with unknown `free` [-]."""
         return State(self.V, free, self.r)
 
     def free(self, x: State) -> Array:
-        """The unknown of the state, scaled."""
+        """Return the unknown of the state, scaled."""
         return x.beta
 
     def roots(self, nominal: SingleTrack) -> Roots:
-        """Every steady state of the nominal car."""
+        """Find every steady state of the nominal car."""
         return decoupled_roots(nominal, self.V, self.r)
 
 
@@ -57,16 +57,16 @@ class SlipRadius(eqx.Module):
     R: Array = eqx.field(converter=as_float)  # [m], positive to the left
 
     def point(self, free: Array) -> State:
-        """State whose free part is `free` [-], the speed over sqrt(g R)."""
+        """Return the state with unknown `free` [-], the speed over sqrt(g R)."""
         V = free * jnp.sqrt(G * jnp.abs(self.R))
         return State(V, self.beta, V / self.R)
 
     def free(self, x: State) -> Array:
-        """The unknown of the state, scaled."""
+        """Return the unknown of the state, scaled."""
         return x.V / jnp.sqrt(G * jnp.abs(self.R))
 
     def roots(self, nominal: SingleTrack) -> Roots:
-        """Every steady state of the nominal car."""
+        """Find every steady state of the nominal car."""
         return drift_roots(nominal, self.beta, self.R)
 
 
@@ -77,11 +77,11 @@ class SlipSpeed(eqx.Module):
     V: Array = eqx.field(converter=as_float)  # [m/s]
 
     def point(self, free: Array) -> State:
-        """State whose free part is `free` [-], V r / g."""
+        """Return the state with unknown `free` [-], V r / g."""
         return State(self.V, self.beta, free * G / self.V)
 
     def free(self, x: State) -> Array:
-        """The unknown of the state, scaled."""
+        """Return the unknown of the state, scaled."""
         return x.r * self.V / G
 
 
@@ -89,7 +89,7 @@ Fixed = SpeedYaw | SlipRadius | SlipSpeed
 
 
 def scaled_rates(nominal: AnyCar, x: State, dx: State) -> Array:
-    """(3,): rates over what the tyres could do, so that one tolerance serves both cars."""
+    """Return the rates (3,) relative to the tyres' capability, so that one tolerance suits all cars."""
     limit = nominal.tyre.mu * G
     wheelbase = nominal.a + nominal.b
     yaw = nominal.Iz * wheelbase / (nominal.m * limit * nominal.a * nominal.b)
@@ -105,12 +105,13 @@ def solve(
     branch: Array | int = ANY,
     throw: bool = False,
 ) -> Equilibrium:
-    """Steady state of `model` with `fixed` held, from `guess`; `nominal` gives scales and judges the branch.
+    """Solve for the steady state of `model` with `fixed` quantities, from `guess`; `nominal` gives scales and the
+    branch.
 
-    `branch` is the `Branch` asked for: a solution on another one has result `off_branch`. `not_converged` means
-    that no zero was found near the guess, not that there is none. Differentiable in `model` and `fixed` by the
-    implicit function theorem; the guess carries no gradient. Without `result == successful` the derivatives mean as
-    little as the values.
+    `branch` is the required `Branch`: a solution on another one has result `off_branch`. `not_converged` means that no
+    zero was found near the guess, not that there is none. Differentiable in `model` and `fixed` by the implicit
+    function theorem; the guess carries no gradient. Without `result == successful` the derivatives are as meaningless
+    as the values.
     """
     weight = nominal.m * G
     x0, u0 = jax.lax.stop_gradient(guess)
@@ -144,7 +145,8 @@ def _judge(worst: Array, on_branch: Array) -> RESULTS:
 def solve_nominal(
     nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int, throw: bool = False
 ) -> Equilibrium:
-    """The nominal car's steady state on `branch`, from no guess; `no_root` where the published car has none there.
+    """Solve for the nominal car's steady state on `branch`, without a guess; `no_root` where the published car has
+    none.
 
     With a friction ellipse the closed form of the published car, which has none, is the guess.
     """
@@ -157,12 +159,12 @@ def solve_nominal(
 
 
 def solve_at(model: Model, nominal: AnyCar, V: Array, r: Array, guess: tuple[State, Control], **options) -> Equilibrium:
-    """Steady state at speed `V` [m/s] and yaw rate `r` [rad/s], the paper's question; see `solve`."""
+    """Solve at speed `V` [m/s] and yaw rate `r` [rad/s], as in the paper; see `solve`."""
     return solve(model, nominal, SpeedYaw(V, r), guess, **options)
 
 
 def solve_drift(
     model: Model, nominal: AnyCar, beta: Array, R: Array, guess: tuple[State, Control], **options
 ) -> Equilibrium:
-    """Steady state at sideslip `beta` [rad] on radius `R` [m] (positive to the left); see `solve`."""
+    """Solve at sideslip `beta` [rad] on radius `R` [m] (positive to the left); see `solve`."""
     return solve(model, nominal, SlipRadius(beta, R), guess, **options)

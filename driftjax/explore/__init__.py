@@ -1,4 +1,4 @@
-"""Active exploration: candidate corner speeds (V-sets) and which of them to drive next (Algorithm 1)."""
+"""Active exploration: candidate corner speeds (V-sets) and selection of the next one (Algorithm 1)."""
 
 from driftjax.explore.select import Choice as Choice
 from driftjax.explore.select import select as select

@@ -1,4 +1,4 @@
-"""Which candidate to drive next: Algorithm 1 of the paper."""
+"""Select the next candidate to drive: Algorithm 1 of the paper."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from driftjax.gp import GP
 
 
 class Choice(NamedTuple):
-    """Outcome of one selection; `chosen` means nothing where `exhausted`."""
+    """Result of one selection; `chosen` is undefined where `exhausted`."""
 
     chosen: Array  # index of the candidate to drive next
     score: Array  # (n,) lambda V - (1 - lambda) D, -inf for visited ones
@@ -20,18 +20,18 @@ class Choice(NamedTuple):
 
 
 def _share(value: Array, allowed: Array) -> Array:
-    """`value` over its largest where `allowed`; 0 where that is 0."""
+    """Return `value` relative to its largest where `allowed`; 0 where that is 0."""
     largest = jnp.max(jnp.where(allowed, value, 0.0))
     positive = largest > 0
     return jnp.where(positive, value / jnp.where(positive, largest, 1.0), 0.0)
 
 
 def select(candidates: Array, visited: Array, z_ref: Array, gp: GP, P: Array, lam: float | Array) -> Choice:
-    """Most telling unvisited candidate near the reference: argmax of lambda V_j - (1 - lambda) D_j.
+    """Select the most informative unvisited candidate near the reference: argmax of lambda V_j - (1 - lambda) D_j.
 
-    (Wu et al. 2025, Algorithm 1.) `candidates` (n, nf), `visited` (n,), `z_ref` (nf,). D_j is the distance to
-    `z_ref` in the GP's input scales, V_j = sum_i P_i Sigma_i(z_j) / prior variance_i with the outputs ordered (dV,
-    dbeta, dr). Both are divided by their largest among the unvisited, so that `lam` in [0, 1] weighs like with like.
+    (Wu et al. 2025, Algorithm 1.) `candidates` (n, nf), `visited` (n,), `z_ref` (nf,). D_j is the distance to `z_ref`
+    in the GP's input scales, V_j = sum_i P_i Sigma_i(z_j) / prior variance_i with the outputs ordered (dV, dbeta, dr).
+    Both are divided by their largest among the unvisited, so that `lam` in [0, 1] weighs quantities of equal scale.
     """
     open_ = ~visited.astype(bool)
     distance = jnp.sqrt(jnp.sum(((candidates - z_ref) / gp.scale) ** 2, axis=-1))

@@ -1,4 +1,4 @@
-"""Candidate speed profiles for a corner: nested bounds on a step towards less lateral error."""
+"""Compute candidate speed profiles for a corner: nested bounds on a step that reduces the lateral error."""
 
 import equinox as eqx
 import jax
@@ -11,23 +11,24 @@ from driftjax.core import RESULTS
 
 TOLERANCE = 1e-8  # on the projected gradient, relative to its size at the start
 MAX_STEPS = 100
-LENGTHS = 0.5 ** np.arange(12)  # trial step lengths, tried at once
+LENGTHS = 0.5 ** np.arange(12)  # trial step lengths, evaluated together
 
 
 class SpeedSets(eqx.Module):
-    """One candidate per bound pair (K), over the N points of the path."""
+    """One candidate per pair of bounds (K), at the N points of the path."""
 
     gamma: Array  # (K, N) speed increment [m/s]
     V: Array  # (K, N) new speed [m/s]
     V_ep: Array  # (K,) its mean over the drift section, the speed to explore [m/s]
     distinct: Array  # (K,) false where an earlier candidate has the same V_ep to a millimetre per second
-    error: Array  # (K,) largest projected gradient left [m/s]
+    error: Array  # (K,) largest remaining projected gradient [m/s]
     num_steps: Array  # (K,)
-    result: RESULTS  # (K,) `infeasible` where bounds or limits are the wrong way round
+    result: RESULTS  # (K,) `infeasible` where a lower bound or limit exceeds the upper one
 
 
 def residuals(gamma: Array, V: Array, s: Array, target: Array, w1: Array, w2: Array) -> Array:
-    """(2N - 2,): what is squared and summed in Wu et al. 2025, Sec. III-B (V-sets), read as physics demands.
+    """Return the residuals (2N - 2,) whose squares are summed in Wu et al. 2025, Sec. III-B (V-sets), in a physically
+    consistent reading.
 
     sqrt(w1) (phi_k - phi_{k-1}) / (s_k - s_{k-1}) for k = 3..N with the slope phi_k = arctan(d(V + gamma) / ds) of
     the speed over the path, then sqrt(w2) (gamma - target) with the target r_b e. The arctan of a slope in 1/s is
@@ -39,7 +40,7 @@ def residuals(gamma: Array, V: Array, s: Array, target: Array, w1: Array, w2: Ar
 
 
 def _bounded_least_squares(f, start: Array, lower: Array, upper: Array):
-    """Minimum of |f|^2 / 2 in a box by projected Gauss-Newton (Bertsekas 1982, Eq. 12-20); f in J of full rank."""
+    """Minimise |f|^2 / 2 in a box by projected Gauss-Newton (Bertsekas 1982, Eq. 12-20); J of f has full rank."""
 
     def gradient(x):
         value, pullback = jax.vjp(f, x)
@@ -87,12 +88,12 @@ def v_sets(
     V_max: ArrayLike,
     section: Array | None = None,
 ) -> SpeedSets:
-    """Candidate speeds of a corner planned at `V_origin` (N,) [m/s] at arc length `s` (N,) [m], ascending.
+    """Compute candidate speeds of a corner planned at `V_origin` (N,) [m/s] at arc length `s` (N,) [m], ascending.
 
-    `r_b` (N,) [rad/s] is the planned yaw rate, `e` (N,) [m] the measured lateral error, left positive: R = V / r,
-    so that a car inside a left turn (e > 0) is sent out by gamma towards r_b e > 0. Each pair of `gamma_bounds`
-    (K, 2) [m/s] gives one candidate. The speed limits, scalars or (N,), go before them: bounds are clipped to
-    where V_min <= V <= V_max. `section` (N,) marks the points that drift (all of them, if None).
+    `r_b` (N,) [rad/s] is the planned yaw rate, `e` (N,) [m] the measured lateral error, left positive: R = V / r, so
+    that a car inside a left turn (e > 0) is moved outwards by gamma towards r_b e > 0. Each pair of `gamma_bounds` (K,
+    2) [m/s] gives one candidate. The speed limits, scalars or (N,), take precedence: bounds are clipped to V_min <= V
+    <= V_max. `section` (N,) marks the drifting points (all of them, if None).
     """
     weight = jnp.ones_like(V_origin) if section is None else section.astype(V_origin.dtype)
     w1, w2, V_min, V_max = (jnp.asarray(value) for value in (w1, w2, V_min, V_max))

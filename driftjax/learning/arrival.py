@@ -1,4 +1,4 @@
-"""In what state the car arrives where the drift controller takes over: the corner is planned from there."""
+"""Estimate the state in which the car arrives where the drift controller takes over; the corner is planned from it."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,24 +10,25 @@ from driftjax.learning.residual import lag_response, smooth
 from driftjax.sim import Trace
 
 
-class Approach(eqx.Module):
-    """Mean over the laps seen of state and commands at the take-over; the plan's before the first."""
+class Arrival(eqx.Module):
+    """Mean state and commands at the take-over over the measured laps; the plan's values before the first lap."""
 
     x: Float[Array, " 5"]  # V, beta, r, e, theta
     command: Float[Array, " 2"]  # last delta, Fxr
-    reached: Float[Array, " 2"]  # what steering and drive had made of the commands
+    lagged_input: Float[Array, " 2"]  # actuator outputs delta, Fxr
     laps: Array
 
 
-def planned_approach(table: ReferenceTable, lead: Array | float) -> Approach:
-    """As the plan in `table` has it, `lead` [m] before the drift section: on its path, with its inputs reached."""
+def planned_arrival(table: ReferenceTable, lead: Array | float) -> Arrival:
+    """Return the planned arrival `lead` [m] before the drift section of `table`: on the path, with its inputs
+    applied."""
     x, u = table.state(table.drift_start - lead)
     inputs, zero = jnp.stack([u.delta, u.Fxr]), jnp.zeros_like(x.V)
-    return Approach(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))
+    return Arrival(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))
 
 
-def seen(before: Approach, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Approach:
-    """`before` with one lap (time on the leading axis) taken in, by measurements and commands only.
+def update_arrival(before: Arrival, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Arrival:
+    """Update `before` with one lap (time on the leading axis), from measurements and commands only.
 
     `s0` [m] is where the drift controller takes over; a lap that does not get there changes nothing.
     """
@@ -38,12 +39,12 @@ def seen(before: Approach, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt
     at = lambda values: values[n - 1] + share * (values[n] - values[n - 1])
     x = jnp.stack([at(smooth(values)) for values in (sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta)])
     commands = jnp.stack([trace.command.delta, trace.command.Fxr], axis=1)
-    reached, _ = lag_response(commands, lags, dt)
+    lagged_input, _ = lag_response(commands, lags, dt)
     known = jnp.any(past) & jnp.all(jnp.isfinite(x))
     mean = lambda old, new: jnp.where(known, old + (new - old) / (before.laps + 1), old)
-    return Approach(
+    return Arrival(
         mean(before.x, x),
         mean(before.command, commands[n - 1]),
-        mean(before.reached, at(reached)),
+        mean(before.lagged_input, at(lagged_input)),
         before.laps + known,
     )

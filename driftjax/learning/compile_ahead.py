@@ -1,4 +1,4 @@
-"""Ahead-of-time compilation: the loop without its computations, each program compiled by one worker."""
+"""Compile the programs of the experiment ahead of time: all stages without their computations, in the workers."""
 
 import dataclasses
 from concurrent.futures import ThreadPoolExecutor
@@ -12,10 +12,10 @@ ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 
 def compile_ahead(scenario: Scenario, names: list[str]) -> None:
-    """Compile in the workers what the stages `names` need; without workers there is nothing to gain."""
-    if scenario.blocks.pool is None:
+    """Compile in the workers what the stages `names` need; does nothing without workers."""
+    if scenario.executor.pool is None:
         return
-    dry = dataclasses.replace(scenario, blocks=CompileAheadExecutor(scenario.blocks.pool))
+    dry = dataclasses.replace(scenario, executor=CompileAheadExecutor(scenario.executor.pool))
 
     def row(stages: tuple[str, ...]) -> None:
         progress = first_progress(dry)

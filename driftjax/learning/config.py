@@ -1,4 +1,4 @@
-"""What a person may choose about `driftjax learn`."""
+"""Options of `driftjax learn`."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -45,7 +45,7 @@ class GPConfig:
 
     @property
     def program(self) -> "GPConfig":
-        """What of this a compiled program depends on: numbers stand at their defaults."""
+        """The options that a compiled program depends on; numeric arguments are set to their defaults."""
         return replace(self, shortest=GPConfig.shortest)
 
 
@@ -64,7 +64,7 @@ class ExploreConfig:
     num_sets: int = 3
     """Number of nested bounds on gamma, so of candidate speeds."""
     laps: int = 6
-    """Most laps of exploration, fewer where no lane has a candidate left; a lane without one repeats its best."""
+    """Most laps of exploration, fewer where no entry has a candidate left; an entry without one repeats its best."""
     gamma_share: float = 0.08
     """Most that the widest bound on gamma may be, as a share of the planned cornering speed [-]."""
     speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
@@ -140,7 +140,7 @@ class LearnConfig:
     explore: ExploreConfig = field(default_factory=ExploreConfig)
 
     @property
-    def num_lanes(self) -> int:
+    def batch_size(self) -> int:
         """Laps driven side by side."""
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
 

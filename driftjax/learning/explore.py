@@ -1,4 +1,4 @@
-"""Active exploration of a batch of lanes: candidate speeds from the V-sets, the next one by Algorithm 1."""
+"""Explore corner speeds for a batch: candidates from the V-sets, the next one by Algorithm 1."""
 
 import equinox as eqx
 import jax
@@ -12,29 +12,29 @@ from driftjax.learning.config import ExploreConfig
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.scenario import SPEEDS, Scenario
 from driftjax.parallel import vmap_batch
-from driftjax.sim import Trace, keep_where
+from driftjax.sim import Trace, where_tree
 from driftjax.vehicle import AnyCar, Residual
 
 
 class Candidates(eqx.Module):
-    """Speeds to explore, per lane (leading axis), and which have been driven."""
+    """Candidate speeds per batch entry (leading axis), and which of them have been driven."""
 
-    s: Array  # (lanes, AIM_POINTS) arc length of the curves [m]
-    origin: Array  # (lanes, AIM_POINTS) planned speed, from which they start [m/s]
-    target: Array  # (lanes, AIM_POINTS) r_b e, where they tend to [m/s]
-    e: Array  # (lanes, AIM_POINTS) measured lateral error that leads them [m]
-    aimed: Array  # (lanes, AIM_POINTS) offset from the path that the lap with this error aimed at [m]
-    widest: Array  # (lanes,) bound on gamma of the last one, either way [m/s]
-    V: Array  # (lanes, K, AIM_POINTS) generated curves [m/s]
-    V_ep: Array  # (lanes, K) their means [m/s]
-    visited: Array  # (lanes, K) driven, or not to be driven: a duplicate, or no equilibrium
+    s: Array  # (batch, AIM_POINTS) arc length of the curves [m]
+    origin: Array  # (batch, AIM_POINTS) planned speed, from which they start [m/s]
+    target: Array  # (batch, AIM_POINTS) r_b e, where they tend to [m/s]
+    e: Array  # (batch, AIM_POINTS) measured lateral error behind them [m]
+    aimed: Array  # (batch, AIM_POINTS) target offset from the path of the lap with this error [m]
+    widest: Array  # (batch,) largest bound on gamma, both signs [m/s]
+    V: Array  # (batch, K, AIM_POINTS) generated curves [m/s]
+    V_ep: Array  # (batch, K) their means [m/s]
+    visited: Array  # (batch, K) driven or excluded: a duplicate, or no equilibrium
 
 
 class Drifts(eqx.Module):
-    """The drift states of a corrected car at the corner's sideslip, over speed.
+    """Drift states of a corrected car at the corner's sideslip, over speed.
 
-    At fixed V and yaw rate a car with a friction circle has two drifts or none, a hair apart in speed; at fixed
-    sideslip it has one. So E(V_ep, .) is solved at the sideslip aimed at, from the nominal drift.
+    At fixed V and yaw rate a car with a friction circle has two drifts, very close in speed, or none; at fixed sideslip
+    it has one. E(V_ep, .) is therefore solved at the sideslip of the corner, starting from the nominal drift.
     """
 
     nominal: AnyCar
@@ -44,28 +44,28 @@ class Drifts(eqx.Module):
     branch: Array  # the kind of all
 
     def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
-        """GP input z (5,) of the drift at speed `V`, and whether it exists."""
+        """Return the GP input z (5,) of the drift at speed `V`, and whether it exists."""
         fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
         found = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
         return features(found.x, found.u), found.result == RESULTS.successful
 
 
 def drifts(scenario: Scenario) -> Drifts:
-    """The corner's drift states."""
+    """Build the drift states of the corner."""
     beta, branch = jnp.asarray(scenario.corner.beta), jnp.asarray(scenario.branch)
     return Drifts(scenario.nominal, beta, scenario.x_eq, scenario.u_eq, branch)
 
 
 def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
-    """V-sets (Eq. 9) around the plan's speed, led by the measured lateral error of the laps in `trace`, which `aimed`
-    (lanes, AIM_POINTS) beside the path."""
+    """Compute V-sets (Eq. 9) around the planned speed from the measured lateral error of the laps in `trace`, which
+    tracked the offset `aimed` (batch, AIM_POINTS) from the path."""
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
     origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
     shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
-    shaped = scenario.blocks.map(
-        speed_lanes, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+    shaped = scenario.executor.map(
+        speed_sets_batch, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
     )
     if config.speeds != "sets":
         V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
@@ -77,11 +77,11 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Arra
 
 
 def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
-    """(lanes, AIM_POINTS) [m]: offset to aim at beside the path with candidate `chosen` (lanes,).
+    """Return the offset from the path (batch, AIM_POINTS) [m] to track with candidate `chosen` (batch,).
 
-    The k-th of K aims k/K of the measured error e further to the other side than the lap that made it, up to the error
-    that the widest gamma allowed could take out of a steady turn by gamma = r_b e. Its speed curve alone does not:
-    where the planned speed is curved as in a corner that is braked into, the price on its smoothness outweighs r_b e.
+    Candidate k of K shifts the target by k/K of the measured error e, opposite to that error, limited to the error that
+    the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve alone is not enough: where
+    the planned speed is curved, as in a corner with braking, its smoothness weight outweighs r_b e.
     """
     config, corner = scenario.config.explore, scenario.corner
     most = config.gamma_share * corner.V_b / abs(corner.r_b)
@@ -92,19 +92,19 @@ def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
 def remaining(
     scenario: Scenario, found: Candidates, chosen: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
 ) -> Candidates:
-    """Candidates after the laps in `trace`, which drove those `chosen` (lanes,) and `aimed` beside the path.
+    """Return the candidates after the laps in `trace`, which drove `chosen` (batch,) with the offset `aimed`.
 
-    A lane that was `better` than ever gets new sets about this lap, the others keep those that are left.
+    An entry that improved (`better`) gets new sets around this lap, the others keep their remaining candidates.
     """
     visited = found.visited | jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool)
     left = eqx.tree_at(lambda c: c.visited, found, visited)
     if scenario.config.explore.speeds != "sets":
         return left
-    return keep_where(better, candidates(scenario, trace, residual, aimed), left)
+    return where_tree(better, candidates(scenario, trace, residual, aimed), left)
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:
-    """(lanes, K) of the speeds that the V-sets are compared with, over their widest bound."""
+    """Return the speeds (batch, K) that the V-sets are compared with, relative to their largest bound."""
     K = config.num_sets
     if config.speeds == "random":
         draw = lambda key: jax.random.uniform(jax.random.fold_in(key, SPEEDS), (K,), minval=-1.0, maxval=1.0)
@@ -113,8 +113,8 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
     return jnp.broadcast_to(even, (len(keys), K))
 
 
-def speed_lanes(
-    lanes: tuple[Trace, Array],
+def speed_sets_batch(
+    batch: tuple[Trace, Array],
     s: Array,
     origin: Array,
     r_b: Array,
@@ -123,9 +123,9 @@ def speed_lanes(
     weights: tuple[Array, Array],
     V_b: Array,
 ) -> Candidates:
-    """Candidates of lanes given as (lap, what it aimed at), whether or not a drift exists at their speeds.
+    """Compute candidates for batch entries (lap, tracked offset), whether or not a drift exists at their speeds.
 
-    Their bounds are `shares` of what the lane's own error calls for, but of no more than `most` [m/s]: bounds beyond it
+    Their bounds are fractions `shares` of what the entry's own error requires, at most `most` [m/s]: larger bounds
     would all give the same curve.
     """
 
@@ -139,34 +139,33 @@ def speed_lanes(
                       V_max=3 * V_b)  # fmt: skip
         return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
 
-    return vmap_batch(one)(*lanes)
+    return vmap_batch(one)(*batch)
 
 
 def _states(scenario: Scenario, V_ep: Array, residual: Residual) -> tuple[Array, Array]:
-    """GP inputs (lanes, K + 1, 5) of the drifts at speeds `V_ep` (lanes, K) and at the planned one; which exist."""
+    """Return GP inputs (batch, K + 1, 5) of the drifts at speeds `V_ep` (batch, K) and the planned one; which exist."""
     planned = jnp.full((len(V_ep), 1), scenario.corner.V_b)
-    return scenario.blocks.map(state_lanes, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
+    return scenario.executor.map(drift_states_batch, (jnp.append(V_ep, planned, axis=1), residual), drifts(scenario))
 
 
-def state_lanes(lanes: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
-    """Drift states of lanes given as (speeds, residual)."""
-    return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*lanes)
+def drift_states_batch(batch: tuple[Array, Residual], states: Drifts) -> tuple[Array, Array]:
+    """Compute drift states for batch entries (speeds, residual)."""
+    return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*batch)
 
 
 def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
-    """Algorithm 1 in every lane: index of the next candidate, its speed, and whether any was left."""
+    """Apply Algorithm 1 to every batch entry: index of the next candidate, its speed, and whether any remained."""
     z, _ = _states(scenario, found.V_ep, residual)
     options = scenario.config.explore
-    lanes = (found.V_ep, found.visited, z, residual)
-    return scenario.blocks.map(choice_lanes, lanes, jnp.asarray(options.P), jnp.asarray(options.lam))
+    batch = (found.V_ep, found.visited, z, residual)
+    return scenario.executor.map(choose_batch, batch, jnp.asarray(options.P), jnp.asarray(options.lam))
 
 
-def choice_lanes(lanes: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
-    """Choices by Algorithm 1 with these weights, of lanes given as (speeds, which were visited, drift states,
-    residual)."""
+def choose_batch(batch: tuple[Array, Array, Array, Residual], P: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """Choose by Algorithm 1 with these weights for batch entries (speeds, visited, drift states, residual)."""
 
     def one(V_ep: Array, visited: Array, z: Array, d: Residual):
         choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
         return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
 
-    return vmap_batch(one)(*lanes)
+    return vmap_batch(one)(*batch)

@@ -1,4 +1,4 @@
-"""Figures of a lap, and their means over plants with intervals."""
+"""Compute figures of a lap, and their means over plants with confidence intervals."""
 
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ DRIFT_BETA = np.deg2rad(20.0)  # sideslip from which a car counts as drifting
 
 
 class LapFigures(NamedTuple):
-    """One lap in numbers, over the planned drift section; of true values, but for the measured error."""
+    """Figures of one lap over the planned drift section; from true values, except for the measured error."""
 
     lateral_error: Array  # mean |e| against the planned path [m]
     lateral_error_max: Array  # [m]
@@ -28,7 +28,7 @@ class LapFigures(NamedTuple):
 
 
 class _Section(NamedTuple):
-    """What one lap drove of the planned drift section."""
+    """The part of the planned drift section that one lap covered."""
 
     inside: Bool[Array, " T"]
     ds: Float[Array, " T"]  # distance that each row stands for, 0 outside [m]
@@ -36,12 +36,12 @@ class _Section(NamedTuple):
     missing: Array  # [m]
 
     def mean(self, values: Float[Array, " T"]) -> Array:
-        """Mean over the distance driven; 0 where there is none."""
+        """Return the mean over the distance driven; 0 where there is none."""
         total = jnp.sum(jnp.where(self.inside, values, 0.0) * self.ds)
         return total / jnp.maximum(jnp.sum(self.ds), 1e-9)
 
     def lateral_error(self, e: Float[Array, " T"], lost_error: ArrayLike) -> Array:
-        """Mean of |e|; what is missing counts with `lost_error` [m]."""
+        """Return the mean of |e|; the missing part counts with `lost_error` [m]."""
         return (self.mean(jnp.abs(e)) * self.driven + lost_error * self.missing) / (self.driven + self.missing)
 
 
@@ -55,11 +55,11 @@ def _section(s: Float[Array, " T"], alive: Bool[Array, " T"], completed: Array, 
 
 
 def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, lost_error: ArrayLike) -> LapFigures:
-    """Figures of one lap (time on the leading axis).
+    """Compute the figures of one lap (time on the leading axis).
 
-    Means are over distance. What a failed lap did not drive of the section counts with the error `lost_error` [m],
-    so that failing early never looks good; a speed that was never driven has no error, which is NaN and not 0.
-    The measured arc length counts as far as it has ever got: noise drives no distance back and forth.
+    Means are over distance. The part of the section that a failed lap missed counts with the error `lost_error` [m], so
+    that failing early is never an advantage; a speed that was never driven has no error, which is NaN and not 0. The
+    measured arc length is made monotone: noise must not add distance.
     """
     completed = code == int(LapCode.COMPLETED)
     true = _section(trace.s, trace.alive, completed, table)
@@ -78,7 +78,7 @@ def lap_figures(trace: Trace, code: Array, table: ReferenceTable, V_ref: Array, 
 
 
 def interval(values: np.ndarray) -> dict[str, Any]:
-    """Mean over plants with its 95 % interval by Student's t; no interval of a single plant.
+    """Return the mean over plants with its 95 % interval by Student's t; no interval for a single plant.
 
     Values that are not finite are left out: `plants` says how many enter, `all_plants` how many there are. Simulated
     coverage over 2 to 16 plants: 0.95 of normal values, 0.92 to 0.94 of lognormal ones whose logarithms deviate by
@@ -96,7 +96,7 @@ def interval(values: np.ndarray) -> dict[str, Any]:
 
 
 def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
-    """By how many percent the mean falls from `before` to `after`, with a paired 95 % interval over plants.
+    """Return the reduction of the mean from `before` to `after` in percent, with a paired 95 % interval over plants.
 
     Student's t on the jackknife of the logarithm of the ratio of means (Efron and Tibshirani 1993, chapter 11).
     Plants that lack either value are left out, as in `interval`. Simulated coverage over 2 to 16 plants: 0.94 to 0.95
@@ -120,12 +120,13 @@ def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
 
 
 def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
-    """Mean of `after` less `before` over pairs, with its 95 % interval by Student's t; none of a single pair."""
+    """Return the mean of `after` minus `before` over pairs, with its 95 % interval by Student's t; none for one
+    pair."""
     found = interval(np.asarray(after, float) - np.asarray(before, float))
     return {"mean": found["mean"], "ci95": found["ci95"], "pairs": found["plants"]}
 
 
 def _half_width(values: np.ndarray) -> float:
-    """Half the width of the 95 % interval of the mean of two or more `values`, by Student's t."""
+    """Return the half-width of the 95 % interval of the mean of two or more `values`, by Student's t."""
     num = len(values)
     return float(stdtrit(num - 1, 0.975) * values.std(ddof=1) / np.sqrt(num))

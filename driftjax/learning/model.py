@@ -1,4 +1,4 @@
-"""The learnt residual of one lane: a dictionary of informative rows, the GP on it, and how far to trust it."""
+"""Learn the residual of one batch entry: dictionary of informative rows, GP on it, and trust factor."""
 
 from collections.abc import Callable
 
@@ -11,14 +11,14 @@ from driftjax.gp import GP, condition, data_scales, fit, predict_known_effects, 
 from driftjax.learning.config import GPConfig
 from driftjax.vehicle import Residual, no_residual
 
-Claim = Callable[[Array], Array]  # of inputs (N, 5): what the parameters of known causes change there (N, 3, k)
+KnownEffectBasis = Callable[[Array], Array]  # of inputs (N, 5): derivatives by known effect parameters (N, 3, k)
 
-FOLDS = 4  # stretches of time that are held out one after the other
-GAP = 5  # rows next to a stretch that are left out: smoothing over so many samples makes them share its noise
+FOLDS = 4  # stretches of time, each held out once
+GAP = 5  # rows excluded next to a stretch: smoothing over so many samples correlates their noise
 
 
-class Memory(eqx.Module):
-    """Rows kept so far and what was learnt from them, of one lane."""
+class ModelState(eqx.Module):
+    """Rows of the dictionary and the residual learnt from them, for one batch entry."""
 
     Z: Array  # (M, 5)
     Y: Array  # (M, 3)
@@ -27,79 +27,83 @@ class Memory(eqx.Module):
     residual: Residual
 
 
-def empty(config: GPConfig, lags: Array | None = None) -> Memory:
-    """Memory of a lane that has not driven; `lags` (2,) of its actuators may be known all the same [s]."""
+def empty(config: GPConfig, lags: Array | None = None) -> ModelState:
+    """Return the model before the first lap; known actuator `lags` (2,) [s] may be given."""
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
     residual = no_residual(gp, lags, config.bounded)
-    return Memory(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
+    return ModelState(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
 
 def learn(
-    memory: Memory,
+    model_state: ModelState,
     Z: Array,
     Y: Array,
     mask: Array,
     lags: Array,
     config: GPConfig,
     key: Array,
-    claim: Claim | None = None,
+    known_basis: KnownEffectBasis | None = None,
     shortest: Array | None = None,
-) -> Memory:
-    """`memory` with a lap's rows, in the order driven, added: new dictionary, new GP, new gate; `lags` (2,) are those
-    of the lap.
+) -> ModelState:
+    """Update `model_state` with a lap's rows, in driving order: new dictionary, GP and trust factor; `lags` (2,) are
+    the lap's.
 
-    The gate of an output is the factor within 0..1 on the mean that leaves least of rows which the GP was not
-    conditioned on (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, a mean that
-    says too much or the wrong thing does. What known causes could say by `claim` the GP leaves to them.
-    `shortest` goes before that of `config`: a number that need not be known to compile.
+    The trust factor of an output is the factor in 0..1 on the mean that minimises the squared error at held-out rows
+    (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, an exaggerated or wrong mean
+    does. The GP leaves to the known effects what `known_basis` spans. `shortest` overrides that of `config`: a number
+    that need not be known at compile time.
     """
-    Z, Y = jnp.concatenate([memory.Z, Z]), jnp.concatenate([memory.Y, Y])
-    mask = jnp.concatenate([memory.mask, mask])
-    begun = jnp.max(jnp.where(memory.mask, memory.order, 0.0)) + 2 * GAP
-    order = jnp.concatenate([memory.order, begun + jnp.arange(len(mask) - len(memory.mask))])
-    # a column beside the targets, which the choice of rows does not look at
+    Z, Y = jnp.concatenate([model_state.Z, Z]), jnp.concatenate([model_state.Y, Y])
+    mask = jnp.concatenate([model_state.mask, mask])
+    begun = jnp.max(jnp.where(model_state.mask, model_state.order, 0.0)) + 2 * GAP
+    order = jnp.concatenate([model_state.order, begun + jnp.arange(len(mask) - len(model_state.mask))])
+    # an extra column that the selection of rows ignores
     inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
     kept = inputs, columns[:, :-1], valid
     found = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
-        basis=None if claim is None else claim(kept[0]), key=key,
+        basis=None if known_basis is None else known_basis(kept[0]), key=key,
     )  # fmt: skip
-    gate = trust(found.gp, Z, Y, mask, order, config, claim)
+    trust_factor = trust_factors(found.gp, Z, Y, mask, order, config, known_basis)
     enough = jnp.sum(kept[2]) >= 20
-    lags = jnp.where(enough, lags, memory.residual.lags)
-    residual = Residual(found.gp, jnp.where(enough & jnp.isfinite(gate), gate, 0.0), lags, config.bounded)
-    return Memory(*kept, columns[:, -1], residual)
+    lags = jnp.where(enough, lags, model_state.residual.lags)
+    residual = Residual(
+        found.gp, jnp.where(enough & jnp.isfinite(trust_factor), trust_factor, 0.0), lags, config.bounded
+    )
+    return ModelState(*kept, columns[:, -1], residual)
 
 
-def trust(gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfig, claim: Claim | None = None) -> Array:
+def trust_factors(
+    gp: GP, Z: Array, Y: Array, mask: Array, order: Array, config: GPConfig, known_basis: KnownEffectBasis | None = None
+) -> Array:
     """Return the least-squares factors (3,) in 0..1 on means at held-out rows.
 
-    Rows are held out in `FOLDS` stretches of time (by `order`) of equally many rows, and the GP that predicts a
-    stretch is conditioned on the others, less the rows next to it. Rows chosen for being far apart are neighbours in
-    no other order, and a row's neighbour in time says what it says. Of the targets only what known causes leave
-    counts, whose share the other stretches say. The hyper-parameters are those of all rows, the same for every
-    stretch: some twenty numbers out of hundreds of rows, while a fit for each stretch would cost as much as `learn`
-    costs in all, four times.
+    Rows are held out in `FOLDS` stretches of time (by `order`) of equally many rows, and the GP that predicts a stretch
+    is conditioned on the others, without the rows next to it. Rows selected for being far apart are neighbours in no
+    other order, and neighbours in time carry the same information. Only the part of the targets outside the known
+    effects counts; that part is estimated from the other stretches. The hyper-parameters are those of all rows, the
+    same for every stretch: some twenty numbers from hundreds of rows, while a fit per stretch would cost four times as
+    much as `learn` in total.
     """
     last = jnp.where(mask, order, jnp.inf)
     place = jnp.argsort(jnp.argsort(last))  # among the rows that are data, which come first
     fold = place * FOLDS // jnp.maximum(jnp.sum(mask), 1)
 
     def held_out(index: Array) -> tuple[Array, Array]:
-        """Means and targets (N, 3) at the rows of one stretch, 0 elsewhere."""
+        """Return means and targets (N, 3) at the rows of one stretch, 0 elsewhere."""
         test = mask & (fold == index)
         first, end = jnp.min(jnp.where(test, order, jnp.inf)), jnp.max(jnp.where(test, order, -jnp.inf))
         away = (order < first - GAP) | (order > end + GAP)
         train = select_dictionary(Z, Y, mask & away, config.size, kernel=config.kernel)
         left = Y
-        if claim is None:
+        if known_basis is None:
             rest = condition(*train, gp.hyper, *data_scales(*train), config.kernel)
         else:
             inputs, targets, kept = train
-            basis = claim(inputs)
-            left = Y - predict_known_effects(targets, basis, kept, claim(Z))
+            basis = known_basis(inputs)
+            left = Y - predict_known_effects(targets, basis, kept, known_basis(Z))
             scale = data_scales(inputs, project_out(targets, basis, kept), kept)
             rest = condition(*train, gp.hyper, *scale, config.kernel, basis)
         values = (jax.vmap(rest.bounded_mean)(Z), left)

@@ -1,4 +1,5 @@
-"""References along the planned path: the plan itself, the paper's step, and the corner planned on the corrected car."""
+"""Build references along the planned path: the plan, the paper's step, and the corner replanned on the
+corrected car."""
 
 import dataclasses
 import math
@@ -14,20 +15,20 @@ from jaxtyping import Float
 from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
-from driftjax.learning.arrival import Approach
+from driftjax.learning.arrival import Arrival
 from driftjax.planner import Plan
-from driftjax.sim import keep_where
+from driftjax.sim import where_tree
 from driftjax.solve import Options
 
 POINTS = 400  # rows of a reference table
 AIM_POINTS = 40  # of a curve over the drift section
 ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
-ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # of what was learnt: all at once; where that fails, little by little
-CORE = 0.5  # share of the drift section, about its middle, that stands for the steady part of the corner
+ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # fraction of the learnt residual: all at once, then gradually
+CORE = 0.5  # central fraction of the drift section taken as the steady part of the corner
 
 
 def plan_table(plan: Plan) -> ReferenceTable:
-    """The minimum-time plan as reference: dynamically consistent with the nominal car, entry and exit included.
+    """Return the minimum-time plan as reference: dynamically consistent with the nominal car, entry and exit included.
 
     The path's tangent is the planned course, so the planned heading error is -beta and the planned offset 0.
     """
@@ -44,7 +45,7 @@ def plan_table(plan: Plan) -> ReferenceTable:
 
 @dataclasses.dataclass(frozen=True)
 class Corner:
-    """Baseline of the planned corner's steady part."""
+    """Baseline of the steady part of the planned corner."""
 
     V_b: float  # planned speed [m/s]
     r_b: float  # planned yaw rate [rad/s]
@@ -53,7 +54,7 @@ class Corner:
 
 
 def corner(table: ReferenceTable, drift_beta: float) -> Corner:
-    """The steady part of the corner in `table`, to be driven at sideslip of magnitude `drift_beta`."""
+    """Return the steady part of the corner in `table`, at sideslip magnitude `drift_beta`."""
     s = np.asarray(table.start + table.spacing * np.arange(POINTS))
     middle, half = (table.drift_start + table.drift_end) / 2, CORE * (table.drift_end - table.drift_start) / 2
     inside = np.abs(s - float(middle)) <= float(half)
@@ -62,7 +63,7 @@ def corner(table: ReferenceTable, drift_beta: float) -> Corner:
 
 
 class Aim(eqx.Module):
-    """What exploration asks of a reference beside the plan."""
+    """Exploration targets added to the planned reference."""
 
     V: Array  # added to the speed aimed at [m/s]
     s: Float[Array, " K"]  # arc lengths from the first to the last of the drift section [m]
@@ -70,53 +71,53 @@ class Aim(eqx.Module):
 
 
 def no_aim(table: ReferenceTable) -> Aim:
-    """The plan's own speed and path."""
+    """Return zero targets: the planned speed and path."""
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
     return Aim(jnp.zeros(()), s, jnp.zeros(AIM_POINTS))
 
 
 class Planned(eqx.Module):
-    """A reference from a corrected car and how well it was found; where it was not, `table` is what stands in."""
+    """Reference planned on a corrected car with its convergence; where that failed, `table` is the fallback."""
 
     table: ReferenceTable
-    found: Array  # bool
+    converged: Array  # bool
     error: Array  # scaled optimality error and violation, or the residual of the equilibrium [-]
     num_steps: Array
 
 
 class Attempt(NamedTuple):
-    """Where the search for an entry stands."""
+    """State of the homotopy for a planned entry."""
 
     X: Float[Array, "N+1 5"]
     U: Float[Array, "N 2"]
     error: Array  # as in `Planned`
-    share: Array  # of what was learnt that `X`, `U` know of
+    share: Array  # fraction of the learnt residual in `X`, `U`
     num_steps: Array
 
 
 def step_table(table: ReferenceTable, x: State, u: Control) -> ReferenceTable:
-    """The paper's reference: the constant drift state (V_ep, beta_eq, r_b) wherever the drift controller drives."""
+    """Return the paper's reference: the constant drift state (V_ep, beta_eq, r_b) over the drift controller's range."""
     level = lambda value: jnp.broadcast_to(value, table.V.shape)
     new = (level(x.V), level(x.beta), level(x.r), jnp.zeros_like(table.e), level(-x.beta), level(u.delta), level(u.Fxr))
     return eqx.tree_at(lambda t: (t.V, t.beta, t.r, t.e, t.theta, t.delta, t.Fxr), table, new)
 
 
 def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -> int:
-    """Steps of `dt` [s] that the plan takes from `lead` before the drift section to `trail` after it [m]."""
+    """Return the number of steps of `dt` [s] from `lead` before the drift section to `trail` after it [m]."""
     s = np.asarray(table.start + table.spacing * np.arange(POINTS))
     inside = (s >= float(table.drift_start) - lead) & (s <= float(table.drift_end) + trail)
     return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
 
 
 def entry_table(
-    ocp: DriftOCP, table: ReferenceTable, approach: Approach, lead: Array, aim: Aim, options: Options
+    ocp: DriftOCP, table: ReferenceTable, arrival: Arrival, lead: Array, aim: Aim, options: Options
 ) -> Planned:
-    """The planned corner as the model in `ocp` can drive it: one optimal control problem from the straight.
+    """Plan the corner that the model in `ocp` can drive: one optimal control problem from the straight.
 
-    Starts `lead` metres before the drift section as in `approach` and follows path and sideslip of the plan in `table`;
-    speed, yaw rate and inputs come out consistent with the model. `aim` is added to the speed and path aimed at.
-    Where the solve fails it is led from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the
-    horizon keep the plan, and so does everything where that fails too.
+    Starts `lead` metres before the drift section in the state `arrival` and tracks path and sideslip of the plan in
+    `table`; speed, yaw rate and inputs follow from the model. `aim` is added to the target speed and path. Where the
+    solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the horizon
+    keep the plan, as does the whole table where the homotopy fails too.
     """
     s0 = table.drift_start - lead
     s = table.schedule(s0, ocp.horizon, ocp.dt)
@@ -131,11 +132,11 @@ def entry_table(
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
         allowed = Options(options.tolerance, options.barrier, steps)
-        found = solve_mpc(part, approach.x, approach.command, approach.reached, target, X_guess, U_guess, allowed)
+        found = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
         whole = jnp.maximum(found.plan.kkt, found.plan.violation)
-        error = jnp.where(share < 1, jnp.inf, whole)  # a part of the model is a guess, never an answer
+        error = jnp.where(share < 1, jnp.inf, whole)  # a partial model gives a guess, never a solution
         new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)
-        return keep_where(steps > 0, new, last), None
+        return where_tree(steps > 0, new, last), None
 
     first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
     found, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
@@ -146,7 +147,7 @@ def entry_table(
 
 
 def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
-    """`table` with the rows between the ends of `s` taken from the trajectory."""
+    """Replace the rows of `table` between the ends of `s` by the trajectory."""
     grid = table.start + table.spacing * jnp.arange(table.V.shape[0])
     inside = (grid >= s[0]) & (grid <= s[-1])
     put = lambda old, values, at: jnp.where(inside, jnp.interp(grid, at, values), old)

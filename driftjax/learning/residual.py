@@ -1,4 +1,4 @@
-"""From a driven lap to what the model got wrong: rows (z, d) for the GP."""
+"""Compute residuals of a lap: rows (z, d) for the GP."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,31 +22,31 @@ SWEEPS = 2  # fixed-point corrections of the residual; each gains a factor dt ti
 
 
 def smooth(values: Float[Array, " T"]) -> Float[Array, " T"]:
-    """Centred parabola through five samples; the two samples at either end stay as they are."""
+    """Smooth by a centred parabola through five samples; the two samples at either end are unchanged."""
     num = values.shape[0] - WINDOW + 1
     middle = sum(weight * values[i : i + num] for i, weight in enumerate(SMOOTH))
     return jnp.concatenate([values[:2], middle, values[-2:]])
 
 
 def residual_rate(nominal: AnyCar, x: State, u: Control, after: State, dt: Array) -> Float[Array, "3"]:
-    """Constant rate d for which one RK4 step of f + d leads from `x` to `after` [SI per second].
+    """Return the constant rate d for which one RK4 step of f + d leads from `x` to `after` [SI per second].
 
-    It is the definition of d inside the MPC too, so data and prediction agree at any step length.
+    The MPC uses the same definition of d, so that data and prediction agree at any step length.
     """
 
     def correct(_, d: State) -> State:
-        reached = rk4_step(lambda w: jax.tree.map(jnp.add, nominal(w, u), d), x, dt)
-        return jax.tree.map(lambda d, a, b: d + (a - b) / dt, d, after, reached)
+        predicted = rk4_step(lambda w: jax.tree.map(jnp.add, nominal(w, u), d), x, dt)
+        return jax.tree.map(lambda d, a, b: d + (a - b) / dt, d, after, predicted)
 
-    # a loop, because XLA would merge the sweeps into one expression and evaluate its parts again and again
+    # a loop, because XLA would merge the sweeps into one expression and evaluate its parts repeatedly
     return jnp.stack(jax.lax.fori_loop(0, 1 + SWEEPS, correct, jax.tree.map(jnp.zeros_like, x)))
 
 
 def lag_response(command: Float[Array, "T *n"], lag: Array, dt: Array) -> tuple[Array, Array]:
-    """Response of a first-order lag [s] to commands held over steps of `dt` [s]: at each sample, and its mean over
-    the step that follows.
+    """Return the response of a first-order lag [s] to commands held over steps of `dt` [s]: at each sample, and the
+    mean over the step that follows.
 
-    It is 0 before the first command, as the actuators of a plant that rolls off and the driver's memory are.
+    It starts from 0, as do the actuators of a rolling plant and the driver's state.
     """
 
     def step(value, target):
@@ -56,13 +56,13 @@ def lag_response(command: Float[Array, "T *n"], lag: Array, dt: Array) -> tuple[
     return jax.lax.scan(step, jnp.zeros_like(command[0]), command)[1]
 
 
-def reached(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
-    """Mean over each step of what a first-order lag [s] makes of the command held during it."""
+def lagged_input(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Array, " T"]:
+    """Return the mean over each step of the first-order lag response [s] to the command held during it."""
     return lag_response(command, lag, dt)[1]
 
 
 class Samples(NamedTuple):
-    """Consecutive smoothed states of a lap, the commands between them, and which pairs count as data (T-1,)."""
+    """Consecutive smoothed states of a lap, the commands between them, and which pairs are valid (T-1,)."""
 
     before: State
     after: State
@@ -71,10 +71,10 @@ class Samples(NamedTuple):
 
 
 def samples(trace: Trace) -> Samples:
-    """Pairs of measured states from one lap (time on the leading axis).
+    """Return pairs of measured states from one lap (time on the leading axis).
 
-    A pair counts where the drift controller drove, on the way into the corner too, where else the model would be asked
-    for what it has no data of, and where all samples behind its smoothing belong to the lap.
+    A pair is valid where the drift controller drove, including the corner entry, where the model would otherwise have
+    no data, and where the whole smoothing window belongs to the lap.
     """
     x = State(smooth(trace.sensed.V), smooth(trace.sensed.beta), smooth(trace.sensed.r))
     before, after = jax.tree.map(lambda a: a[:-1], x), jax.tree.map(lambda a: a[1:], x)
@@ -89,21 +89,21 @@ def samples(trace: Trace) -> Samples:
 
 
 def rows(nominal: AnyCar, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:
-    """Inputs (T-1, 5), residual rates (T-1, 3) and which rows are data.
+    """Return inputs (T-1, 5), residual rates (T-1, 3) and which rows are valid.
 
-    Only measurements and commands are used. The inputs hold the commands as `reached` through the `lags` of steering
-    and drive [s]: with the bare commands most of the residual would be the lag, which no function of the present
-    state and command can say.
+    Only measurements and commands are used. The inputs hold the commands after the `lags` of steering and drive [s]:
+    with the bare commands most of the residual would be the lag, which no function of the present state and command
+    describes.
     """
-    u = Control(*(reached(command, lag, dt) for command, lag in zip(lap.command, lags, strict=True)))
+    u = Control(*(lagged_input(command, lag, dt) for command, lag in zip(lap.command, lags, strict=True)))
     d = jax.vmap(lambda x, u, after: residual_rate(nominal, x, u, after, dt))(lap.before, u, lap.after)
     mask = lap.mask & jnp.all(jnp.isfinite(d), axis=1)
     z = features(lap.before, u)
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask
 
 
-def claims(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
-    """How the rates at inputs of the GP change with the parameters of the named effects; None of the nominal car."""
+def known_effect_basis(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
+    """Return the derivatives of the rates by the named effect parameters at GP inputs; None for the nominal car."""
     if isinstance(car, SingleTrack):
         return None
 
@@ -115,10 +115,10 @@ def claims(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]
 
 
 def estimate_lags(nominal: AnyCar, lap: Samples, dt: Array) -> Float[Array, "2"]:
-    """Time constants [s] of steering and drive that leave the least of the residual unexplained in one lap.
+    """Estimate the time constants [s] of steering and drive that leave least of the residual unexplained in one lap.
 
-    Every pair on a grid is tried: least sum of log variances left by a linear function of the inputs, which is the
-    maximum likelihood of a linear model with unknown noise per output.
+    All pairs on a grid are compared: least sum of log variances of the residuals of a linear regression on the inputs,
+    which is the maximum likelihood of a linear model with unknown noise per output.
     """
     pairs = dt * jnp.stack(jnp.meshgrid(LAG_STEPS, LAG_STEPS, indexing="ij"), axis=-1).reshape(-1, 2)
 

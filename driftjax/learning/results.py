@@ -1,4 +1,4 @@
-"""What a run found: per stage and controller, and the reductions beside the paper's."""
+"""Summarise a run: figures per stage and controller, and the reductions next to the paper's."""
 
 from typing import Any
 
@@ -9,33 +9,34 @@ from driftjax.learning.metrics import interval, reduction
 from driftjax.learning.scenario import Scenario
 from driftjax.store.variables import code_names
 
-PAPER = {  # Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+# Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+PUBLISHED_REDUCTIONS = {
     "sedan": (52.8, 27.1, 10.6),
     "rc": (36.7, 29.0, 7.2),
 }
 
 
 def results(scenario: Scenario, stages: dict[str, xr.Dataset]) -> dict[str, Any]:
-    """results.json of the run: one entry per stage, and the summary per controller."""
+    """Return the content of results.json: one entry per stage, and the summary per controller."""
     config = scenario.config
     entries = [{"name": name, "controllers": _controllers(data)} for name, data in stages.items()]
     summary = {who: _summary(stages, who, config.car) for who in config.controllers}
     return {"car": config.car, "seed": config.seed, "stages": entries, "summary": summary}
 
 
-def _lanes(data: xr.Dataset, controller: str) -> xr.Dataset:
+def _entries(data: xr.Dataset, controller: str) -> xr.Dataset:
     return data.isel(lane=np.flatnonzero(np.asarray(data["controller"].values) == controller))
 
 
 def _controllers(data: xr.Dataset) -> dict[str, Any]:
     names = list(dict.fromkeys(np.asarray(data["controller"].values).tolist()))
-    return {name: _figures(_lanes(data, name)) for name in names}
+    return {name: _figures(_entries(data, name)) for name in names}
 
 
 def _per_plant(data: xr.Dataset, name: str) -> dict[str, float]:
-    """Mean over noise seeds, per plant: seeds of one plant are not independent plants.
+    """Return the mean over noise seeds per plant: seeds of one plant are not independent plants.
 
-    Of the laps that have the figure; NaN of a plant without one.
+    Over the laps that have the figure; NaN for a plant without one.
     """
     plants, values = np.asarray(data["plant"].values), np.asarray(data[name].values, float)
     of = {plant: values[(plants == plant) & np.isfinite(values)] for plant in dict.fromkeys(plants.tolist())}
@@ -62,16 +63,16 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
 
 
 def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str, np.ndarray] | None:
-    """Lateral error and velocity RMSE per plant of one stage."""
+    """Return lateral error and velocity RMSE per plant of one stage."""
     if stage not in stages:
         return None
-    data = _lanes(stages[stage], controller)
+    data = _entries(stages[stage], controller)
     return {name: np.array(list(_per_plant(data, name).values())) for name in ("lateral_error", "velocity_rmse")}
 
 
 def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
     nominal, gpr, explored = (_lap(stages, name, controller) for name in ("nominal", "gpr-best", "explore-best"))
-    paper = PAPER.get(car, (None, None, None))
+    paper = PUBLISHED_REDUCTIONS.get(car, (None, None, None))
     error = lambda found: None if found is None else float(found["lateral_error"].mean())
     out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored)}
     pairs = {

@@ -1,4 +1,4 @@
-"""`driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
+"""Run `driftjax learn`: the paper's experiment from the first lap to the results, resumable after every stage."""
 
 import io
 from collections.abc import Callable, Collection, Iterator
@@ -13,10 +13,10 @@ from driftjax.core.config import to_dict
 from driftjax.environment import require_float64
 from driftjax.learning.compile_ahead import compile_ahead
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.learning.loop import Progress
 from driftjax.learning.results import results
 from driftjax.learning.scenario import Scenario, build
 from driftjax.learning.stages import drive_stage, first_progress, stage_names
+from driftjax.learning.updates import Progress
 from driftjax.parallel import num_workers as useful_workers
 from driftjax.parallel import process_executor
 from driftjax.planner import load_plan_config
@@ -40,10 +40,10 @@ def learn(
 ) -> RunFolder:
     """Run the paper's experiment: plan, nominal laps, GP laps and active exploration, on a batch of plants.
 
-    `config` may be the name of a shipped car (sedan, rc). What `out` holds already is not driven again, so that a
-    stopped run goes on; `workers` processes drive side by side, one per core where left out, none on a GPU.
-    `report(text, done, total)` hears of every stage. Returns the run folder, with `.results` and `.laps`. Raises
-    `BadInput` for files that do not fit, and where `out` holds a run with another config.
+    `config` may be the name of a shipped car (sedan, rc). Stages already in `out` are not driven again, so that a
+    stopped run continues; `workers` processes drive in parallel, one per core if omitted, none on a GPU. `report(text,
+    done, total)` is called at every stage. Returns the run folder, with `.results` and `.laps`. Raises `BadInput` for
+    files that do not fit, and where `out` holds a run with another config.
     """
     require_float64()
     config = load_learn_config(config) if isinstance(config, str) else config
@@ -52,7 +52,7 @@ def learn(
     folder = RunFolder.open(out) if there else RunFolder.create(out, to_dict(config))
     if folder.config != to_dict(config):
         raise BadInput(f"{out}: holds a run with another config; give another folder.")
-    num = useful_workers(config.num_lanes) if workers is None else workers
+    num = useful_workers(config.batch_size) if workers is None else workers
     run(config, folder, report, num if num > 1 else 0)
     return folder
 
@@ -69,21 +69,21 @@ def check_files(config: LearnConfig) -> None:
 
 
 def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
-    """Drive every stage that `folder` does not hold yet; write and return its results, and collect its laps.
+    """Drive every stage missing in `folder`; write and return the results, and collect the laps.
 
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
     report("plan", 0, len(names) + 1)
-    with process_executor(num_workers) as blocks:
-        scenario = build(config, blocks)
+    with process_executor(num_workers) as executor:
+        scenario = build(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
         report("compile", 0, len(names) + 1)
         compile_ahead(scenario, [name for name in names if name not in done])
-        tell = lambda name: report(name, names.index(name) + 1, len(names) + 1)
-        for name, data, after in drive_stages(scenario, progress, done, tell):
+        before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
+        for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
     found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
     folder.write_json("results", found)
@@ -93,11 +93,11 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 
 
 def drive_stages(
-    scenario: Scenario, progress: Progress, done: Collection[str] = (), tell: Callable[[str], object] = str
+    scenario: Scenario, progress: Progress, done: Collection[str] = (), before_stage: Callable[[str], object] = str
 ) -> Iterator[tuple[str, xr.Dataset, Progress]]:
-    """Name, laps and progress of every stage that is not `done`, as it ends; `tell` hears of each before it begins."""
+    """Yield name, laps and progress of every stage not in `done`; `before_stage` is called before each of them."""
     for index, name in enumerate(stage_names(scenario.config)):
-        tell(name)
+        before_stage(name)
         driven = None if name in done else drive_stage(scenario, progress, name, index)
         if driven is not None:
             progress, data = driven
@@ -111,7 +111,7 @@ def _dump(progress: Progress) -> bytes:
 
 
 def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
-    """What the stage after `name` starts from."""
+    """Read the progress after the stage `name`."""
     try:
         return eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(name)), first_progress(scenario))
     except (RuntimeError, ValueError, EOFError) as error:

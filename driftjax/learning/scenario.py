@@ -1,4 +1,4 @@
-"""What an experiment drives: plants, path, sensors, seeds and controllers as one batch of lanes."""
+"""Set up an experiment: plants, path, sensors, seeds and controllers as one batch."""
 
 import dataclasses
 from typing import NamedTuple
@@ -34,13 +34,13 @@ from driftjax.vehicle import (
 )
 from driftjax.vehicle.single_track import G
 
-# What a lane's noise key is folded in with, beside the number of a stage for the noise of its lap; it draws nothing
+# Offsets folded into an entry's noise key, besides stage numbers for the noise of laps; the key itself draws nothing
 LEARNING, SPEEDS = 1000, 2000
 
 
 @dataclasses.dataclass(frozen=True)
-class Lane:
-    """Who is driven by whom with which noise."""
+class BatchEntry:
+    """Plant, controller and noise seed of one batch entry."""
 
     plant: str
     controller: str
@@ -49,7 +49,7 @@ class Lane:
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """Everything that stays the same over the stages of one run."""
+    """Constant data of a run."""
 
     config: LearnConfig
     vehicle: VehicleConfig
@@ -62,30 +62,30 @@ class Scenario:
     x_eq: State  # nominal drift equilibrium of the corner
     u_eq: Control
     branch: Branch  # its kind
-    lanes: tuple[Lane, ...]
-    plants: AnyPlant  # one per lane
-    keys: Array  # noise key of each lane, a parent only
+    batch: tuple[BatchEntry, ...]
+    plants: AnyPlant  # one per entry
+    keys: Array  # noise key of each entry, used as a parent only
     sensors: SensorConfig
     horizon: int  # stages of the entry problem
-    blocks: BatchExecutor  # how lanes are computed
+    executor: BatchExecutor  # evaluates the batch
 
     @property
-    def num_lanes(self) -> int:
-        """Number of lanes."""
-        return len(self.lanes)
+    def batch_size(self) -> int:
+        """Number of batch entries."""
+        return len(self.batch)
 
-    def over_lanes(self, tree):
-        """`tree` repeated along a leading axis of lanes."""
-        return repeated(tree, self.num_lanes)
+    def over_batch(self, tree):
+        """Repeat `tree` along a leading batch axis."""
+        return repeated(tree, self.batch_size)
 
 
 def repeated(tree, num: int):
-    """`tree` repeated `num` times along a leading axis."""
+    """Repeat `tree` `num` times along a leading axis."""
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
 
 
 class Route(NamedTuple):
-    """What is known of car and track before anything is driven."""
+    """Car, track and plan before any lap."""
 
     vehicle: VehicleConfig
     nominal: AnyCar  # with the effects that were named
@@ -100,7 +100,7 @@ class Route(NamedTuple):
 def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route:
     """Read the car and track that `config` names and plan the lap; raises `BadInput` for what does not fit.
 
-    A `vehicle` given goes before the one that `config` names, and keeps its own friction ellipse.
+    A given `vehicle` overrides the one in `config`, and keeps its own friction ellipse.
     """
     vehicle = load_vehicle(config.vehicle).with_combined_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
@@ -114,29 +114,29 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
     nominal, where = build_car(vehicle), corner(table, config.drift_beta)
-    return Route(vehicle, nominal, track, lap, table, where, *held(nominal, where, config))
+    return Route(vehicle, nominal, track, lap, table, where, *nominal_drift(nominal, where, config))
 
 
 def build(
-    config: LearnConfig, blocks: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
+    config: LearnConfig, executor: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
 ) -> Scenario:
-    """Lay out the lanes of `config`, on a `route` that is known already or its own; raises as `route_of` does.
+    """Set up the batch of `config`, on a given `route` or its own; raises as `route_of` does.
 
-    All lanes are `on` the plant that is given, told with its name.
+    With `on` (name, plant) all entries use that plant.
     """
     vehicle, nominal, track, lap, table, where, steady, branch = route_of(config) if route is None else route
-    lanes, plants, keys = lay_out(config, on, float(track.length))
+    batch, plants, keys = lay_out(config, on, float(track.length))
     return Scenario(
         config, vehicle, nominal, actuator_lags(vehicle), track, lap, table, where, steady.x, steady.u, branch,
-        lanes, plants, keys, load_sensors(config.sensors),
-        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), blocks,
+        batch, plants, keys, load_sensors(config.sensors),
+        entry_horizon(table, config.switch.lead, config.switch.trail, config.mpc.dt), executor,
     )  # fmt: skip
 
 
 def lay_out(
     config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
-) -> tuple[tuple[Lane, ...], AnyPlant, Array]:
-    """Lanes with their plants and noise keys: every controller, plant and seed; all `on` one plant where it is given.
+) -> tuple[tuple[BatchEntry, ...], AnyPlant, Array]:
+    """Return the batch with plants and noise keys: every controller, plant and seed; all `on` one plant where given.
 
     `lap` is the length of the track [m].
     """
@@ -144,25 +144,25 @@ def lay_out(
     plants = [] if on else load_plants(config.plant) or draw_plants(*drawn)
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
-        (Lane(name, controller, seed), index)
+        (BatchEntry(name, controller, seed), index)
         for controller in config.controllers
         for index, name in enumerate(names)
         for seed in range(config.noise_seeds)
     ]
     noise = jax.random.key(config.seed)
     keys = [
-        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), lane.seed) for lane, index in each
+        jax.random.fold_in(jax.random.fold_in(noise, config.first_plant + index), entry.seed) for entry, index in each
     ]
     if on:
         batch = repeated(on[1], len(each))
     else:
         batch = batch_of([plants[index] for _, index in each], lap, config.mpc.dt / config.lap.substeps)
-    return tuple(lane for lane, _ in each), batch, jnp.stack(keys)
+    return tuple(entry for entry, _ in each), batch, jnp.stack(keys)
 
 
-def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
-    """The steady state aimed at in the corner, and its kind: a drift or, where the tyres have no peak below such a
-    sideslip, as those of a car with driven wheels at both ends may, a slide within it."""
+def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
+    """Return the steady state of the corner and its branch: a drift or, where the tyres have no peak below such a
+    sideslip, as may be with driven wheels at both ends, a slide below the peak."""
     fixed = SlipRadius(where.beta, where.R)
     steady = solve_steady(car, fixed, branch=Branch.COUNTERSTEER)
     if bool(steady.result == RESULTS.successful):
@@ -177,19 +177,19 @@ def held(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, 
 
 
 def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
-    """The MPC problem of every lane, with each lane's own residual (leading axis) and its controller's weights."""
+    """Build the MPC problem of every entry, with its own residual (leading axis) and its controller's weights."""
     config = scenario.config
-    weights = [config.path if lane.controller == "path" else config.paper for lane in scenario.lanes]
+    weights = [config.path if entry.controller == "path" else config.paper for entry in scenario.batch]
     return _problems(scenario, config.mpc, weights, residual)
 
 
 def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
-    """Every lane's problem of planning the corner anew: the path controller's, with a dearer lateral error."""
+    """Build every entry's corner planning problem: the path controller's, with a larger weight on lateral error."""
     config = scenario.config
     path = config.path
     weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
     mpc = dataclasses.replace(config.mpc, horizon=scenario.horizon)
-    return _problems(scenario, mpc, [weights] * scenario.num_lanes, residual)
+    return _problems(scenario, mpc, [weights] * scenario.batch_size, residual)
 
 
 def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residual: Residual) -> DriftOCP:
@@ -200,7 +200,7 @@ def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residu
 
 
 def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
-    """The drivers of all lanes: `kind` drives the drift section along `table` (leading axis of lanes)."""
+    """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)
     first = jax.tree.map(lambda a: a[0], ocp)
@@ -208,7 +208,7 @@ def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Resi
     options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
     switch: SwitchConfig = config.switch
     shared = (pure_pursuit(config.pursuit, vehicle), gain)
-    pursuit, gain = scenario.over_lanes(shared)
-    limits = scenario.over_lanes(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
-    path, options = scenario.over_lanes((scenario.plan.path, options))
+    pursuit, gain = scenario.over_batch(shared)
+    limits = scenario.over_batch(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
+    path, options = scenario.over_batch((scenario.plan.path, options))
     return Driver(kind, path, table, pursuit, gain, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]

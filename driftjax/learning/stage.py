@@ -1,4 +1,4 @@
-"""One stage of the experiment: every lane drives one lap, and what came of it."""
+"""Drive one stage of the experiment: one lap per batch entry, and its figures."""
 
 import equinox as eqx
 import jax
@@ -17,20 +17,20 @@ from driftjax.sim.sensors import SensorConfig
 MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
 
 
-class Stage(eqx.Module):
-    """Laps of one stage, the references they tracked and their figures (leading axis of lanes)."""
+class StageResult(eqx.Module):
+    """Laps of one stage, the references they tracked and their figures (leading axis: batch)."""
 
     laps: Laps
     table: ReferenceTable
-    V_ref: Array  # reference speed where the car was (lanes, steps)
+    V_ref: Array  # reference speed where the car was (batch, steps)
     figures: LapFigures
 
 
-def drive_lanes(
-    lanes: tuple[Driver, AnyPlant, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
+def drive_batch(
+    batch: tuple[Driver, AnyPlant, Array, Array], sensors: SensorConfig, lap: LapConfig, dt: float
 ) -> tuple[Trace, Array, Array, LapFigures]:
-    """Traces, lap codes, reference speeds and figures of lanes given as (drivers, plants, first speeds, keys)."""
-    drivers, plants, speed, keys = lanes
+    """Return traces, lap codes, reference speeds and figures of entries (drivers, plants, initial speeds, keys)."""
+    drivers, plants, speed, keys = batch
     memory = vmap_batch(lambda d: d.start())(drivers)
     policy = lambda sensed, memory, alive: decide(drivers, sensed, memory, alive)
     laps = drive(plants, drivers.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
@@ -41,18 +41,18 @@ def drive_lanes(
     return laps.trace, laps.code, V_ref, figures
 
 
-def run_stage(scenario: Scenario, drivers: Driver, number: int) -> Stage:
-    """Drive stage `number` in every lane; each stage has noise of its own."""
+def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
+    """Drive stage `number` for the whole batch; each stage has its own noise."""
     config = scenario.config
     keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
-    speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
-    lanes = (drivers, scenario.plants, speed, keys)
-    trace, code, V_ref, figures = scenario.blocks.map(drive_lanes, lanes, scenario.sensors, config.lap, config.mpc.dt)
-    return Stage(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
+    speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
+    batch = (drivers, scenario.plants, speed, keys)
+    trace, code, V_ref, figures = scenario.executor.map(drive_batch, batch, scenario.sensors, config.lap, config.mpc.dt)
+    return StageResult(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
 
 
-def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.ndarray]:
-    """The stage as named arrays, ready for the run folder (see `driftjax.store.variables`)."""
+def stage_values(scenario: Scenario, stage: StageResult, kind: str) -> dict[str, np.ndarray]:
+    """Return the stage as named arrays for the run folder (see `driftjax.store.variables`)."""
     trace, table = stage.laps.trace, stage.table
     row = jax.vmap(lambda t, s: jax.vmap(lambda one: t.state(one)[0])(s))
     reference = row(table, trace.s)
@@ -65,9 +65,9 @@ def stage_values(scenario: Scenario, stage: Stage, kind: str) -> dict[str, np.nd
     values |= {"code": stage.laps.code, **stage.figures._asdict()}
     values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
     values |= {
-        "plant": np.array([lane.plant for lane in scenario.lanes], object),
-        "controller": np.array([kind if kind != "mpc" else lane.controller for lane in scenario.lanes], object),
-        "seed": np.array([lane.seed for lane in scenario.lanes]),
+        "plant": np.array([entry.plant for entry in scenario.batch], object),
+        "controller": np.array([kind if kind != "mpc" else entry.controller for entry in scenario.batch], object),
+        "seed": np.array([entry.seed for entry in scenario.batch]),
     }
     return {name: np.asarray(value) for name, value in values.items()}
 

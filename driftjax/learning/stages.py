@@ -1,4 +1,4 @@
-"""The stages of `driftjax learn`, each one lap of every lane: what is driven, and what is learnt from it."""
+"""Stages of `driftjax learn`, each one lap per batch entry: what is driven, and what is learnt from it."""
 
 import dataclasses
 
@@ -6,24 +6,25 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.learning.arrival import planned_approach
+from driftjax.learning.arrival import planned_arrival
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.explore import Candidates, candidates, choose, offset, remaining
-from driftjax.learning.loop import Progress, plan_reference, remember, start
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS, Aim, Planned
 from driftjax.learning.scenario import Scenario, drivers
-from driftjax.learning.stage import CODES, Stage, run_stage, stage_values
-from driftjax.sim import keep_where
+from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
+from driftjax.learning.updates import Progress, plan_reference, start, update_progress
+from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.vehicle import Residual
 
 
 def stage_names(config: LearnConfig) -> list[str]:
-    """All stages that a run may have, in order; GP laps end early where they converge.
+    """List all stages that a run may have, in order; GP laps end early where they converge.
 
-    The `-best` stages drive each lane's best setting again with fresh noise: a lap picked for its low error says
-    little of the setting's, one driven afterwards does. They alone enter the summary, and nothing is learnt there.
+    The `-best` stages drive each entry's best setting again with fresh noise: a lap selected for its low error is a
+    biased estimate of the setting, a lap driven afterwards is not. Only they enter the summary, and nothing is learnt
+    there.
     """
     names = ["pursuit", "lqr"] if config.compare else []
     names += ["paper"] if config.compare and "paper" not in config.controllers else []
@@ -36,16 +37,16 @@ def stage_names(config: LearnConfig) -> list[str]:
 
 
 def first_progress(scenario: Scenario) -> Progress:
-    """What the first stage starts from."""
-    lanes, K = scenario.num_lanes, scenario.config.explore.num_sets
-    curve = jnp.zeros((lanes, AIM_POINTS))
-    sets = jnp.zeros((lanes, K, AIM_POINTS))
-    none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((lanes, K), bool))
+    """Return the progress before the first stage."""
+    batch, K = scenario.batch_size, scenario.config.explore.num_sets
+    curve = jnp.zeros((batch, AIM_POINTS))
+    sets = jnp.zeros((batch, K, AIM_POINTS))
+    none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((batch, K), bool))
     return start(scenario, none)
 
 
 def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
-    """Progress after stage `name` and its dataset; None where there is nothing to drive in it."""
+    """Drive stage `name` and return the progress and its dataset; None if the stage has nothing to drive."""
     kind = name.split("-")[0]
     if name.endswith("-best"):
         return _best(scenario, progress, name, number)
@@ -53,66 +54,68 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
         return _explore(scenario, progress, number)
     if kind == "gpr":
         return None if bool(progress.converged) else _gpr(scenario, progress, number)
-    untaught = _untaught(scenario)
-    plan = scenario.over_lanes(scenario.table)
+    initial = _initial_residual(scenario)
+    plan = scenario.over_batch(scenario.table)
     if kind in ("pursuit", "lqr"):
-        stage = run_stage(scenario, drivers(scenario, kind, plan, untaught), number)
+        stage = run_stage(scenario, drivers(scenario, kind, plan, initial), number)
         return progress, _data(scenario, stage, kind)
     if kind == "paper":  # the paper's own cost, nominal car: how often it fails is part of the comparison
-        lanes = tuple(dataclasses.replace(lane, controller="paper") for lane in scenario.lanes)
-        other, planned = dataclasses.replace(scenario, lanes=lanes), _nominal_reference(scenario, untaught)
-        stage = run_stage(other, drivers(other, "mpc", planned.table, untaught), number)
+        batch = tuple(dataclasses.replace(entry, controller="paper") for entry in scenario.batch)
+        other, planned = dataclasses.replace(scenario, batch=batch), _nominal_reference(scenario, initial)
+        stage = run_stage(other, drivers(other, "mpc", planned.table, initial), number)
         return progress, _data(other, stage, "mpc", planned=planned)
     if kind == "single":  # the GP in the MPC, the reference from the nominal car
-        residual = progress.memory.residual
-        planned = _nominal_reference(scenario, untaught)
+        residual = progress.model_state.residual
+        planned = _nominal_reference(scenario, initial)
         stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
         return progress, _data(scenario, stage, "mpc", residual, planned=planned)
     stage, planned = drive_nominal(scenario, number)
-    return remember(scenario, progress, stage, None, number), _data(scenario, stage, "mpc", untaught, planned=planned)
-
-
-def drive_nominal(scenario: Scenario, number: int) -> tuple[Stage, Planned]:
-    """One lap of every lane by the drift MPC before anything is learnt, and the reference that it tracked."""
-    untaught = _untaught(scenario)
-    planned = _nominal_reference(scenario, untaught)
-    return run_stage(scenario, drivers(scenario, "mpc", planned.table, untaught), number), planned
-
-
-def _untaught(scenario: Scenario) -> Residual:
-    """What every lane knows before its first lap."""
-    return scenario.over_lanes(empty(scenario.config.gp, scenario.lags).residual)
-
-
-def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
-    """What the reference, and what the MPC, knows of what was learnt."""
-    layers = scenario.config.layers
-    return (
-        _untaught(scenario) if layers == "mpc" else residual,
-        _untaught(scenario) if layers == "reference" else residual,
+    return update_progress(scenario, progress, stage, None, number), _data(
+        scenario, stage, "mpc", initial, planned=planned
     )
 
 
-def _nominal_reference(scenario: Scenario, untaught: Residual) -> Planned:
-    """The reference as the nominal car can drive it; the planner's may have more grip."""
-    approach = scenario.over_lanes(planned_approach(scenario.table, scenario.config.switch.lead))
-    return plan_reference(scenario, untaught, approach)
+def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned]:
+    """Drive one lap per entry by the drift MPC before learning, and return it with the reference that it tracked."""
+    initial = _initial_residual(scenario)
+    planned = _nominal_reference(scenario, initial)
+    return run_stage(scenario, drivers(scenario, "mpc", planned.table, initial), number), planned
+
+
+def _initial_residual(scenario: Scenario) -> Residual:
+    """Return the residual of every entry before its first lap."""
+    return scenario.over_batch(empty(scenario.config.gp, scenario.lags).residual)
+
+
+def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
+    """Return the residuals that the reference and the MPC may use."""
+    layers = scenario.config.layers
+    return (
+        _initial_residual(scenario) if layers == "mpc" else residual,
+        _initial_residual(scenario) if layers == "reference" else residual,
+    )
+
+
+def _nominal_reference(scenario: Scenario, initial: Residual) -> Planned:
+    """Return the reference that the nominal car can drive; the planner's car may have more grip."""
+    arrival = scenario.over_batch(planned_arrival(scenario.table, scenario.config.switch.lead))
+    return plan_reference(scenario, initial, arrival)
 
 
 def _gpr(scenario: Scenario, progress: Progress, number: int):
-    """One GP lap: reference and MPC from what was learnt, then learn from it."""
-    known, residual = _layers(scenario, progress.memory.residual)
-    planned = plan_reference(scenario, known, progress.approach)
+    """Drive one GP lap: reference and MPC use the learnt model, then it is updated."""
+    known, residual = _layers(scenario, progress.model_state.residual)
+    planned = plan_reference(scenario, known, progress.arrival)
     stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
-    progress = remember(scenario, progress, stage, residual, number)
+    progress = update_progress(scenario, progress, stage, residual, number)
     change = jnp.abs(before - progress.last_error) / progress.last_error
     progress = eqx.tree_at(lambda p: p.converged, progress, jnp.all(change < scenario.config.converged))
     return progress, _data(scenario, stage, "mpc", residual, planned=planned)
 
 
 def _best(scenario: Scenario, progress: Progress, name: str, number: int):
-    """Each lane's best setting once more; before exploration its lap also makes the V-sets."""
+    """Repeat each entry's best setting; before exploration its lap also gives the V-sets."""
     if name == "explore-best" and not bool(progress.explored):
         return None
     best = progress.best
@@ -120,34 +123,36 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if not scenario.config.explore.num_sets:
         return progress, _data(scenario, stage, "mpc", best.residual)
     if name == "gpr-best":
-        found = candidates(scenario, stage.laps.trace, progress.memory.residual, jnp.zeros_like(progress.found.aimed))
-        progress = eqx.tree_at(lambda p: p.found, progress, found)
-    return progress, _data(scenario, stage, "mpc", best.residual, progress.found)
+        found = candidates(
+            scenario, stage.laps.trace, progress.model_state.residual, jnp.zeros_like(progress.candidates.aimed)
+        )
+        progress = eqx.tree_at(lambda p: p.candidates, progress, found)
+    return progress, _data(scenario, stage, "mpc", best.residual, progress.candidates)
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
-    """One lap of Algorithm 1: choose, plan, drive, learn; None where every lane has driven all its sets."""
-    found, residual = progress.found, progress.memory.residual
+    """Drive one lap of Algorithm 1: choose, plan, drive, learn; None where every entry has driven all its sets."""
+    found, residual = progress.candidates, progress.model_state.residual
     chosen, V_ep, left = choose(scenario, found, residual)
     if not bool(jnp.any(left)):
         return None
     known, residual = _layers(scenario, residual)
     aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
-    planned = plan_reference(scenario, known, progress.approach, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
-    # a lane that has driven all its sets repeats its best
-    table, used = keep_where(left, (planned.table, residual), (progress.best.table, progress.best.residual))
+    planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
+    # an entry that has driven all its sets repeats its best
+    table, used = where_tree(left, (planned.table, residual), (progress.best.table, progress.best.residual))
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
     before = progress.best.error
-    progress = remember(scenario, progress, stage, used, number)
+    progress = update_progress(scenario, progress, stage, used, number)
     better = progress.best.error < before
-    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, progress.memory.residual)
-    progress = eqx.tree_at(lambda p: (p.found, p.explored), progress, (rest, jnp.asarray(True)))
+    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, progress.model_state.residual)
+    progress = eqx.tree_at(lambda p: (p.candidates, p.explored), progress, (rest, jnp.asarray(True)))
     return progress, _data(scenario, stage, "mpc", used, found, planned)
 
 
 def _data(
     scenario: Scenario,
-    stage: Stage,
+    stage: StageResult,
     kind: str,
     residual: Residual | None = None,
     found: Candidates | None = None,
@@ -155,16 +160,21 @@ def _data(
 ):
     values = stage_values(scenario, stage, kind)
     if planned is not None:
-        values |= {"reference_found": planned.found, "reference_error": planned.error}
+        values |= {"reference_found": planned.converged, "reference_error": planned.error}
     if residual is not None:
-        values |= {"gp_Z": residual.gp.Z, "gp_mask": residual.gp.mask, "gate": residual.gate, "lags": residual.lags}
+        values |= {
+            "gp_Z": residual.gp.Z,
+            "gp_mask": residual.gp.mask,
+            "gate": residual.trust_factor,
+            "lags": residual.lags,
+        }
         values |= {"feature": np.array(FEATURES, object), "output": np.array(OUTPUTS, object)}
         values["input"] = np.array(INPUTS, object)
     if found is not None:
         widest = found.widest[:, None]
         values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}
         values |= {"vset_lower": found.origin - widest, "vset_upper": found.origin + widest}
-    if kind != "mpc":  # these drivers do not depend on the controller: one block of lanes says it all
-        num = scenario.num_lanes // len(scenario.config.controllers)
+    if kind != "mpc":  # these drivers do not depend on the controller: one block of entries suffices
+        num = scenario.batch_size // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}
     return dataset({name: np.asarray(value) for name, value in values.items()}, {"codes": CODES})

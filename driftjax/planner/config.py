@@ -1,4 +1,4 @@
-"""What a person may choose about a minimum-time plan."""
+"""Options of the minimum-time planner."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class PlanConfig:
     entry_speed: float = 12.31
     """Speed at the start, where the car rolls straight along the centre line [m/s]."""
     V_fair: float | None = None
-    """Speed from which going faster earns hardly any time [m/s]; left out: no limit. Smooth, unlike `V_max`."""
+    """Speed from which going faster saves hardly any time [m/s]; omitted: no limit. Smooth, unlike `V_max`."""
     num_nodes: int | None = None
     """Nodes along the track, both ends included; left out: 0.15 wheelbases apart, but at least 301."""
     V_min: float = 3.0
@@ -31,9 +31,9 @@ class PlanConfig:
     end_slip: float = 0.1
     """Largest sideslip, and angle between course and track, at the end [rad]."""
     drift: bool = True
-    """Whether tight corners must be taken sideways: at minimum time this model grips unless told to drift."""
+    """Whether tight corners must be drifted: at minimum time this model grips unless constrained to drift."""
     beta_d: float = 0.349066
-    """Sideslip that the drift device demands at least, out of the corner [rad]."""
+    """Least sideslip that the drift device requires, out of the corner [rad]."""
     drift_radius: float = 18.0
     """Corners tighter than this radius are drifted [m]."""
     drift_angle: float = 1.2
@@ -49,12 +49,12 @@ class PlanConfig:
     label_beta: float = 0.15
     """Sideslip, opposite in sign to the yaw rate, from which a node is labelled a drift [rad]."""
     rate_weight: float = 0.002
-    """Seconds paid per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
+    """Cost in seconds per second of full steering rate, and of full force rate: keeps the inputs smooth [-]."""
     course_weight: float = 0.0
-    """Seconds paid per second and squared radian between course and track: keeps straights from being weaved along."""
+    """Cost in seconds per second and squared radian between course and track: prevents weaving on straights."""
     front_slip: float = 0.0
-    """Seconds paid per second and squared radian of front slip beyond the tyre's peak: without it a plan may brake by
-    a saturated front, which no controller can steer from."""
+    """Cost in seconds per second and squared radian of front slip beyond the tyre's peak: without it a plan may brake
+    by a saturated front, which no controller can steer from."""
     friction_share: float = 1.0
     """Friction that the plan may use, over the nominal car's [-]: leaves room to drift where grip would do."""
     combined_slip: float = 0.0
@@ -63,7 +63,7 @@ class PlanConfig:
     brake_share: float = 1.0
     """Braking force that the plan may use, over the car's [-]."""
     steer_share: float = 1.0
-    """Steering angle that the plan may use, over the car's [-]: what is left is there to catch a slide."""
+    """Steering angle that the plan may use, over the car's [-]: the rest is reserved for catching a slide."""
     lead: float = 0.15
     """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
     tolerance: float = 1e-6
@@ -114,7 +114,7 @@ class PlanConfig:
         require(ordered, "keys 'drift_from' and 'drift_to' must lie in 0..1, with room between them for two ramps.")
 
     def planned(self, vehicle: VehicleConfig) -> VehicleConfig:
-        """The car as the planner may use it; a friction ellipse that was named is known and stays as it is."""
+        """Return the car as the planner may use it; a named friction ellipse is known and unchanged."""
         brake = self.brake_share * vehicle.Fxr_min
         known = any(one.effect == "combined_slip" for one in vehicle.effects)
         return dataclasses.replace(
@@ -127,6 +127,6 @@ class PlanConfig:
 
 
 def load_plan_config(name: str | Path) -> PlanConfig:
-    """Read planner options from a YAML: a path, or a shipped name (`sedan`, `rc`)."""
+    """Load planner options from a YAML: a path, or a shipped name (`sedan`, `rc`)."""
     path = find_config("plan", name)
     return from_dict(PlanConfig, read_yaml(path), str(path))

@@ -1,4 +1,4 @@
-"""A minimum-time plan as a dataset, and as a table for a spreadsheet."""
+"""Convert a minimum-time plan to a dataset, and to a CSV table."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ NODES = ("s", "t", "V", "beta", "r", "e", "theta", "delta", "Fxr", "x", "y", "ps
 
 
 def plan_dataset(plan: Any, track: Any, car: str) -> xr.Dataset:
-    """plan.nc from a `driftjax.planner.Plan` along a `driftjax.track.Track` of the car named `car`."""
+    """Build plan.nc from a `driftjax.planner.Plan` along a `driftjax.track.Track` of the car named `car`."""
     left, right = (jax.vmap(track.position)(track.s, side) for side in (track.w_left, -track.w_right))
     values = {name: getattr(plan, name) for name in NODES}
     values |= {"track_x": track.x, "track_y": track.y}
@@ -31,7 +31,7 @@ def plan_dataset(plan: Any, track: Any, car: str) -> xr.Dataset:
 
 
 def write_plan_csv(path: Path, data: xr.Dataset) -> None:
-    """The nodes of plan.nc as CSV: one row per node, a header with name and unit."""
+    """Write the nodes of plan.nc as CSV: one row per node, a header with name and unit."""
     names = [name for name in NODES if name in data]
     columns = np.stack([np.asarray(data[name], float) for name in names], axis=1)
     header = ",".join(f"{name} [{PLAN[name].units}]" for name in names)

@@ -1,10 +1,10 @@
-"""A filter line-search interior point for long, strongly nonlinear stage-wise problems.
+"""A filter line-search interior point method for long, strongly nonlinear stage-wise problems.
 
-The drift MPC's solver walks on roll-outs and an l1 merit function, which suits short horizons solved from warm
-starts. A minimum-time plan starts far from feasible over hundreds of stages; there the filter method with inertia
-correction is the more dependable (Waechter and Biegler 2006, "On the implementation of an interior-point filter
-line-search algorithm", Math. Program. 106; equations below are its). No restoration phase: where no trial step is
-acceptable the Hessian is shifted, which turns the step towards feasibility.
+The drift MPC's solver uses roll-outs and an l1 merit function, which suits short horizons solved from warm starts. A
+minimum-time plan starts far from feasible over hundreds of stages; there the filter method with inertia correction is
+more robust (Waechter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", Math.
+Program. 106; equation numbers below refer to it). No restoration phase: where no trial step is acceptable the Hessian
+is shifted, which turns the step towards feasibility.
 """
 
 from typing import NamedTuple
@@ -65,7 +65,7 @@ class _Problem(eqx.Module):
         return jnp.sum(stage) + self.ocp.terminal(w.X[-1], self.last)
 
     def misfit(self, w: Point) -> tuple[Array, Array]:
-        """Gaps minus slacks, which have to vanish."""
+        """Return gaps minus slacks, which must vanish."""
         gaps = (
             jax.vmap(self.ocp.constraints)(w.X[:-1], w.U, self.stages),
             self.ocp.terminal_constraints(w.X[-1], self.last),
@@ -73,11 +73,11 @@ class _Problem(eqx.Module):
         return jax.tree.map(jnp.subtract, gaps, w.slack)
 
     def defects(self, w: Point) -> tuple[Array, tuple[Array, Array]]:
-        """What has to vanish: the dynamics' defects, and gaps minus slacks."""
+        """Return the defects of the dynamics, and gaps minus slacks; all must vanish."""
         return jax.vmap(self.ocp.step)(w.X[:-1], w.U, self.stages) - w.X[1:], self.misfit(w)
 
     def barrier_objective(self, w: Point, barrier: Array) -> Array:
-        """What is minimised for this barrier parameter."""
+        """Return the objective with the barrier term."""
         return self.objective(w) - barrier * sum(jnp.sum(jnp.log(s)) for s in w.slack)
 
     def gap_step(self, dX: Array, dU: Array) -> tuple[Array, Array]:
@@ -85,7 +85,7 @@ class _Problem(eqx.Module):
         return stage, self.GN @ dX[-1]
 
     def hessian(self, w: Point, costates: Array) -> tuple[Array, Array]:
-        """Hessians of the stages' Lagrangian in (x, u), and of the last state's cost."""
+        """Return the Hessians of the stages' Lagrangian in (x, u), and of the last state's cost."""
         nx = w.X.shape[1]
 
         def lagrangian(v, costate, p):
@@ -116,7 +116,7 @@ def _linearise(problem: _Problem, w: Point) -> Model:
 
 
 def _gradient(problem: _Problem, m: Model, w: Point, dual, misfit, barrier: Array) -> tuple[Array, Array, Array]:
-    """Right-hand side of the Newton system for given gap misfits, slacks and duals eliminated."""
+    """Return the right-hand side of the Newton system for given gap misfits, slacks and duals eliminated."""
     pull = jax.tree.map(lambda z, s, c: z / s * c - barrier / s, dual, w.slack, misfit)
     hx = m.cost_x + jnp.einsum("kgi,kg->ki", problem.Gx, pull[0])
     hu = m.cost_u + jnp.einsum("kgi,kg->ki", problem.Gu, pull[0])
@@ -124,7 +124,7 @@ def _gradient(problem: _Problem, m: Model, w: Point, dual, misfit, barrier: Arra
 
 
 def _factor(problem: _Problem, m: Model, loop: Loop) -> tuple[Sweep, Array]:
-    """Factorised Newton system with the least shift that makes it convex (Sec. 3.1)."""
+    """Factorise the Newton system with the smallest shift that makes it convex (Sec. 3.1)."""
     H, HN = problem.hessian(loop.w, loop.costates)
     weight = jax.tree.map(lambda z, s: z / s, loop.dual, loop.w.slack)
     G = jnp.concatenate([problem.Gx, problem.Gu], axis=2)
@@ -153,7 +153,7 @@ def _to_boundary(values, steps, share: Array) -> Array:
 
 
 def _violation(dynamics: Array, misfit: tuple[Array, Array]) -> Array:
-    """Total of what should vanish."""
+    """Return the total constraint violation."""
     return jnp.sum(jnp.abs(dynamics)) + sum(jnp.sum(jnp.abs(c)) for c in misfit)
 
 
@@ -174,7 +174,7 @@ def _along(w: Point, d: Point, length: Array) -> Point:
 
 
 class Trial(NamedTuple):
-    """A point tried in the line search."""
+    """A trial point of the line search."""
 
     w: Point
     dynamics: Array  # defects there
@@ -187,7 +187,7 @@ class Trial(NamedTuple):
 
 
 def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -> tuple[Trial, Array]:
-    """Filter line search (Sec. 2.3), and the filter after it; the second trial may be a correction (Sec. 2.4)."""
+    """Run the filter line search (Sec. 2.3) and update the filter; the second trial may be a correction (Sec. 2.4)."""
     w, barrier, d = loop.w, loop.barrier, step.d
     theta, phi = _violation(m.dynamics, m.misfit), problem.barrier_objective(w, barrier)
     slope = jnp.sum(m.cost_x * d.X[:-1]) + jnp.sum(m.cost_u * d.U) + m.grad_N @ d.X[-1]
@@ -230,7 +230,7 @@ def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -
 
 
 def _errors(problem: _Problem, m: Model, w: Point, costates: Array, dual, barrier: Array) -> tuple[Array, Array]:
-    """Scaled optimality error (Eq. 5) for a barrier parameter, and worst violation."""
+    """Return the scaled optimality error (Eq. 5) for a barrier parameter, and the worst violation."""
     before = jnp.concatenate([jnp.zeros_like(costates[:1]), costates[:-1]])
     along_x = (
         m.cost_x + jnp.einsum("kij,ki->kj", m.A, costates) - before - jnp.einsum("kgi,kg->ki", problem.Gx, dual[0])
@@ -251,7 +251,7 @@ def _errors(problem: _Problem, m: Model, w: Point, costates: Array, dual, barrie
 
 
 def _judge(problem: _Problem, m: Model, loop: Loop, options: Options) -> Loop:
-    """How good the iterate is; a barrier problem that is solved well enough gives way to the next."""
+    """Evaluate the iterate; reduce the barrier parameter once its problem is solved accurately enough."""
     w, barrier = loop.w, loop.barrier
     kkt, violation = _errors(problem, m, w, loop.costates, loop.dual, jnp.zeros_like(barrier))
     error = jnp.max(jnp.stack(_errors(problem, m, w, loop.costates, loop.dual, barrier)))
@@ -267,7 +267,7 @@ def _judge(problem: _Problem, m: Model, loop: Loop, options: Options) -> Loop:
 
 
 def _move(problem: _Problem, m: Model, loop: Loop) -> Loop:
-    """The next iterate; the same one where no step was acceptable."""
+    """Return the next iterate; the same one where no step was acceptable."""
     w, barrier = loop.w, loop.barrier
     sweep, shift = _factor(problem, m, loop)
     step = _step(problem, m, sweep, loop, m.dynamics, m.misfit)
@@ -287,7 +287,7 @@ def _move(problem: _Problem, m: Model, loop: Loop) -> Loop:
 
 
 def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
-    """Judge the iterate and move on from it; derivatives stand here once, which halves the program."""
+    """Evaluate the iterate and step from it; derivatives appear here once, which halves the program."""
     m = _linearise(problem, loop.w)
     loop = _judge(problem, m, loop, options)
     return lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
@@ -296,8 +296,8 @@ def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
 def solve(ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, options: Options) -> Solution:
     """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
 
-    Same problem and answer as `driftjax.solve.solve`. `result` is `successful` only where KKT residual and
-    violation are below the tolerance; `stalled` where no step is acceptable any more.
+    Same problem and solution as `driftjax.solve.solve`. `result` is `successful` only where KKT residual and violation
+    are below the tolerance; `stalled` where no step is acceptable any more.
     """
     stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)

@@ -1,4 +1,4 @@
-"""Where the nodes of a plan lie along a track, and which of them are the lap."""
+"""Place the nodes of a plan along a track, and mark those of the lap."""
 
 import math
 from typing import NamedTuple
@@ -14,7 +14,7 @@ SPACING = 0.15  # wheelbases; keeps the explicit Runge-Kutta steps stable at dri
 
 
 class Nodes(NamedTuple):
-    """Even nodes, and the first and last one to keep."""
+    """Even nodes, and the first and last one of the lap."""
 
     s: np.ndarray  # [m]; on a closed track they go on beyond one lap
     first: int
@@ -22,10 +22,11 @@ class Nodes(NamedTuple):
 
 
 def nodes(track: Track, wheelbase: float, config: PlanConfig) -> Nodes:
-    """Nodes of an open track from end to end; of a closed one a lap with run-up and run-out, to be cut off.
+    """Place the nodes of an open track from end to end; of a closed one over a lap with run-up and run-out, to be cut
+    off.
 
     A closed lap starts rolling in the middle of its longest straight, is cut in the middle of a later straight, and
-    runs out to one later still, so that neither the start nor the finish shows in the lap.
+    runs out to a still later one, so that neither the start nor the finish affects the lap.
     """
     length = float(track.length)
     if not track.closed:
@@ -43,7 +44,7 @@ def nodes(track: Track, wheelbase: float, config: PlanConfig) -> Nodes:
 
 
 def _straights(track: Track, lead: float) -> tuple[float, float, float]:
-    """Middle of the longest straight, and the ways on from there to two later middles, `lead` laps apart [m]."""
+    """Return the middle of the longest straight, and the distances to two later middles, `lead` laps apart [m]."""
     kappa, length = np.abs(np.asarray(track.kappa)), float(track.length)
     n = len(kappa)
     straight = kappa <= 0.1 * kappa.max()

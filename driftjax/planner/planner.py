@@ -1,4 +1,4 @@
-"""The minimum-time plan: solve from several guesses, keep the fastest that converged."""
+"""Compute the minimum-time plan: solve from several guesses, select the fastest converged solution."""
 
 from collections.abc import Callable
 
@@ -28,7 +28,7 @@ PATH_POINTS = 2  # grid points of the path per node
 
 
 class Plan(eqx.Module):
-    """Minimum-time plan on its nodes, and the numbers that justify it (Wu et al. 2025, Eq. 8)."""
+    """Minimum-time plan on its nodes, and its quality measures (Wu et al. 2025, Eq. 8)."""
 
     s: Float[Array, " n"]  # along the track's centre line [m]
     t: Float[Array, " n"]  # time from the first node [s]
@@ -53,14 +53,14 @@ class Plan(eqx.Module):
     result: RESULTS
 
     def drift_intervals(self) -> list[tuple[float, float]]:
-        """`(start, end)` of every drift along the path's s [m], in order; for concrete plans, not under jit."""
+        """Return `(start, end)` of every drift along the path's s [m], in order; for concrete plans, not under jit."""
         drift = np.concatenate([[False], np.asarray(self.drift), [False]])
         edges = np.flatnonzero(drift[1:] != drift[:-1])
         S = np.asarray(self.S)
         return [(float(S[a]), float(S[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
     def drift_interval(self) -> tuple[float, float]:
-        """`(start, end)` of the longest drift along the path's s [m]; raises `ValueError` if the plan has none."""
+        """Return `(start, end)` of the longest drift along the path's s [m]; raises `ValueError` if there is none."""
         intervals = self.drift_intervals()
         if not intervals:
             raise ValueError("The plan has no drift; plan with the drift device, or lower label_beta.")
@@ -68,7 +68,7 @@ class Plan(eqx.Module):
 
 
 def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, model=None) -> MinimumTime:
-    """The optimal control problem of `plan`, in its scaled units."""
+    """Build the optimal control problem of `plan`, in its scaled units."""
     bounds = (config.V_min, config.V_max, vehicle.delta_max, vehicle.delta_rate_max, vehicle.Fxr_min,
               vehicle.Fxr_max, vehicle.Fxr_rate_max, config.end_slip)  # fmt: skip
     limits = Limits(*map(as_float, bounds))
@@ -83,7 +83,7 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
 
 
 def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
-    """Solution from the guess `X` (n, 7); its input rates follow from its inputs and speeds."""
+    """Solve from the guess `X` (n, 7); its input rates follow from its inputs and speeds."""
     slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
     U = jnp.clip(jnp.diff(X[:, 5:] * ocp.scale[5:], axis=0) / (ocp.ds * slowness) / full, -0.8, 0.8)
@@ -91,7 +91,7 @@ def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Opt
 
 
 def _fastest(found: list[Solution]) -> Solution:
-    """The cheapest of the converged solutions; where none is, the one that violates least."""
+    """Select the cheapest converged solution; if none converged, the one with the least violation."""
     good = [one for one in found if one.result == RESULTS.successful]
     if good:
         return min(good, key=lambda one: float(one.cost))
@@ -99,7 +99,7 @@ def _fastest(found: list[Solution]) -> Solution:
 
 
 def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Solution, label_beta: Array, cut) -> Plan:
-    """The plan in SI, in the world, cut to its lap, with the path that it drives."""
+    """Convert the solution to SI and world coordinates, cut to its lap, with the path that it drives."""
     states = best.X * ocp.scale
     time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(_step_times(ocp, best.X, best.U, stage))])
     violated = (best.violation > VIOLATED) & (best.result != RESULTS.non_finite)
@@ -136,7 +136,8 @@ def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Soluti
 
 
 def _step_times(ocp: MinimumTime, X: Array, U: Array, stage: Stage) -> Array:
-    """Duration of each step [s], by Simpson's rule with the middle state from the Runge-Kutta step of half length."""
+    """Return the duration of each step [s], by Simpson's rule with the middle state from a half-length Runge-Kutta
+    step."""
     half = eqx.tree_at(lambda o: o.ds, ocp, ocp.ds / 2)
     stages = jax.tree.map(lambda p: p[:-1], stage)
     quarter = (stages.kappa[:, 0] + stages.kappa[:, 1]) / 2
@@ -148,7 +149,7 @@ def _step_times(ocp: MinimumTime, X: Array, U: Array, stage: Stage) -> Array:
 
 
 def _path_length(t: Array, V: Array, dV: Array) -> Array:
-    """Distance driven at the nodes [m]: the integral of the cubic Hermite interpolant of the speed."""
+    """Return the distance driven at the nodes [m]: the integral of the cubic Hermite interpolant of the speed."""
     h = jnp.diff(t)
     steps = h * (V[:-1] + V[1:]) / 2 + h**2 * (dV[:-1] - dV[1:]) / 12
     return jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)])
@@ -162,12 +163,12 @@ def plan(
 ) -> Plan:
     """Solve the minimum-time problem of a car along a track (Wu et al. 2025, Eq. 8).
 
-    `config` is that of the shipped car with the vehicle's name (`configs/plan`) where it is left out.
+    `config` defaults to that of the shipped car with the vehicle's name (`configs/plan`).
 
     Starts rolling straight on the centre line with the entry speed; a closed track is planned with a run-up and a
-    run-out, which are cut off. Corners tighter than `drift_radius` are taken sideways where `config.drift`.
-    `model` replaces the vehicle's own, for instance by a corrected one. `result` says whether the plan
-    may be trusted; raises `BadInput` where the car does not fit the track.
+    run-out, which are cut off. Corners tighter than `drift_radius` are drifted where `config.drift`. `model` replaces
+    the vehicle's own, for instance by a corrected one. `result` says whether the plan is valid; raises `BadInput` where
+    the car does not fit the track.
     """
     require_float64()
     config = load_plan_config(vehicle.name) if config is None else config

@@ -20,7 +20,7 @@ SHARPNESS = 16.0  # of the maximum that takes the reward from speeds above V_fai
 
 
 class Stage(NamedTuple):
-    """What the track and the drift device say at one node; rows for all nodes."""
+    """Constraints of the track and the drift device at one node; rows for all nodes."""
 
     kappa: Array  # curvature at the node, half a step on, and a step on (3,) [1/m]
     e_min: Array  # corridor of the centre of mass [m]
@@ -45,11 +45,11 @@ class Limits(NamedTuple):
 
 
 class MinimumTime(AbstractOCP):
-    """Minimum time through a corridor (Wu et al. 2025, Eq. 8), with the inputs' rates bounded and slightly priced.
+    """Minimum time through a corridor (Wu et al. 2025, Eq. 8), with bounded and slightly penalised input rates.
 
-    State (V/V0, beta, r L0/V0, e/e0, theta, delta, Fxr/F0), input (delta_dot, Fxr_dot) as a share of their largest;
-    independent variable s, one classical Runge-Kutta step of `ds` per stage, the time by the trapezoidal rule in
-    units of L0/V0.
+    State (V/V0, beta, r L0/V0, e/e0, theta, delta, Fxr/F0), input (delta_dot, Fxr_dot) relative to their limits;
+    independent variable s, one classical Runge-Kutta step of `ds` per stage, the time by the trapezoidal rule in units
+    of L0/V0.
     """
 
     model: Callable[[State, Control], State]
@@ -72,7 +72,7 @@ class MinimumTime(AbstractOCP):
         return jnp.stack([self.V0, one, r0, self.e0, one, one, F0])
 
     def slope(self, x: Array, u: Array, kappa: Array) -> Array:
-        """dx/ds in scaled states [1/m]."""
+        """Return dx/ds in scaled states [1/m]."""
         V, beta, r, e, theta, delta, Fxr = x * self.scale
         dx = self.model(State(V, beta, r), Control(delta, Fxr))
         s_dot, e_dot, theta_dot = curvilinear_rates(V, beta, r, e, theta, kappa)
@@ -80,24 +80,24 @@ class MinimumTime(AbstractOCP):
         return jnp.stack([*dx, e_dot, theta_dot, *rates]) / self.scale / self.progress(s_dot)
 
     def progress(self, s_dot: Array) -> Array:
-        """s_dot, floored where no feasible trajectory goes [m/s]."""
+        """Return s_dot, bounded below where no feasible trajectory goes [m/s]."""
         return jnp.maximum(s_dot, SLOWEST * self.V0)
 
     def slowness(self, x: Array, kappa: Array) -> Array:
-        """dt/ds [s/m]."""
+        """Return dt/ds [s/m]."""
         V, beta, r, e, theta, _, _ = x * self.scale
         return 1 / self.progress(curvilinear_rates(V, beta, r, e, theta, kappa)[0])
 
     def step(self, x: Array, u: Array, p: Stage) -> Array:
-        """State one step of `ds` further."""
+        """Return the state one step of `ds` further."""
         return rk4_loop(lambda x, kappa: self.slope(x, u, kappa), x, self.ds, p.kappa[jnp.array([0, 1, 1, 2])])
 
     def cost(self, x: Array, u: Array, p: Stage) -> Array:
-        """Time of the stage and the prices of its rates and of its course, in units of L0/V0."""
+        """Return the time of the stage and the costs of its rates and its course, in units of L0/V0."""
         return self.terminal(x, p) + self.rate_weight * self.ds / self.L0 * (u[0] ** 2 + u[1] ** 2)
 
     def terminal(self, x: Array, p: Stage) -> Array:
-        """Time, and prices of course and front slip, that the trapezoidal rule gives this node."""
+        """Return the time, and the costs of course and front slip, of this node by the trapezoidal rule."""
         slowness = self.slowness(x, p.kappa[0]) * self.V0
         floor = self.V0 / self.V_fair  # a smooth maximum of the two
         time = (slowness**SHARPNESS + floor**SHARPNESS) ** (1 / SHARPNESS)
@@ -108,16 +108,16 @@ class MinimumTime(AbstractOCP):
         return p.share * self.ds / self.L0 * (time + price)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
-        """Gaps of a stage, in scaled units."""
+        """Return the gaps of a stage, in scaled units."""
         return jnp.concatenate([self.bounds(x, p), 1 - u, 1 + u])
 
     def terminal_constraints(self, x: Array, p: Stage) -> Array:
-        """Gaps of the last state, which also has to be a normal one: little sideslip, along the track."""
+        """Return the gaps of the last state, which must also be a normal one: small sideslip, along the track."""
         slip, course, end = x[1], x[1] + x[4], self.limits.end_slip
         return jnp.concatenate([self.bounds(x, p), jnp.stack([end - slip, end + slip, end - course, end + course])])
 
     def bounds(self, x: Array, p: Stage) -> Array:
-        """Gaps of the state bounds."""
+        """Return the gaps of the state bounds."""
         V, beta, _, e, theta, delta, F = x
         lim = self.limits
         course = beta + theta  # |course| < 1.2 keeps s_dot well above zero

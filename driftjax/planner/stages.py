@@ -1,4 +1,4 @@
-"""Nodes along a track: corridor, drift device, and first guesses for the solver."""
+"""Compute corridor, drift device and initial guesses on the nodes along a track."""
 
 from typing import NamedTuple
 
@@ -18,8 +18,8 @@ DEVICE_OFF = -3.0  # slip bound that never binds [rad]
 G = 9.81  # [m/s^2]
 
 
-class Corner(NamedTuple):
-    """A tight corner that is to be drifted, along the nodes' s."""
+class TightCorner(NamedTuple):
+    """A tight corner to be drifted, along the nodes' s."""
 
     start: float  # where it becomes tight [m]
     end: float  # [m]
@@ -31,24 +31,25 @@ def _sample(track: Track, s: Array):
     return jax.vmap(track.pose)(s), jax.vmap(track.widths)(s)
 
 
-def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[Corner]:
-    """Runs of nodes tighter than `drift_radius` that turn by more than `drift_angle`."""
+def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[TightCorner]:
+    """Find runs of nodes tighter than `drift_radius` that turn by more than `drift_angle`."""
     side = np.where(np.abs(kappa) >= 1 / config.drift_radius, np.sign(kappa), 0).astype(int)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], side, [0]])))
     runs = [(a, b - 1) for a, b in zip(edges[:-1], edges[1:], strict=True) if side[a] != 0]
     ds = s[1] - s[0]
     turned = [abs(np.sum(kappa[a : b + 1])) * ds for a, b in runs]
     return [
-        Corner(float(s[a]), float(s[b]), int(side[a]))
+        TightCorner(float(s[a]), float(s[b]), int(side[a]))
         for (a, b), angle in zip(runs, turned, strict=True)
         if angle >= config.drift_angle and b > a
     ]
 
 
-def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`(side, slip, beta_max)` at the nodes; in a corner to be drifted -side beta >= slip, which ramps up to beta_d.
+def device(s: np.ndarray, corners: list[TightCorner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `(side, slip, beta_max)` at the nodes; a drift corner requires -side beta >= slip, which ramps up to
+    beta_d.
 
-    Sideslip beyond `beta_normal` is only for these corners and their surroundings.
+    Sideslip beyond `beta_normal` is allowed only in these corners and their surroundings.
     """
     side, slip, beta_max = np.ones_like(s), np.full_like(s, DEVICE_OFF), np.full_like(s, config.beta_normal)
     for c in corners if config.drift else []:
@@ -61,8 +62,8 @@ def device(s: np.ndarray, corners: list[Corner], config: PlanConfig) -> tuple[np
     return side, slip, beta_max
 
 
-def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarray) -> tuple[Stage, list[Corner]]:
-    """Corridor and device at nodes `s`; raises `BadInput` where the car and its margin do not fit."""
+def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarray) -> tuple[Stage, list[TightCorner]]:
+    """Compute corridor and device at nodes `s`; raises `BadInput` where the car and its margin do not fit."""
     ds = s[1] - s[0]
     fine = np.arange(2 * len(s) + 1) * ds / 2 + s[0]
     (_, _, _, kappa), (w_right, w_left) = jax.tree.map(np.asarray, _sample(track, jnp.asarray(fine)))
@@ -83,7 +84,8 @@ def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarr
 
 
 def speed_profile(s: np.ndarray, kappa: np.ndarray, vehicle: VehicleConfig, config: PlanConfig) -> np.ndarray:
-    """Speed on the centre line at 0.85 mu g sideways, with gentle braking and acceleration [m/s]."""
+    """Return the speed on the centre line at 0.85 mu g lateral acceleration, with gentle braking and acceleration
+    [m/s]."""
     radius = 1 / np.maximum(np.abs(kappa), 1e-6)
     square = np.minimum(0.85 * vehicle.mu * G * radius, (0.95 * config.V_max) ** 2)
     brake, drive = 0.6 * abs(vehicle.Fxr_min) / vehicle.m, 0.6 * vehicle.Fxr_max / vehicle.m
@@ -94,9 +96,9 @@ def speed_profile(s: np.ndarray, kappa: np.ndarray, vehicle: VehicleConfig, conf
 
 
 def guesses(
-    s: np.ndarray, stage: Stage, corners: list[Corner], vehicle: VehicleConfig, config: PlanConfig
+    s: np.ndarray, stage: Stage, corners: list[TightCorner], vehicle: VehicleConfig, config: PlanConfig
 ) -> np.ndarray:
-    """Guesses (2, n, 7) in SI on the centre line: gripping everywhere, and sideways in the drift corners."""
+    """Return guesses (2, n, 7) in SI on the centre line: gripping everywhere, and drifting in the drift corners."""
     kappa = np.asarray(stage.kappa[:, 0])
     V = speed_profile(s, kappa, vehicle, config)
     wheelbase = vehicle.a + vehicle.b

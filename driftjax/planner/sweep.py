@@ -1,4 +1,4 @@
-"""Riccati factorisation of a stage-wise Newton system, reusable for several right-hand sides."""
+"""Factorise a stage-wise Newton system by a Riccati recursion, reusable for several right-hand sides."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ class Sweep(NamedTuple):
 
 
 def _inverse(R: Float[Array, "nu nu"]) -> tuple[Array, Array]:
-    """Inverse of a symmetric 1x1 or 2x2 matrix, and whether it is positive definite."""
+    """Return the inverse of a symmetric 1x1 or 2x2 matrix, and whether it is positive definite."""
     if R.shape[0] == 1:
         return 1 / R, R[0, 0] > 0
     a, b, d = R[0, 0], R[0, 1], R[1, 1]
@@ -39,7 +39,7 @@ def _inverse(R: Float[Array, "nu nu"]) -> tuple[Array, Array]:
 
 
 def factor(q: Quadratic) -> Sweep:
-    """Backward sweep. The reduced Hessian is positive definite exactly where all input blocks are."""
+    """Run the backward recursion. The reduced Hessian is positive definite exactly where all input blocks are."""
 
     def backward(P, stage):
         Hxx, Hux, Huu, A, B = stage
@@ -55,7 +55,7 @@ def factor(q: Quadratic) -> Sweep:
 
 
 def substitute(sweep: Sweep, A: Array, B: Array, c: Array, hx: Array, hu: Array, hN: Array):
-    """Step in states (N+1, nx) and inputs (N, nu), and the costates (N, nx) of x_1..x_N after it."""
+    """Return the step in states (N+1, nx) and inputs (N, nu), and the costates (N, nx) of x_1..x_N after it."""
 
     def backward(p, stage):
         K, inverse, P, A, B, c, hx, hu = stage

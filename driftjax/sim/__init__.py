@@ -1,4 +1,4 @@
-"""Closed-loop laps of the plant, with sensors and noise."""
+"""Simulate closed-loop laps and open-loop runs of the plant, with sensors and noise."""
 
 from driftjax.sim.lap import LapCode as LapCode
 from driftjax.sim.lap import LapConfig as LapConfig
@@ -6,7 +6,7 @@ from driftjax.sim.lap import Laps as Laps
 from driftjax.sim.lap import Sensed as Sensed
 from driftjax.sim.lap import Trace as Trace
 from driftjax.sim.lap import drive as drive
-from driftjax.sim.lap import keep_where as keep_where
+from driftjax.sim.lap import where_tree as where_tree
 from driftjax.sim.lap import wrap as wrap
 from driftjax.sim.plant_files import batch_of as batch_of
 from driftjax.sim.plant_files import load_any_plant as load_any_plant

@@ -1,4 +1,4 @@
-"""Closed-loop laps: many plants and seeds side by side, each with its own driver, under one scan."""
+"""Drive closed-loop laps of a batch of plants and noise seeds, each with its own driver, in one scan."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from driftjax.vehicle import Motion, PlantState
 
 
 class LapCode(IntEnum):
-    """How a lap ended; anything but `COMPLETED` is a failure and keeps its code."""
+    """How a lap ended; every code but `RUNNING` and `COMPLETED` is a failure."""
 
     RUNNING = 0
     COMPLETED = 1
@@ -33,7 +33,7 @@ class LapCode(IntEnum):
 
 @dataclass(frozen=True)
 class LapConfig:
-    """When a lap counts as failed, and the step of the plant."""
+    """Failure criteria of a lap and integration step of the plant."""
 
     time_limit: float = 14.0
     """Longest lap [s]."""
@@ -53,7 +53,7 @@ class LapConfig:
 
 
 class Sensed(NamedTuple):
-    """What a driver knows of the car: measurements, and their projection onto the planned path."""
+    """Measurements available to a driver, and their projection onto the planned path."""
 
     V: Array  # [m/s]
     beta: Array  # [rad]
@@ -67,12 +67,12 @@ class Sensed(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """One control step of every lane; a lap is a stack of these. Rows after the end of a lap mean nothing: use
+    """One control step of each batch entry; a lap is a stack of these. Rows after the end of a lap are undefined: use
     those where `alive`."""
 
-    alive: Array  # whether the lap was still being driven
+    alive: Array  # whether the lap was still running
     sensed: Sensed
-    V: Array  # true values from here on
+    V: Array  # true values from here
     beta: Array
     r: Array
     x: Array
@@ -80,17 +80,17 @@ class Trace(NamedTuple):
     psi: Array
     s: Array
     e: Array
-    delta: Array  # road-wheel angle reached [rad]
-    Fxr: Array  # axle force reached [N]
+    delta: Array  # actual road-wheel angle [rad]
+    Fxr: Array  # actual axle force [N]
     command: Control
-    decision: Any  # what the policy reports of itself
+    decision: Any  # the policy's own record of the step
 
 
 class Laps(eqx.Module):
-    """Laps side by side: traces (lanes, steps), and how each ended."""
+    """Laps of a batch: traces (batch, steps) and how each lap ended."""
 
     trace: Trace
-    code: Array  # (lanes,) of LapCode
+    code: Array  # (batch,) of LapCode
     dt: Array
 
 
@@ -107,17 +107,17 @@ Policy = Callable[[Sensed, Any, Array], tuple[Control, Any, Any]]
 
 
 def wrap(angle: Array) -> Array:
-    """The same angle in (-pi, pi]."""
+    """Wrap an angle to (-pi, pi]."""
     return -jnp.mod(jnp.pi - angle, 2 * jnp.pi) + jnp.pi
 
 
-def keep_where(flag: Array, new: Any, old: Any) -> Any:
-    """`new` in the lanes where `flag`, `old` in the others, leaf by leaf."""
+def where_tree(flag: Array, new: Any, old: Any) -> Any:
+    """Select `new` in the batch entries where `flag` holds and `old` in the others, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(flag.reshape(flag.shape + (1,) * (a.ndim - 1)), a, b), new, old)
 
 
 def _judge(plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, config: LapConfig):
-    """True arc length, offset, motion and lap code of one lane after a step."""
+    """Return true arc length, offset, motion and lap code of one batch entry after a step."""
     motion = plant.motion(state, command)
     s, e = path.project(motion.x, motion.y, s)
     code = jnp.where(s >= path.length - 0.5 * path.spacing, int(LapCode.COMPLETED), int(LapCode.RUNNING))
@@ -140,11 +140,11 @@ def drive(
     dt: float,
     keys: Array,
 ) -> Laps:
-    """Drive one lap in every lane (leading axis of `plants`, `paths`, `speed` [m/s], `memory`, `keys`).
+    """Drive one lap per batch entry (leading axis of `plants`, `paths`, `speed` [m/s], `memory`, `keys`).
 
-    `policy` maps what is sensed, its memory and the flags of the lanes still driving to commands, new memory and
-    a record of the decision. A lane that spins, stalls, leaves the path or becomes non-finite is frozen with its
-    code; the others go on. Seed k of a lane's noise depends on its own key only, so batches equal single laps.
+    `policy` maps measurements, its memory and the flags of the running laps to commands, new memory and a record of
+    the decision. An entry that spins, stalls, leaves the path or becomes non-finite is frozen with its code; the others
+    continue. The noise of an entry depends on its own key only, so that a batch equals its single laps.
     """
     step_time = as_float(dt)
     x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
@@ -154,7 +154,7 @@ def drive(
 
     def sense(plant, state, command, path, s, key):
         motion = plant.motion(state, command)
-        m = measure(plant.told(state, motion), sensors, key=key)
+        m = measure(plant.sensor_reading(state, motion), sensors, key=key)
         s, e = path.project(m.x, m.y, s)
         return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
 
@@ -170,7 +170,7 @@ def drive(
         judged = vmap_batch(lambda p, x, u, path, s: _judge(p, x, u, path, s, config))
         true_s, _, _, code = judged(plants, after, command, paths, carry.true_s)
         now_s, now_e, _, _ = judged(plants, carry.plant, command, paths, carry.true_s)
-        new = keep_where(alive, _Carry(after, command, sensed.s, true_s, code, memory), carry)
+        new = where_tree(alive, _Carry(after, command, sensed.s, true_s, code, memory), carry)
         trace = Trace(alive, sensed, *motion[:6], now_s, now_e, motion.delta, motion.Fxr, command, decision)
         return new, trace
 

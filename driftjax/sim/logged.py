@@ -1,4 +1,4 @@
-"""What a log holds of a recording: places measured with noise, outliers, dropouts."""
+"""Turn a recording into a log: noisy positions, outliers and dropouts."""
 
 from typing import NamedTuple
 
@@ -9,22 +9,22 @@ from driftjax.logs import Run
 from driftjax.sim.record import Recording
 
 LOST = 5  # mean length of a dropout [samples]
-OUTLIER = (10.0, 30.0)  # size of outliers, over the typical noise
+OUTLIER = (10.0, 30.0)  # size of outliers, relative to the typical noise
 
 
 class Flaws(NamedTuple):
-    """What is wrong with a log beside the noise of V, beta, r."""
+    """Imperfections of a log besides the noise of V, beta, r."""
 
     dropouts: float  # share of samples in which V, beta and r are missing
-    outliers: float  # share of their values that are off
-    typical: Float[np.ndarray, "3"]  # noise of V, beta, r that sizes outliers
+    outliers: float  # share of their values that are outliers
+    typical: Float[np.ndarray, "3"]  # noise of V, beta, r that scales the outliers
     metres: float  # standard deviation of x, y, s [m]
     heading: float  # standard deviation of psi [rad]
     acceleration: float  # standard deviation of ax, ay [m/s^2]
 
 
 def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: np.random.Generator) -> Run:
-    """The recording of a run as a log with samples every `dt` [s]; s counts the metres of each `lap` [m] anew."""
+    """Return a recorded run as a log sampled every `dt` [s]; s restarts at every lap of length `lap` [m]."""
     y, num = np.array(one.y), len(one.y)
     off = rng.uniform(*OUTLIER, y.shape) * rng.choice([-1.0, 1.0], y.shape) * flaws.typical
     y += np.where(rng.uniform(size=y.shape) < flaws.outliers, off, 0.0)
@@ -39,7 +39,7 @@ def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: 
 
 
 def dropouts(rng: np.random.Generator, num: int, share: float) -> np.ndarray:
-    """Which of `num` samples are lost: `share` of them, in stretches of `LOST` on average; never the first."""
+    """Mark which of `num` samples are lost: a fraction `share`, in gaps of mean length `LOST`; never the first."""
     u, lost = rng.uniform(size=num), np.zeros(num, bool)
     for i in range(1, num):
         lost[i] = u[i] < (1 - 1 / LOST if lost[i - 1] else share / (1 - share) / LOST)

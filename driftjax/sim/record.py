@@ -1,7 +1,7 @@
-"""Drives a manoeuvre on a universal car and records what a measurement would: the source of logs with a known truth.
+"""Drive a manoeuvre with a universal car and record the measurements: a source of logs with a known truth.
 
-The plant runs at its own small step with another integrator than the model that later explains the log, its rates are
-disturbed, and the driver only sees noisy measurements.
+The plant is integrated at its own small step by another integrator than the model that later explains the log, its
+rates are disturbed, and the driver uses noisy measurements only.
 """
 
 from typing import NamedTuple
@@ -13,57 +13,57 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.sim.rollout import SETTLE
-from driftjax.sim.step import settled
-from driftjax.sim.travel import Travel, recall, told, travel
+from driftjax.sim.step import steady_lagged_state
+from driftjax.sim.travel import Travel, delay_buffer, sensor_reading, travel
 from driftjax.vehicle.effect.flow import Aux, Place, initial_flow
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.universal import Universal
 
-FILTER = 0.1  # time constant of the driver's filter on what is measured, over sqrt(L / g) [-]
+FILTER = 0.1  # time constant of the driver's measurement filter, relative to sqrt(L / g) [-]
 
 
 class Manoeuvre(NamedTuple):
-    """What a driver does: states aimed at, commands that go with them, and a feedback on the difference."""
+    """Reference states and commands of a driver, and the feedback gain on the tracking error."""
 
     x_ref: Float[Array, "T 3"]  # V, beta, r
     u_ref: Float[Array, "T 2"]  # delta [rad], Fxr [N]
-    K: Float[Array, "2 3"]  # command less per unit of the state's excess
+    K: Float[Array, "2 3"]  # command change per unit of state error, subtracted
     lap: Array  # length of one lap, for the position along it [m]
 
 
 class Conditions(NamedTuple):
-    """What disturbs the car and its measurement."""
+    """Disturbances of the car and of its measurements."""
 
     sigma: Float[Array, "3"]  # standard deviation of measured V, beta, r
-    disturbance: Float[Array, "3"]  # standard deviation of rates added to those of V, beta, r
+    disturbance: Float[Array, "3"]  # standard deviation of the rates added to those of V, beta, r
     correlation: Array  # correlation time of these [s]
 
 
 class Recording(NamedTuple):
-    """Rows of a log (T,) and the truth behind them."""
+    """Rows of a log (T,) and the true values behind them."""
 
     y: Float[Array, "T 3"]  # measured V, beta, r
     command: Float[Array, "T 2"]
-    place: Place  # fields (T,); position along the lap as a share of it
+    place: Place  # fields (T,); position along the lap as a fraction of it
     x: Float[Array, "T 3"]  # true V, beta, r
     position: Float[Array, "T 2"]  # true x, y [m]
-    a: Float[Array, "T 2"]  # what an accelerometer at the centre of mass felt forwards and to the left [m/s^2]: the
-    # mean since the last row, as its filter against aliasing makes it
+    a: Float[Array, "T 2"]  # accelerometer at the centre of mass, forwards and to the left [m/s^2]: mean since the
+    # last row, as after its anti-aliasing filter
 
 
 class _Now(NamedTuple):
     car: Travel
-    seen: Array  # filtered measurement
+    filtered: Array  # filtered measurement
     command: Array
     push: Array
     a: Array
 
 
 def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
-    """What an accelerometer at the centre of mass feels of a motion with rates `dx`, forwards and to the left [m/s^2].
+    """Return the specific force at the centre of mass, forwards and to the left [m/s^2], for the rates `dx`.
 
-    That is the acceleration less the part of gravity along a road that is not level: the effects of the road, which are
-    those of the forces that show in kinematic parity.
+    It is the acceleration minus the component of gravity along a road that is not level. The road effects are those
+    force effects that appear in kinematic parity.
     """
     sin, cos, turn = jnp.sin(x.beta), jnp.cos(x.beta), x.V * (dx.beta + x.r)
     level = initial_flow(plant.car, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
@@ -81,7 +81,8 @@ def record(
     plant: Universal, vehicle: VehicleConfig, manoeuvre: Manoeuvre, conditions: Conditions, key: Array, dt: float,
     substeps: int = 10,
 ) -> Recording:  # fmt: skip
-    """One run of `manoeuvre` at sample time `dt` [s], the plant `substeps` times as fast; starts on its first row."""
+    """Record one run of `manoeuvre` at sample time `dt` [s], with `substeps` plant steps per sample, from its first
+    row."""
     h = dt / substeps
     lower, upper, rate = vehicle.command_limits()
     nominal = vehicle.build()
@@ -89,22 +90,22 @@ def record(
     first = State(*manoeuvre.x_ref[0])
     u0 = jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
-    def warm(memory, _):
+    def settle(memory, _):
         return plant.apply_actuators(memory, Control(u0[0], u0[1]), first.V, h)
 
-    memory, held = jax.lax.scan(warm, plant.start(h), length=round(SETTLE / h))
-    zero, reached = jnp.zeros(()), jax.tree.map(lambda a: a[-1], held)
+    memory, inputs = jax.lax.scan(settle, plant.start(h), length=round(SETTLE / h))
+    zero, acting = jnp.zeros(()), jax.tree.map(lambda a: a[-1], inputs)
     place, still = Place(zero, zero, zero, zero), State(zero, zero, zero)
-    felt, past = settled(plant, first, reached, place), recall(plant, first, h)
-    car = Travel(first, felt, memory, place, jnp.zeros(2), zero, still, reached, past, jnp.asarray(h))
-    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3), specific_force(plant, first, still, reached, place))
+    lagged, past = steady_lagged_state(plant, first, acting, place), delay_buffer(plant, first, h)
+    car = Travel(first, lagged, memory, place, jnp.zeros(2), zero, still, acting, past, jnp.asarray(h))
+    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3), specific_force(plant, first, still, acting, place))
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row
         car = now.car
-        y = jnp.stack(told(plant, car)) + noise
-        seen = now.seen + smooth * (y - now.seen)
-        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), now.command - dt * rate, now.command + dt * rate)
+        y = jnp.stack(sensor_reading(plant, car)) + noise
+        filtered = now.filtered + smooth * (y - now.filtered)
+        command = jnp.clip(u_ref - manoeuvre.K @ (filtered - x_ref), now.command - dt * rate, now.command + dt * rate)
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
         push = left * now.push + jnp.sqrt(1 - left**2) * kick
@@ -117,7 +118,7 @@ def record(
             return car, a + specific_force(plant, car.x, car.rate, u, car.place) / substeps
 
         car, a = jax.lax.fori_loop(0, substeps, fine, (car, jnp.zeros(2)))
-        return _Now(car, seen, command, push, a), row
+        return _Now(car, filtered, command, push, a), row
 
     T = len(manoeuvre.x_ref)
     measured, driven = jax.random.split(key)

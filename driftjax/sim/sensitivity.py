@@ -1,7 +1,7 @@
-"""Derivatives of one step by state, input and every parameter at once.
+"""Compute the derivatives of one step by state, input and every parameter at once.
 
-The forces have few outputs and few inputs that change within a step, but some sixty parameters. So their Jacobian is
-had backwards at each stage of the Runge-Kutta step, and only small products run forwards.
+The forces have few outputs and few inputs that change within a step, but some sixty parameters. Their Jacobian is
+therefore computed in reverse mode at each Runge-Kutta stage, and only small products are propagated forwards.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,16 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import State
-from driftjax.sim.step import Begun, Felt, acts_of, begin_step, felt_after, lagging, middles, part
+from driftjax.sim.step import (
+    LaggedState,
+    StepStart,
+    begin_step,
+    hold_of,
+    hold_segment,
+    lag_offsets,
+    lagged_after,
+    midpoints,
+)
 from driftjax.vehicle.effect.flow import Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -21,19 +30,19 @@ NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) 
 
 
 class Dual(NamedTuple):
-    """Values (k,) and their derivatives (k, M) by the M things that are varied."""
+    """Values (k,) and their derivatives (k, M) by M variables."""
 
     value: Array
     by: Array
 
 
 def join(*parts: Dual) -> Dual:
-    """Values one after the other."""
+    """Concatenate duals."""
     return Dual(*(jnp.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
-    """f(x, theta): derivatives by `x` through its own, and by theta where `direct` (K, M) says how it varies."""
+    """Apply f(x, theta): chain the derivatives of `x`, and of theta with `direct` (K, M) = d theta / d variables."""
     by_x, by_theta = jax.jacrev(f, (0, 1))(x.value, theta)
     return Dual(f(x.value, theta), by_x @ x.by + by_theta @ direct)
 
@@ -41,7 +50,7 @@ def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
 def move_with_derivatives(
     model: Universal, z: Float[Array, "6"], u: Float[Array, "4"], place: Place, dt: Array, push: Float[Array, "3"]
 ) -> Dual:
-    """State and what is felt one step later (6,), and its derivatives (6, 13 + K) by z, u, push and theta.
+    """Return state and lagged state one step later (6,), and its derivatives (6, 13 + K) by z, u, push and theta.
 
     The same step as `rollout.move`; `push` is added to the rates.
     """
@@ -49,33 +58,34 @@ def move_with_derivatives(
     pushed, direct = Dual(push, every[10:13]), every[13:]
 
     def on(z, middle):
-        inputs = Dual(part(u, middle, num), part(every[6:10], middle, num))
+        inputs = Dual(hold_segment(u, middle, num), hold_segment(every[6:10], middle, num))
         return substep(model, z, inputs, place, dt / num, pushed, direct), None
 
     start = Dual(z, every[:6])
     if num == 1:
         return on(start, 0.0)[0]
-    return jax.lax.scan(on, start, middles(num))[0]
+    return jax.lax.scan(on, start, midpoints(num))[0]
 
 
 def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual, direct: Array) -> Dual:
-    """State and what is felt (6,) one substep after `z`, under `inputs` (4,), with `push` (3,) added to the rates."""
+    """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), with `push` (3,) added to the
+    rates."""
 
-    def begun(v):
-        return Begun(State(*v[:3]), Felt(v[3:5], v[5]), acts_of(v[6:10]), v[10:12], v[12])
+    def at_start(v):
+        return StepStart(State(*v[:3]), LaggedState(v[3:5], v[5]), hold_of(v[6:10]), v[10:12], v[12])
 
     def start(v, theta):
-        x, felt, acts, *_ = begun(v)
-        found = begin_step(model.with_parameters(theta), x, felt, acts, place, dt, State(*v[10:13]))
+        x, lagged, hold, *_ = at_start(v)
+        found = begin_step(model.with_parameters(theta), x, lagged, hold, place, dt, State(*v[10:13]))
         return jnp.concatenate([found.slip_rate, found.ay[None]])
 
     def force(v, theta, share):
-        car, at, y = model.with_parameters(theta), begun(v), State(*v[13:])
-        return jnp.stack(rates(car.flow(y, at.acts.at(share), place, lagging(car, at, y, share, dt))))
+        car, at, y = model.with_parameters(theta), at_start(v), State(*v[13:])
+        return jnp.stack(rates(car.flow(y, at.hold.at(share), place, lag_offsets(car, at, y, share, dt))))
 
     def reach(v, theta):
-        felt = felt_after(model.with_parameters(theta), begun(v), State(*v[13:]), dt)
-        return jnp.concatenate([v[13:], felt.slip, felt.ay[None]])
+        lagged = lagged_after(model.with_parameters(theta), at_start(v), State(*v[13:]), dt)
+        return jnp.concatenate([v[13:], lagged.slip, lagged.ay[None]])
 
     began = join(z, inputs)
     began = join(began, through(start, join(began, push), model.theta, direct))

@@ -1,4 +1,4 @@
-"""Noisy sensors: what a GNSS/INS or a motion capture system tells of the car's motion."""
+"""Noisy sensors: measurements of the car's motion by GNSS/INS or motion capture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,7 @@ class SensorConfig:
 
 
 class Measurement(NamedTuple):
-    """What the controller and the log get to see; fields scalar or any one batch shape."""
+    """Measured motion, as controller and log receive it; fields scalar or of one batch shape."""
 
     V: Array  # speed of the centre of mass [m/s]
     beta: Array  # sideslip, left positive [rad]
@@ -46,13 +46,13 @@ class Measurement(NamedTuple):
 
 
 def load_sensors(name: str | Path) -> SensorConfig:
-    """Read a sensor YAML: a path, or the name of a shipped set (`sedan`: GNSS/INS, `rc`: motion capture)."""
+    """Load a sensor YAML: a path, or the name of a shipped set (`sedan`: GNSS/INS, `rc`: motion capture)."""
     path = find_config("sensors", name)
     return from_dict(SensorConfig, read_yaml(path), str(path))
 
 
 def measure(motion: Motion, sensors: SensorConfig, *, key: Array) -> Measurement:
-    """`motion` with Gaussian noise added, drawn from `key`; the same key gives the same noise."""
+    """Add Gaussian noise to `motion`, drawn from `key`; the same key gives the same noise."""
     sigma = [getattr(sensors, f"sigma_{name}") for name in Measurement._fields]
     true = Measurement(motion.V, motion.beta, motion.r, motion.x, motion.y, motion.psi)
     noise = jax.random.normal(key, (6, *jnp.shape(motion.V)), jnp.result_type(motion.V))

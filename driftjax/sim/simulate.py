@@ -1,4 +1,4 @@
-"""Open-loop simulation: a batch of cars under a batch of commands, as a labelled dataset."""
+"""Simulate a batch of cars open loop under a batch of commands, as a labelled dataset."""
 
 from collections.abc import Sequence
 
@@ -40,15 +40,15 @@ def simulate(
     substeps: int = 10,
     lap: float = 1000.0,
 ) -> xr.Dataset:
-    """Simulate a batch of cars under held commands; row k is the state before command k acts.
+    """Simulate a batch of cars under commands held over each sample; row k is the state before command k acts.
 
     `cars` are vehicles (single track with all their effects) or plants (double track), not both. `commands` (time, 2)
-    or (car, time, 2) are delta [rad] and Fxr [N]; `start` (3,) or (car, 3) is V [m/s], beta [rad], r [rad/s]. One car,
-    one row of commands or one start serves a whole batch of the others. `dt` is the sample time [s], of `substeps`
-    integration steps; `lap` [m] is the length of the road on which effects that depend on place repeat.
+    or (car, time, 2) are delta [rad] and Fxr [N]; `start` (3,) or (car, 3) is V [m/s], beta [rad], r [rad/s]. A single
+    car, command sequence or start is shared by a batch of the others. `dt` is the sample time [s], of `substeps`
+    integration steps; `lap` [m] is the length of the road on which position-dependent effects repeat.
 
-    Variables have the dimensions (car, time), units and names; a car whose numbers overflow holds NaN from there on
-    and leaves the others alone. Raises `BadInput` for shapes that do not fit.
+    Variables have the dimensions (car, time), units and names; a car whose state overflows is NaN from there on and
+    does not affect the others. Raises `BadInput` for shapes that do not fit.
     """
     require_float64()
     require(dt > 0 and substeps >= 1, f"dt is {dt} and substeps is {substeps}; give a positive time and at least 1.")
@@ -69,7 +69,7 @@ def simulate(
 
 
 def roll_out(plants: AnyPlant, commands: Array, start: Array, dt: float, substeps: int) -> Motion:
-    """Drive every plant through its commands; the motion before each of them."""
+    """Drive every plant through its commands and return the motion before each of them."""
 
     def one(plant: AnyPlant, commands: Array, start: Array) -> Motion:
         def step(state, row):

@@ -1,4 +1,4 @@
-"""A universal car on its way: its state with all that lags, where it is, what its sensors tell, one fine step of it."""
+"""Step a universal car through a run: state with all lags, position, sensor readings, one fine step."""
 
 import math
 from typing import NamedTuple
@@ -10,37 +10,37 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.core.integrate import heun_step
-from driftjax.sim.step import Felt, begin_step, felt_after, held, rate_during
+from driftjax.sim.step import LaggedState, begin_step, constant_hold, lagged_after, rate_during
 from driftjax.vehicle.effect.flow import Place, heat_rate
 from driftjax.vehicle.single_track import SingleTrack
 from driftjax.vehicle.universal import Universal
 
-LONGEST = 0.5  # delay of a sensor that its memory has room for; a longer one counts as this [s]
+MAX_DELAY = 0.5  # longest sensor delay that the buffer holds; longer ones are truncated to this [s]
 
 
 class Travel(NamedTuple):
-    """One instant of a drive."""
+    """State of a run at one instant."""
 
     x: State
-    felt: Felt  # slip angles and lateral acceleration that tyres and body have reached
+    lagged: LaggedState  # relaxed slip angles and roll's lateral acceleration
     memory: tuple  # of the actuators
     place: Place
     position: Float[Array, "2"]  # x, y [m]
-    distance: Array  # driven so far [m]
+    distance: Array  # travelled [m]
     rate: State  # of the state, over the last step
-    acting: Control  # what steering [rad] and drive [N] were over the last step
-    past: Float[Array, "n 3"]  # V, beta, r now and at the steps before; no row where no sensor is late
+    acting: Control  # actual steering [rad] and drive [N] over the last step
+    past: Float[Array, "n 3"]  # V, beta, r now and at the steps before; no rows without a sensor delay
     step: Array  # length of these steps [s]
 
 
-def recall(model: Universal, x: State, h: float) -> Float[Array, "n 3"]:
-    """What `past` holds of a car that has long been in the state `x`, for steps of `h` [s] or longer."""
+def delay_buffer(model: Universal, x: State, h: float) -> Float[Array, "n 3"]:
+    """Return the initial delay buffer of a car long in the state `x`, for steps of `h` [s] or longer."""
     late = any(effect.sensor_delay for effect in model.effects)
-    return jnp.tile(jnp.stack(x), (math.ceil(LONGEST / h) + 2 if late else 0, 1))
+    return jnp.tile(jnp.stack(x), (math.ceil(MAX_DELAY / h) + 2 if late else 0, 1))
 
 
-def told(model: Universal, now: Travel) -> State:
-    """What the sensors tell at this instant, noise apart; between past steps the state is taken for a straight line."""
+def sensor_reading(model: Universal, now: Travel) -> State:
+    """Return the noise-free sensor reading at this instant, linear between past steps."""
     if not len(now.past):
         return model.sense(now.x, now.rate)
     whole, model = model.split_delays(now.step)
@@ -53,14 +53,15 @@ def travel(
     model: Universal, nominal: SingleTrack, lap: Array, now: Travel, command: Control, h: Array,
     push: State | None = None,
 ) -> Travel:  # fmt: skip
-    """One step `h` [s] later under `command` held; `push` is added to the rates, `lap` is the length of one lap [m].
+    """Advance by one step `h` [s] under constant `command`; `push` is added to the rates, `lap` is the length of a lap
+    [m].
 
-    Tyres warm up by the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
+    Tyre heat follows the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
     """
     memory, u = model.apply_actuators(now.memory, command, now.x.V, h)
-    begun = begin_step(model, now.x, now.felt, held(u), now.place, h, push)
-    x, _ = heun_step(rate_during(model, begun, now.place, h, push), (now.x, jnp.zeros(())), h)
-    felt = felt_after(model, begun, x, h)
+    at_start = begin_step(model, now.x, now.lagged, constant_hold(u), now.place, h, push)
+    x, _ = heun_step(rate_during(model, at_start, now.place, h, push), (now.x, jnp.zeros(())), h)
+    lagged = lagged_after(model, at_start, x, h)
     course = now.place.psi + now.x.beta
     distance = now.distance + h * now.x.V
     place = Place(
@@ -70,4 +71,4 @@ def travel(
     position = now.position + h * now.x.V * jnp.stack([jnp.cos(course), jnp.sin(course)])
     rate = jax.tree.map(lambda a, b: (b - a) / h, now.x, x)
     past = jnp.concatenate([jnp.stack(x)[None], now.past])[: len(now.past)]
-    return Travel(x, felt, memory, place, position, distance, rate, u, past, h)
+    return Travel(x, lagged, memory, place, position, distance, rate, u, past, h)

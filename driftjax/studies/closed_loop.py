@@ -1,4 +1,4 @@
-"""The gain in closed loop: the corner of `driftjax learn`, driven with each model as MPC on one and the same plant."""
+"""Measure the closed-loop gain: the corner of `driftjax learn`, driven with each model in the MPC on the same plant."""
 
 import dataclasses
 from pathlib import Path
@@ -11,7 +11,7 @@ from driftjax.core import BadInput, read_yaml
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
 from driftjax.learning.scenario import build, route_of
-from driftjax.learning.stage import Stage
+from driftjax.learning.stage import StageResult
 from driftjax.learning.stages import drive_nominal
 from driftjax.manoeuvres.truth import read_truth
 from driftjax.parallel import num_workers, process_executor
@@ -25,17 +25,17 @@ SEEDS = 4  # of the sensor noise, the same for each model
 
 
 @dataclasses.dataclass(frozen=True)
-class Course:
-    """What is driven, on what."""
+class ClosedLoopCase:
+    """Plant and configuration of the closed-loop laps."""
 
     name: str  # of the plant, as typed
     plant: AnyPlant
     config: LearnConfig
 
 
-def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
-    """The corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or
-    vehicle YAML, or a shipped plant."""
+def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
+    """Load the corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or vehicle YAML, or a
+    shipped plant."""
     if vehicle.name not in CARS:
         raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
                        f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
@@ -44,63 +44,65 @@ def load_course(plant: Path, vehicle: VehicleConfig) -> Course:
     lap, step = float(load_track(config.track).length), config.mpc.dt / config.lap.substeps
     if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant or vehicle YAML holds
         car, theta, _ = read_truth(plant)
-        return Course(str(plant), plant_of(car, theta, lap, step), config)
-    return Course(str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config)
+        return ClosedLoopCase(str(plant), plant_of(car, theta, lap, step), config)
+    return ClosedLoopCase(
+        str(plant), jax.tree.map(lambda a: a[0], batch_of([load_any_plant(plant)], lap, step)), config
+    )
 
 
 def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
-    """The car `vehicle` as the `extended` one with its effects where they started: the same car, and the same compiled
-    program."""
+    """Return the `extended` car with its effects at their initial values: the same car as `vehicle`, and the same
+    compiled program."""
     start = {one.name: one.value for one in vehicle.effects}
     effects = (dataclasses.replace(e, value=start.get(e.name, 0.0), ci95_half=None) for e in extended.effects)
     return dataclasses.replace(extended, effects=tuple(effects), covariance=())
 
 
-def closed_loop(course: Course, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
-    """What diagnosis.json holds under `closed_loop`: laps of the nominal and the `extended` car as models.
+def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleConfig) -> dict[str, Any]:
+    """Return the content of `closed_loop` in diagnosis.json: laps of the nominal and the `extended` car as models.
 
-    Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the
-    same sensor noise, so that their difference is paired.
+    Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the same
+    sensor noise, so that their difference is paired.
     """
     models = {"nominal": before(nominal, extended)}
     if extended.effects != nominal.effects:
         models |= {"extended": extended}
-    laps: dict[str, Stage] = {}
-    told: dict[str, Any] = {}
-    with process_executor(num_workers(SEEDS)) as blocks:
+    laps: dict[str, StageResult] = {}
+    models_content: dict[str, Any] = {}
+    with process_executor(num_workers(SEEDS)) as executor:
         for name, vehicle in models.items():
             try:
-                scenario = build(course.config, blocks, route_of(course.config, vehicle), (course.name, course.plant))
+                scenario = build(case.config, executor, route_of(case.config, vehicle), (case.name, case.plant))
             except BadInput as error:  # of the corner on this car: the diagnosis stands without it
-                told[name] = {"not_driven": str(error)}
+                models_content[name] = {"not_driven": str(error)}
                 continue
             laps[name], _ = drive_nominal(scenario, 0)
-            told[name] = figures(laps[name])
+            models_content[name] = figures(laps[name])
     compared = compare(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
-    return {"plant": course.name, "corner": course.config.car, "controller": "path", "models": told,
+    return {"plant": case.name, "corner": case.config.car, "controller": "path", "models": models_content,
             "difference": compared}  # fmt: skip
 
 
-def figures(stage: Stage) -> dict[str, Any]:
-    """Laps of one model: how they ended, and figures per seed with their means.
+def figures(stage: StageResult) -> dict[str, Any]:
+    """Return how the laps of one model ended, and figures per seed with their means.
 
-    A velocity error is that of what was driven of the drift section; of laps that did not end well it says nothing
-    and is left out.
+    A velocity error refers to the driven part of the drift section; for failed laps it is meaningless and omitted.
     """
     codes, found = np.asarray(stage.laps.code), stage.figures
     done = np.asarray(found.completed)
-    each = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
-    each["velocity_rmse"] = np.where(done, each["velocity_rmse"], np.nan)
-    means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in each.items()}
+    values = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
+    values["velocity_rmse"] = np.where(done, values["velocity_rmse"], np.nan)
+    means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in values.items()}
     return {
         "completed": [int(done.sum()), len(done)],
         "codes": [LapCode(int(code)).name for code in codes],
-        **{name: {"mean": means[name], "per_seed": v.tolist()} for name, v in each.items()},
+        **{name: {"mean": means[name], "per_seed": v.tolist()} for name, v in values.items()},
     }
 
 
-def compare(nominal: Stage, extended: Stage) -> dict[str, Any]:
-    """Extended less nominal, seed by seed, with intervals over seeds; velocity errors of laps that both completed."""
+def compare(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
+    """Return extended minus nominal, seed by seed, with intervals over seeds; velocity errors of laps that both
+    completed."""
     both = np.asarray(nominal.figures.completed & extended.figures.completed)
     every = np.ones_like(both)
     pairs = {"lateral_error": every, "velocity_rmse": both, "drift_share": every}

@@ -48,13 +48,13 @@ _routes: dict[str, Route] = {}  # of this process, by what they were made from: 
 ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
 
 
-def learn_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def learn_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """Laps of every stage."""
     options = from_dict(LearnConfig, config, "a trial")
     made_from = json.dumps([config[name] for name in ROUTE])
     if made_from not in _routes:
         _routes[made_from] = route_of(options)
-    scenario = build(options, blocks, _routes[made_from])
+    scenario = build(options, executor, _routes[made_from])
     for name, data, _ in drive_stages(scenario, first_progress(scenario)):
         yield lap_rows(name, data)
 
@@ -83,11 +83,11 @@ def diagnose_files(config: Options) -> list[Path]:
     return [*map(Path, config["logs"]), find_config("vehicle", config["vehicle"]), *columns]
 
 
-def diagnose_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """The verdict, and the gain on runs held out."""
     asked = from_dict(LogConfig, config, "a trial")
     log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, executor=blocks)
+    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, executor=executor)
     told = found.content()
     names = [cause["effect"] for cause in told["causes"]]
     at = told["gain"]["horizons_s"].index(1.0) if 1.0 in told["gain"].get("horizons_s", []) else None
@@ -106,7 +106,7 @@ def paper_files(config: Options) -> list[Path]:
     return [path for car in config["cars"] for path in files_of(load_learn_config(car)).values()]
 
 
-def paper_rows(config: Options, blocks: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def paper_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
     """Means of every method of the comparison, whose runs lie in `folder` until it is done."""
     from driftjax.studies.paper.run import main
 

@@ -117,7 +117,7 @@ def run_chunk(
 
     def task(trial: Trial) -> Callable[[BatchExecutor], Outcome]:
         watch = watches(trial, config) if watches else None
-        return lambda blocks: drive(work, trial, blocks, folder / "work", config, watch)
+        return lambda executor: drive(work, trial, executor, folder / "work", config, watch)
 
     clear_program_cache()
     tasks, batch = [task(trial) for trial in trials], devices()

@@ -82,12 +82,12 @@ def _id(work: Work, verb: str, config: dict[str, Any]) -> str:
 
 
 def drive(
-    work: Work, trial: Trial, blocks: BatchExecutor, folder: Path, config: SweepConfig, watch: Watch | None
+    work: Work, trial: Trial, executor: BatchExecutor, folder: Path, config: SweepConfig, watch: Watch | None
 ) -> Outcome:
     """Run the trial. What goes wrong in it is part of its outcome and ends no other."""
     begun, rows = time.monotonic(), []
     try:
-        for step, more in enumerate(work.rows(trial.config, blocks, folder / trial.id)):
+        for step, more in enumerate(work.rows(trial.config, executor, folder / trial.id)):
             rows += [row | {"step": step} for row in more]
             if watch is not None and watch(step, objective(rows, config.objective, config.stage)):
                 return Outcome(trial, "pruned", "", time.monotonic() - begun, rows)

@@ -1,1 +1,2 @@
-"""Weights and switching lead of the drift MPC tuned by gradients through closed-loop laps, against random search."""
+"""Tune weights and switching lead of the drift MPC by gradients through closed-loop laps, compared with random
+search."""

@@ -1,4 +1,4 @@
-"""What a person may choose about `driftjax tune`."""
+"""Options of `driftjax tune`."""
 
 from dataclasses import dataclass, field
 
@@ -12,7 +12,7 @@ from driftjax.tune.parameters import NAMES
 
 @dataclass(frozen=True)
 class Scales:
-    """Errors that count as one in the loss."""
+    """Scales of the errors in the loss."""
 
     e: float = 0.5
     """Lateral error against the planned path [m]."""
@@ -30,12 +30,12 @@ class Scales:
 
 @dataclass(frozen=True)
 class TuneConfig:
-    """Q, R and switching lead of the path-tracking drift MPC, tuned on some plants and judged on others."""
+    """Q, R and switching lead of the path-tracking drift MPC, tuned on some plants and evaluated on others."""
 
     training: int = 4
     """Plants to tune on, drawn as `driftjax learn` draws them."""
     held_out: int = 8
-    """Plants to judge on, drawn after those and never tuned on."""
+    """Plants for evaluation, drawn after those and never tuned on."""
     budget: int = 23
     """Laps per training plant that tuning may take, and random search too; a gradient counts as 7."""
     weights: float = 4.0

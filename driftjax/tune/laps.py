@@ -1,4 +1,4 @@
-"""Closed-loop laps of chosen plants at chosen parameters, in processes beside each other."""
+"""Drive closed-loop laps of selected plants at given parameters, in parallel processes."""
 
 import dataclasses
 from functools import cached_property
@@ -16,17 +16,17 @@ from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
 from driftjax.learning.metrics import LapFigures
 from driftjax.learning.scenario import Scenario, drivers
-from driftjax.learning.stage import drive_lanes
+from driftjax.learning.stage import drive_batch
 from driftjax.parallel import concatenate
 from driftjax.sim import LapCode, Trace
 from driftjax.tune.config import Scales, TuneConfig
-from driftjax.tune.loss import Slopes, lap_errors, lap_loss, slope_lanes
-from driftjax.tune.parameters import moved
+from driftjax.tune.loss import LapGradients, gradients_batch, lap_errors, lap_loss
+from driftjax.tune.parameters import scaled_drivers
 from driftjax.vehicle import no_residual
 
 
-class Driven(NamedTuple):
-    """Laps with the controller as it is driven: points K, plants L."""
+class LapResults(NamedTuple):
+    """Laps with the hard switch: points K, plants L."""
 
     loss: Float[np.ndarray, "K L"]
     code: np.ndarray
@@ -34,8 +34,8 @@ class Driven(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Course:
-    """All plants of a run on one course."""
+class LapEvaluator:
+    """All plants of a run on its track."""
 
     config: TuneConfig
     scenario: Scenario
@@ -44,38 +44,38 @@ class Course:
     def drivers(self) -> Driver:
         """Nominal drivers of all plants, before tuning."""
         scenario = self.scenario
-        untaught = scenario.over_lanes(no_residual(zero_gp(1, 5, 3), scenario.lags))
-        return drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught)
+        initial = scenario.over_batch(no_residual(zero_gp(1, 5, 3), scenario.lags))
+        return drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
 
     @cached_property
     def plants(self) -> list[str]:
-        """Names of the plants: those to tune on, then those held out."""
-        return [lane.plant for lane in self.scenario.lanes]
+        """Names of the plants: the training plants, then the held-out ones."""
+        return [entry.plant for entry in self.scenario.batch]
 
-    def lanes(self, p: Float[np.ndarray, " 6"], which: slice):
-        """Lanes of the plants `which` at `p`."""
+    def batch(self, p: Float[np.ndarray, " 6"], which: slice):
+        """Return the batch of the plants `which` at `p`."""
         scenario = self.scenario
-        speed = jnp.full(scenario.num_lanes, scenario.plan.V[0])
-        every = (moved(self.drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
+        speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
+        every = (scaled_drivers(self.drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
         return jax.tree.map(lambda a: a[which] if eqx.is_array(a) else a, every)
 
-    def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> Driven:
-        """A lap of each plant `which` at each of `points`."""
+    def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> LapResults:
+        """Drive a lap of each plant `which` at each of `points`."""
         learn = self.scenario.config
-        each = [self.lanes(p, which) for p in points]
-        lanes = concatenate(*each)
-        trace, code, _, figures = self.scenario.blocks.map(
-            drive_lanes, lanes, self.scenario.sensors, learn.lap, learn.mpc.dt
+        each = [self.batch(p, which) for p in points]
+        batch = concatenate(*each)
+        trace, code, _, figures = self.scenario.executor.map(
+            drive_batch, batch, self.scenario.sensors, learn.lap, learn.mpc.dt
         )
-        loss = _losses(trace, code, lanes[0].table, self.config.scales)
+        loss = _losses(trace, code, batch[0].table, self.config.scales)
         plain: Any = jax.tree.map(lambda a: np.asarray(a).reshape(len(points), -1), (loss, code, figures))
-        return Driven(*plain)
+        return LapResults(*plain)
 
-    def slopes(self, p: Float[np.ndarray, " 6"], which: slice) -> Slopes:
-        """Derivatives at `p` of the laps of the plants `which` with the smooth switch."""
+    def gradients(self, p: Float[np.ndarray, " 6"], which: slice) -> LapGradients:
+        """Return the derivatives at `p` of the laps of the plants `which` with the smooth switch."""
         learn = self.scenario.config
         shared = (self.scenario.sensors, learn.lap, learn.mpc.dt, self.config.scales, self.config.blend)
-        found = self.scenario.blocks.map(slope_lanes, self.lanes(p, which), *shared)
+        found = self.scenario.executor.map(gradients_batch, self.batch(p, which), *shared)
         return jax.tree.map(np.asarray, found)
 
 
@@ -84,6 +84,6 @@ def _losses(trace: Trace, code: Array, table: ReferenceTable, scales: Scales) ->
     return jax.vmap(lambda t, c, row: lap_loss(lap_errors(t, row, scales), c, scales))(trace, code, table)
 
 
-def ending(code: int) -> str:
-    """How a lap ended, in a word."""
+def lap_outcome(code: int) -> str:
+    """Name how a lap ended."""
     return LapCode(code).name.lower().replace("_", " ")

@@ -1,4 +1,4 @@
-"""What a lap is judged by, as a sum of squares, and its slopes through the closed loop."""
+"""Loss of a lap, as a sum of squares, and its derivatives through the closed loop."""
 
 from typing import NamedTuple
 
@@ -14,25 +14,25 @@ from driftjax.sim import AnyPlant, LapCode, LapConfig, Trace, drive
 from driftjax.sim.sensors import SensorConfig
 from driftjax.tune.blend import blended
 from driftjax.tune.config import Scales
-from driftjax.tune.parameters import NAMES, moved
+from driftjax.tune.parameters import NAMES, scaled_drivers
 
-EDGE = 1.0  # length over which the ends of the drift section count less and less [m]
+EDGE = 1.0  # length over which weights fade at the ends of the drift section [m]
 
 
-class Slopes(NamedTuple):
-    """Loss of each lane with the smooth switch and its derivatives; a lane without them has zeros and says so."""
+class LapGradients(NamedTuple):
+    """Loss of each entry with the smooth switch and its derivatives; zeros where they are not `valid`."""
 
-    loss: Float[Array, " lanes"]
-    gradient: Float[Array, "lanes 6"]
-    gauss: Float[Array, "lanes 6 6"]  # Gauss-Newton Hessian
-    known: Bool[Array, " lanes"]  # lap completed, derivatives finite
+    loss: Float[Array, " batch"]
+    gradient: Float[Array, "batch 6"]
+    gauss: Float[Array, "batch 6 6"]  # Gauss-Newton Hessian
+    valid: Bool[Array, " batch"]  # lap completed, derivatives finite
 
 
 def lap_errors(trace: Trace, table: ReferenceTable, scales: Scales) -> Float[Array, "steps 3"]:
-    """Errors of one lap over the drift section, whose squares add up to means over distance.
+    """Return the errors of one lap over the drift section, whose squares add up to means over distance.
 
-    Lateral error, sideslip less the planned one, change of the steering command; weights fade over a metre at the ends
-    of the section, so that no step enters or leaves with a jump.
+    Lateral error, deviation from the planned sideslip, change of the steering command; weights fade over a metre at the
+    ends of the section, so that no step enters or leaves with a jump.
     """
     s = trace.s
     weight = jax.nn.sigmoid((s - table.drift_start) / EDGE) * jax.nn.sigmoid((table.drift_end - s) / EDGE)
@@ -46,23 +46,24 @@ def lap_errors(trace: Trace, table: ReferenceTable, scales: Scales) -> Float[Arr
 
 
 def lap_loss(errors: Float[Array, "steps 3"], code: Array, scales: Scales) -> Float[Array, ""]:
-    """Sum of squares; the fixed loss of a failed lap where it was not completed."""
+    """Return the sum of squares, or the fixed loss of a lap that was not completed."""
     return jnp.where(code == int(LapCode.COMPLETED), jnp.sum(errors**2), scales.failed)
 
 
-def slope_lanes(
-    lanes: tuple[Driver, AnyPlant, Array, Array],
+def gradients_batch(
+    batch: tuple[Driver, AnyPlant, Array, Array],
     sensors: SensorConfig,
     lap: LapConfig,
     dt: float,
     scales: Scales,
     width: float,
-) -> Slopes:
-    """Forward mode through plant, sensors and solved MPC of lanes given as (drivers, plants, first speeds, keys)."""
-    drivers, plants, speed, keys = lanes
+) -> LapGradients:
+    """Differentiate in forward mode through plant, sensors and solved MPC, for entries (drivers, plants, initial
+    speeds, keys)."""
+    drivers, plants, speed, keys = batch
 
     def errors(p: Array) -> tuple[Array, tuple[Array, Array]]:
-        now = moved(drivers, p)
+        now = scaled_drivers(drivers, p)
         memory = eqx.filter_vmap(lambda d: d.start())(now)
         policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, jnp.asarray(width))
         laps = drive(plants, now.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
@@ -71,7 +72,7 @@ def slope_lanes(
         return flat, (flat, laps.code)
 
     J, (flat, code) = jax.jacfwd(errors, has_aux=True)(jnp.zeros(len(NAMES)))
-    known = (code == int(LapCode.COMPLETED)) & jnp.all(jnp.isfinite(J), axis=(1, 2))
-    J = jnp.where(known[:, None, None], J, 0.0)
+    valid = (code == int(LapCode.COMPLETED)) & jnp.all(jnp.isfinite(J), axis=(1, 2))
+    J = jnp.where(valid[:, None, None], J, 0.0)
     loss = jax.vmap(lambda r, c: lap_loss(r, c, scales))(flat, code)
-    return Slopes(loss, 2 * jnp.einsum("li,lip->lp", flat, J), 2 * jnp.einsum("lip,liq->lpq", J, J), known)
+    return LapGradients(loss, 2 * jnp.einsum("li,lip->lp", flat, J), 2 * jnp.einsum("lip,liq->lpq", J, J), valid)

@@ -1,4 +1,4 @@
-"""The parameters that are tuned: logarithms of the factors on Q, R and the switching lead."""
+"""Tuned parameters: logarithms of the factors on Q, R and the switching lead."""
 
 from typing import Any
 
@@ -13,8 +13,8 @@ from driftjax.control.driver import Driver
 NAMES = ("Q_V", "Q_beta", "Q_r", "R_delta", "R_Fxr", "lead")
 
 
-def moved(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
-    """`drivers` of all lanes with their weights on V, beta, r, both changes of inputs and their lead times exp(p)."""
+def scaled_drivers(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
+    """Multiply the weights on V, beta, r and both input changes, and the lead, of all `drivers` by exp(p)."""
     factor = jnp.exp(p)
     Q = drivers.ocp.Q * jnp.concatenate([factor[:3], jnp.ones(2)])
     values = (Q, drivers.ocp.R * factor[3:5], drivers.lead * factor[5])
@@ -22,7 +22,7 @@ def moved(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
 
 
 def values(drivers: Driver, p: Float[np.ndarray, " 6"]) -> dict[str, Any]:
-    """Q [SI], R [SI] and lead [m] at `p`, for a person."""
-    now = moved(drivers, jnp.asarray(p))
+    """Return Q [SI], R [SI] and lead [m] at `p`."""
+    now = scaled_drivers(drivers, jnp.asarray(p))
     every = np.concatenate([now.ocp.Q[0, :3], now.ocp.R[0], now.lead[:1]])
     return dict(zip(NAMES, every.tolist(), strict=True))

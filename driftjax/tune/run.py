@@ -1,4 +1,4 @@
-"""`driftjax tune`: both searches on the training plants, then one lap each on the plants held out."""
+"""Run `driftjax tune`: both searches on the training plants, then one lap each on the held-out plants."""
 
 import dataclasses
 import time
@@ -12,7 +12,7 @@ from driftjax.learning.scenario import build
 from driftjax.parallel import process_executor
 from driftjax.store.folder import RunFolder
 from driftjax.tune.config import TuneConfig
-from driftjax.tune.laps import Course, Driven, ending
+from driftjax.tune.laps import LapEvaluator, LapResults, lap_outcome
 from driftjax.tune.parameters import NAMES, values
 from driftjax.tune.search import Search, descend, random_search
 
@@ -22,35 +22,35 @@ PAIRS = (("default", "tuned"), ("default", "random"), ("random", "tuned"))
 
 
 def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
-    """Search, judge, write `results.json`; return it. Deterministic but for the seconds."""
+    """Search, evaluate, write `results.json`; return it. Deterministic except for the seconds."""
     report("plan", 0, 4)
     num = config.training + config.held_out
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
-    with process_executor(num_workers) as blocks:
-        course = Course(config, build(learn, blocks))
-        found = searched(course, report)
+    with process_executor(num_workers) as executor:
+        evaluator = LapEvaluator(config, build(learn, executor))
+        found = run_searches(evaluator, report)
         report("laps of held-out plants", 3, 4)
         points = np.stack([found[kind]["p"] for kind in KINDS])
-        results = told(course, found, course.drive(points, slice(config.training, num)))
+        results = results_content(evaluator, found, evaluator.drive(points, slice(config.training, num)))
     folder.write_json("results", results)
     report("done", 4, 4)
     return results
 
 
-def searched(course: Course, report: Report) -> dict[str, dict[str, Any]]:
-    """The three settings: where the search starts, and what either search found on the training plants."""
-    config, notes = course.config, {"failed_laps": 0, "laps_without_slope": 0, "slopes": 0, "slope_seconds": 0.0}
+def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str, Any]]:
+    """Return the three settings: the start, and the result of each search on the training plants."""
+    config, notes = evaluator.config, {"failed_laps": 0, "laps_without_slope": 0, "slopes": 0, "slope_seconds": 0.0}
     training, box = slice(0, config.training), config.box
 
     def evaluate(points: np.ndarray) -> np.ndarray:
-        driven = course.drive(points, training)
+        driven = evaluator.drive(points, training)
         notes["failed_laps"] += int(np.sum(~driven.figures.completed))
         return driven.loss.mean(axis=1)
 
     def slope(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         begun = time.monotonic()
-        found = course.slopes(p, training)
-        notes["laps_without_slope"] += int(np.sum(~found.known))
+        found = evaluator.gradients(p, training)
+        notes["laps_without_slope"] += int(np.sum(~found.valid))
         notes["slopes"] += 1
         notes["slope_seconds"] += time.monotonic() - begun
         return np.asarray(found.gradient).mean(axis=0), np.asarray(found.gauss).mean(axis=0)
@@ -69,12 +69,13 @@ def searched(course: Course, report: Report) -> dict[str, dict[str, Any]]:
     return {"default": first, "tuned": tuned, "random": drawn}
 
 
-def told(course: Course, found: dict[str, dict[str, Any]], driven: Driven) -> dict[str, Any]:
-    """`results.json`."""
-    config, names = course.config, course.plants
+def results_content(evaluator: LapEvaluator, found: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:
+    """Return the content of `results.json`."""
+    config, names = evaluator.config, evaluator.plants
     error = np.asarray(driven.figures.lateral_error)
     settings = {
-        kind: one | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(course.drivers, one["p"])}
+        kind: one
+        | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(evaluator.drivers, one["p"])}
         for kind, one in found.items()
     }
     per_plant = [
@@ -83,7 +84,7 @@ def told(course: Course, found: dict[str, dict[str, Any]], driven: Driven) -> di
             "loss": dict(zip(KINDS, driven.loss[:, i].tolist(), strict=True)),
             "lateral_error": dict(zip(KINDS, error[:, i].tolist(), strict=True)),
             "drift_share": dict(zip(KINDS, driven.figures.drift_share[:, i].tolist(), strict=True)),
-            "ended": {kind: ending(driven.code[k, i]) for k, kind in enumerate(KINDS)},
+            "ended": {kind: lap_outcome(driven.code[k, i]) for k, kind in enumerate(KINDS)},
         }
         for i, name in enumerate(names[config.training :])
     ]

@@ -1,4 +1,4 @@
-"""The two searches: damped Gauss-Newton steps that must lower the true loss, and random draws."""
+"""Two searches: damped Gauss-Newton steps that must lower the true loss, and random sampling."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,14 +8,14 @@ from jaxtyping import Float
 
 Evaluate = Callable[[Float[np.ndarray, "K P"]], Float[np.ndarray, " K"]]
 Slope = Callable[[Float[np.ndarray, " P"]], tuple[Float[np.ndarray, " P"], Float[np.ndarray, "P P"]]]
-DAMPINGS = np.array([1e-2, 1e-1, 1.0, 10.0])  # tried side by side, of the mean curvature
-REACH = np.log(1.6)  # furthest that a step moves any parameter: slopes of a lap say little beyond
-HARDER = 1e3  # factor on them where none of the steps is better
+DAMPINGS = np.array([1e-2, 1e-1, 1.0, 10.0])  # tried in parallel, relative to the mean curvature
+REACH = np.log(1.6)  # largest change of a parameter per step: gradients of a lap are local
+HARDER = 1e3  # factor on the dampings where none of the steps is better
 GIVE_UP = 2  # rounds of trials in a row without a better point
 
 
 class Search(NamedTuple):
-    """Best point found, and the way there."""
+    """Best point found, and the history of the search."""
 
     p: Float[np.ndarray, " P"]
     loss: float
@@ -24,10 +24,10 @@ class Search(NamedTuple):
 
 
 def descend(evaluate: Evaluate, slope: Slope, box: Float[np.ndarray, " P"], budget: int) -> Search:
-    """Levenberg-Marquardt from 0 within +-`box`, until `budget` would be exceeded or no step is better.
+    """Run Levenberg-Marquardt from 0 within +-`box`, until `budget` would be exceeded or no step is better.
 
-    Steps of several dampings are tried side by side, and the best is taken where it lowers `evaluate`, the true loss;
-    a slope that misleads (of a smoothed lap, or of a part of the plants) costs trials but never takes what is worse.
+    Steps of several dampings are tried in parallel, and the best is accepted where it lowers `evaluate`, the true loss;
+    a misleading gradient (of a smoothed lap, or of some of the plants) costs trials but never makes the result worse.
     """
     p = np.zeros_like(box)
     loss, cost = float(evaluate(p[None])[0]), 1
@@ -57,7 +57,7 @@ def _step(p: np.ndarray, gradient: np.ndarray, gauss: np.ndarray, damping: float
 
 
 def random_search(evaluate: Evaluate, box: Float[np.ndarray, " P"], budget: int, seed: int) -> Search:
-    """The best of 0 and `budget` - 1 points uniform in +-`box`: factors are log-uniform."""
+    """Return the best of 0 and `budget` - 1 points uniform in +-`box`: factors are log-uniform."""
     draws = np.random.default_rng(seed).uniform(-box, box, (budget - 1, len(box)))
     points = np.concatenate([np.zeros((1, len(box))), draws])
     losses = evaluate(points)

@@ -12,23 +12,23 @@ from driftjax.gp import GP
 
 
 class Residual(eqx.Module):
-    """Learnt residual of a car: lags of its actuators, and the model error d(z) at the actuator outputs.
+    """Learnt residual of a car: lags of its actuators, and the residual rate d(z) at the actuator outputs.
 
-    The model error is a GP that fades to zero far from its data.
+    The residual is a GP that fades to zero far from its data.
     """
 
     gp: GP
-    gate: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
+    trust_factor: Float[Array, "3"]  # share of each output that held-out data support, 0 to 1
     lags: Float[Array, "2"]  # time constants of steering and drive [s]; they only matter while commands change
     bounded: bool = eqx.field(static=True, default=True)  # False: the bare mean, however far from data
 
     def __call__(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
         """Return (dV, dbeta, dr) per second at z = (V, beta, r, delta, Fxr), SI."""
-        return self.gate * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
+        return self.trust_factor * (self.gp.bounded_mean(z) if self.bounded else self.gp.mean(z))
 
     def scaled(self, share: Array) -> "Residual":
         """Return the residual times `share`: zero at 0, unchanged at 1."""
-        return Residual(self.gp, share * self.gate, share * self.lags, self.bounded)
+        return Residual(self.gp, share * self.trust_factor, share * self.lags, self.bounded)
 
 
 class Corrected(eqx.Module):

@@ -160,7 +160,7 @@ class DoubleTrack(eqx.Module):
         return Motion(V, beta, state.r, state.x, state.y, state.psi, force.ax, force.ay, state.delta, force.drive,
                       state.omega)  # fmt: skip
 
-    def told(self, state: PlantState, motion: Motion) -> Motion:
-        """`motion` as the car's sensors tell it, noise apart: as it is."""
+    def sensor_reading(self, state: PlantState, motion: Motion) -> Motion:
+        """Return `motion` as the car's sensors read it, noise aside: unchanged."""
         del state
         return motion

@@ -177,7 +177,7 @@ def test_far_from_data_a_bounded_residual_fades_and_a_free_one_is_the_mean():
     free, far = dataclasses.replace(bounded, bounded=False), bounded.gp.Z[0] + 8 * bounded.gp.scale
     stretched = eqx.tree_at(lambda d: d.gp.hyper.log_lengthscale, free, jnp.full((3, 5), 3.0))
     assert np.all(np.abs(dataclasses.replace(stretched, bounded=True)(far)) < 1e-3)
-    np.testing.assert_allclose(stretched(far), stretched.gate * stretched.gp.mean(far), rtol=1e-12)
+    np.testing.assert_allclose(stretched(far), stretched.trust_factor * stretched.gp.mean(far), rtol=1e-12)
     assert np.all(np.abs(np.asarray(stretched(far))[:2]) > 0.02)
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.lane_solve import FEW_LANES, Posed, answers, safeguarded
+from driftjax.control.lane_solve import MIN_BATCH, MPCProblem, solve_batch, solve_with_fallback
 from driftjax.control.lanes import drift_lanes
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
@@ -129,16 +129,16 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
 
 
 def answer(out: str) -> None:
-    """Batched and safeguarded answers of lanes that have learnt differently; the first is not needed."""
-    num, config = FEW_LANES, MPCConfig(horizon=6, tolerance=1e-7, max_steps=60)
+    """Batched and fallback solutions of entries with different residuals; the first is not needed."""
+    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-7, max_steps=60)
     problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(num)]
     ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
     x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (num, 5))
     wide = lambda a: jnp.broadcast_to(a, (num, *np.shape(a)))
     before = wide(BEFORE * UNIT)
     options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
-    posed = Posed(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
+    problem = MPCProblem(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
-    together = eqx.filter_jit(answers)(ocp, posed, jnp.arange(num) > 0)
-    alone = eqx.filter_jit(eqx.filter_vmap(safeguarded))(ocp, posed)
+    together = eqx.filter_jit(solve_batch)(ocp, problem, jnp.arange(num) > 0)
+    alone = eqx.filter_jit(eqx.filter_vmap(solve_with_fallback))(ocp, problem)
     np.savez(out, **together._asdict(), **{f"{name}_alone": value for name, value in alone._asdict().items()})

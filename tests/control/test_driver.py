@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.driver import Driver, Memory, decide
-from driftjax.control.lane_solve import safeguarded
+from driftjax.control.driver import Driver, DriverState, decide
+from driftjax.control.lane_solve import solve_with_fallback
 from driftjax.control.lqr import LQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
@@ -34,7 +34,7 @@ def engaged(kind, s: float, beta: float, drifting: bool) -> bool:
     one = driver(kind)
     zero = jnp.asarray(0.0)
     sensed = Sensed(jnp.asarray(9.0), jnp.asarray(beta), zero, jnp.asarray(s), zero, zero, jnp.asarray(s), zero, zero)
-    memory: Memory = one.start()._replace(drifting=jnp.asarray(drifting))
+    memory: DriverState = one.start()._replace(drifting=jnp.asarray(drifting))
     return bool(one.engaged(sensed, memory))
 
 
@@ -80,8 +80,8 @@ def sliding(s: float) -> Sensed:
 @eqx.filter_jit
 def step(one, sensed, memory, needed):
     """One step of the drift MPC, alone."""
-    posed = one.pose(sensed, memory, needed)
-    return one.conclude(posed, safeguarded(one.ocp, posed), memory)
+    problem = one.mpc_problem(sensed, memory, needed)
+    return one.apply_result(problem, solve_with_fallback(one.ocp, problem), memory)
 
 
 def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
@@ -99,10 +99,10 @@ def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
 def test_a_solve_starts_from_the_reference_whatever_was_driven_before():
     one, needed = driver("mpc"), jnp.asarray(True)
     start = one.start()._replace(command=jnp.asarray([-0.29, 6000.0]))
-    posed = one.pose(sliding(50.0), start._replace(good=jnp.full((3, 2), 0.6), drifting=needed), needed)
-    np.testing.assert_allclose(posed.X[1:], np.tile([9.0, -0.5, 1.0, 0.0, 0.5], (3, 1)), rtol=1e-12)
-    np.testing.assert_allclose(posed.U, np.tile([-0.3, 6000.0], (3, 1)), rtol=1e-12)
-    np.testing.assert_allclose(posed.X[0], [9.0, -0.5, 1.0, 0.0, 0.5], rtol=1e-12)
+    problem = one.mpc_problem(sliding(50.0), start._replace(good=jnp.full((3, 2), 0.6), drifting=needed), needed)
+    np.testing.assert_allclose(problem.X[1:], np.tile([9.0, -0.5, 1.0, 0.0, 0.5], (3, 1)), rtol=1e-12)
+    np.testing.assert_allclose(problem.U, np.tile([-0.3, 6000.0], (3, 1)), rtol=1e-12)
+    np.testing.assert_allclose(problem.X[0], [9.0, -0.5, 1.0, 0.0, 0.5], rtol=1e-12)
 
 
 def test_each_lane_is_driven_by_its_own_controller_and_the_others_do_not_matter():

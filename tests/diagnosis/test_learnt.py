@@ -10,7 +10,7 @@ from driftjax.core import State
 from driftjax.diagnosis.fit import posed
 from driftjax.diagnosis.residual_gp import residual_rates
 from driftjax.logs import Run
-from driftjax.sim.rollout import SETTLE, acting, begin, move, told
+from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
 from driftjax.vehicle.effect import effects_by_name
 from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import universal_car
@@ -31,7 +31,7 @@ def noise_free(theta, x0, delta, Fxr, dt: float, push=(0.0, 0.0, 0.0)) -> Run:
     def on(carry, u):
         z, rates = carry
         after = move(model, z, u, place, step, State(*map(jnp.asarray, push)))
-        return (after.z, after.rates), told(model, z[:3], rates, step)
+        return (after.z, after.rates), sensor_reading(model, z[:3], rates, step)
 
     start = begin(model, jnp.asarray(x0), u[lead], place), jnp.zeros((3, 3))
     V, beta, r = np.asarray(jax.jit(lambda: jax.lax.scan(on, start, u[lead:])[1])()).T

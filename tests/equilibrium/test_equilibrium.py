@@ -60,7 +60,7 @@ def test_every_steady_state_that_scipy_finds_is_found_and_solved(name):
     ok = np.asarray(solved.result == RESULTS.successful)
     count = 0
     for i in range(len(V)):
-        rows = np.flatnonzero(np.asarray(roots.found[i]))
+        rows = np.flatnonzero(np.asarray(roots.valid[i]))
         expected = steady_states(c, V[i], r[i])
         assert len(rows) == len(expected)
         for row, (beta, delta, Fxr) in zip(rows, sorted(expected, key=lambda y: (round(y[0], 9), y[1])), strict=True):

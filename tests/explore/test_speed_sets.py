@@ -97,9 +97,9 @@ def test_limits_the_wrong_way_round_are_infeasible_and_others_go_before_the_boun
 
 
 def test_lanes_equal_single_calls():
-    lanes = [tuple(jnp.asarray(v) for v in corner(seed)) for seed in (4, 5)]
+    corners = [tuple(jnp.asarray(v) for v in corner(seed)) for seed in (4, 5)]
     batch = jax.jit(jax.vmap(lambda V, s, r_b, e: sets(V, s, r_b, e)))(
-        *(jnp.stack(parts) for parts in zip(*lanes, strict=True))
+        *(jnp.stack(parts) for parts in zip(*corners, strict=True))
     )
-    for i, lane in enumerate(lanes):
-        np.testing.assert_allclose(batch.gamma[i], sets(*lane).gamma, atol=1e-9)
+    for i, one_corner in enumerate(corners):
+        np.testing.assert_allclose(batch.gamma[i], sets(*one_corner).gamma, atol=1e-9)

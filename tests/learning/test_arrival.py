@@ -9,12 +9,12 @@ import pytest
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control
 from driftjax.learning import arrival
-from driftjax.learning.arrival import Approach
+from driftjax.learning.arrival import Arrival
 from driftjax.sim import Sensed, Trace
 
 DT, LAGS = jnp.asarray(0.1), jnp.asarray([0.05, 0.2])
-seen = eqx.filter_jit(arrival.seen)
-PLANNED = Approach(jnp.asarray([9.0, 0.0, 0.1, 0.0, 0.0]), jnp.zeros(2), jnp.zeros(2), jnp.asarray(0))
+update_arrival = eqx.filter_jit(arrival.update_arrival)
+PLANNED = Arrival(jnp.asarray([9.0, 0.0, 0.1, 0.0, 0.0]), jnp.zeros(2), jnp.zeros(2), jnp.asarray(0))
 
 
 def lap(noise: float = 0.0, num: int = 40, seed: int = 0, until: int = 40) -> Trace:
@@ -40,18 +40,18 @@ def at(s0: float) -> float:
 
 @pytest.mark.parametrize("s0", [12.3, 20.0, 33.3])
 def test_the_state_between_two_samples_is_found(s0):
-    found, t = seen(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
+    found, t = update_arrival(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
     np.testing.assert_allclose(found.x, [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t, 0.3 * t, -0.02 * t], atol=2e-4)
     np.testing.assert_allclose(found.command, [0.1, 3000.0])
-    reached = 1 - np.exp(-t / np.asarray(LAGS))  # of commands held since the start
-    np.testing.assert_allclose(found.reached, reached * [0.1, 3000.0], rtol=5e-3)
+    lagged_input = 1 - np.exp(-t / np.asarray(LAGS))  # of commands held since the start
+    np.testing.assert_allclose(found.lagged_input, lagged_input * [0.1, 3000.0], rtol=5e-3)
     assert int(found.laps) == 1
 
 
 def test_laps_are_averaged_and_the_plan_is_forgotten():
     found, t = PLANNED, at(20.0)
     for seed in range(200):
-        found = seen(found, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
+        found = update_arrival(found, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
     assert int(found.laps) == 200
     np.testing.assert_allclose(found.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
 
@@ -59,10 +59,10 @@ def test_laps_are_averaged_and_the_plan_is_forgotten():
 def test_the_plan_has_the_types_of_laps_so_that_one_program_serves_both():
     """A weak type, which results of laps have not, made every program that takes it compile twice."""
     table = ReferenceTable(0.0, 5.0, *[jnp.zeros(9)] * 9, drift_start=20.0, drift_end=30.0)
-    assert not any(leaf.weak_type for leaf in jax.tree.leaves(arrival.planned_approach(table, 2.0)))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(arrival.planned_arrival(table, 2.0)))
 
 
 def test_a_lap_that_ends_before_changes_nothing():
-    found = seen(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
+    found = update_arrival(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
     assert int(found.laps) == 0
     np.testing.assert_array_equal(found.x, PLANNED.x)

@@ -13,20 +13,22 @@ from driftjax.equilibrium import Branch
 from driftjax.learning.config import GPConfig, load_learn_config
 from driftjax.learning.model import empty, learn
 from driftjax.learning.reference import Corner
-from driftjax.learning.residual import claims
-from driftjax.learning.scenario import held
+from driftjax.learning.residual import known_effect_basis
+from driftjax.learning.scenario import nominal_drift
 from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 
 FOUND = (EffectParameterValue("load_transfer_long", "h", 0.3), EffectParameterValue("rolling_resistance", "f", 0.015))
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
 CAR: Any = build_car(dataclasses.replace(SEDAN, effects=FOUND))
-CLAIM: Any = claims(CAR)
+CLAIM: Any = known_effect_basis(CAR)
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 1500.0])
 LAGS = jnp.asarray([0.05, 0.1])
 learnt = eqx.filter_jit(
-    lambda Z, Y, claim: learn(empty(CONFIG), Z, Y, jnp.ones(len(Z), bool), LAGS, CONFIG, jax.random.key(0), claim)
+    lambda Z, Y, known_basis: learn(
+        empty(CONFIG), Z, Y, jnp.ones(len(Z), bool), LAGS, CONFIG, jax.random.key(0), known_basis
+    )
 )
 
 
@@ -42,7 +44,7 @@ def other(Z):
 
 
 def test_the_nominal_car_claims_nothing():
-    assert claims(SEDAN.build()) is None and isinstance(CAR, Extended)
+    assert known_effect_basis(SEDAN.build()) is None and isinstance(CAR, Extended)
 
 
 def test_claims_are_how_rates_change_with_the_parameters():
@@ -60,8 +62,8 @@ def test_another_value_of_a_named_effect_is_not_learnt_as_residual():
     caused = CLAIM(Z) @ jnp.asarray([0.8, -0.6])
     Y = caused + 0.02 * jnp.std(caused, axis=0) * rng.normal(size=caused.shape)
     share = {}
-    for name, claim in (("plain", None), ("orthogonal", CLAIM)):
-        found = learnt(Z, Y, claim)
+    for name, known_basis in (("plain", None), ("orthogonal", CLAIM)):
+        found = learnt(Z, Y, known_basis)
         mean = jax.vmap(found.residual.gp.mean)(found.Z)
         share[name] = jnp.sqrt(jnp.sum(mean**2, axis=0) / jnp.sum(found.Y**2, axis=0))
     assert np.all(share["plain"] > 0.7)  # without the orthogonality the GP takes nearly all of it
@@ -73,7 +75,7 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
     rest, caused = other(Z), CLAIM(Z) @ jnp.asarray([0.8, -0.6])
     noise = 0.02 * jnp.std(rest, axis=0) * rng.normal(size=rest.shape)
     found = learnt(Z, rest + caused + noise, CLAIM)
-    assert np.all(np.asarray(found.residual.gate) > 0.7)
+    assert np.all(np.asarray(found.residual.trust_factor) > 0.7)
     mean, mask = np.asarray(jax.vmap(found.residual.gp.mean)(found.Z)), np.asarray(found.mask)
     basis = np.asarray(CLAIM(found.Z))
     for d in range(3):
@@ -87,7 +89,7 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
 def test_where_tyres_have_no_peak_the_corner_is_slid_through_within_it():
     car: Any = build_car(load_vehicle("dart").with_combined_slip(1.0))
     config = load_learn_config("dart")
-    steady, branch = held(car, Corner(V_b=2.3, r_b=2.0, R=1.2, beta=-config.drift_beta), config)
+    steady, branch = nominal_drift(car, Corner(V_b=2.3, r_b=2.0, R=1.2, beta=-config.drift_beta), config)
     assert branch == Branch.GRIP and abs(float(steady.x.beta)) == config.drift_beta
     assert jnp.max(jnp.abs(jnp.stack(car(steady.x, steady.u)))) < 1e-6
     peaks, slips = jnp.stack(car.peaks), jnp.abs(jnp.stack(car.slip_angles(steady.x, steady.u)))

@@ -1,4 +1,4 @@
-"""The learnt residual: a planted one passes the gate, noise does not, and no data means no residual."""
+"""The learnt residual: a planted one gets a high trust factor, noise does not, and no data means no residual."""
 
 import equinox as eqx
 import jax
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from driftjax.learning.config import GPConfig
-from driftjax.learning.model import FOLDS, empty, learn, trust
+from driftjax.learning.model import FOLDS, empty, learn, trust_factors
 
 LAGS = jnp.asarray([0.05, 0.1])
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 800.0])
 SIZE = np.array([0.5, 0.2, 0.4])
-fitted = eqx.filter_jit(lambda memory, Z, Y, mask, key: learn(memory, Z, Y, mask, LAGS, CONFIG, key))
+fitted = eqx.filter_jit(lambda model_state, Z, Y, mask, key: learn(model_state, Z, Y, mask, LAGS, CONFIG, key))
 
 
 def planted(W):
@@ -34,7 +34,7 @@ def good():
 
 
 def test_a_planted_residual_is_learnt_and_trusted(good):
-    assert np.all(np.asarray(good.residual.gate) > 0.7)
+    assert np.all(np.asarray(good.residual.trust_factor) > 0.7)
     W = 0.7 * np.random.default_rng(1).normal(size=(30, 5))
     error = np.asarray(jax.vmap(good.residual)(jnp.asarray(MEAN + SPREAD * W))) - planted(W)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.5 * SIZE)
@@ -51,7 +51,7 @@ def test_rows_that_are_no_data_change_nothing_and_few_rows_teach_nothing():
     few = jnp.arange(len(Z)) < 15
     found = fitted(empty(CONFIG), Z, Y, few, jax.random.key(0))
     assert int(jnp.sum(found.mask)) == 15
-    assert bool(jnp.all(found.residual.gate == 0)) and bool(jnp.all(found.residual(Z[0]) == 0))
+    assert bool(jnp.all(found.residual.trust_factor == 0)) and bool(jnp.all(found.residual(Z[0]) == 0))
 
 
 def test_the_memory_keeps_its_size_and_the_data_of_earlier_laps(good):
@@ -69,23 +69,23 @@ def test_without_a_lap_there_is_no_residual():
 
 
 def test_noise_of_the_data_does_not_lower_the_gate():
-    """A gate of explained variance would: no mean explains more of noisy targets than what is no noise in them."""
+    """Explained variance would be: no mean explains the noise in its targets."""
     Z, Y, mask = data(noise=0.75, signal=1.0, num=400)
     found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
     explained = 1 - (0.75 * SIZE) ** 2 / np.mean(np.asarray(Y) ** 2, axis=0)
-    assert np.all(explained < 0.65) and np.all(np.asarray(found.residual.gate) > explained + 0.1)
+    assert np.all(explained < 0.65) and np.all(np.asarray(found.residual.trust_factor) > explained + 0.1)
 
 
 def test_a_mean_that_says_the_opposite_is_switched_off_whatever_the_order_of_the_rows():
     Z, Y, mask = data(noise=0.05, signal=1.0)
     gp = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0)).residual.gp
-    gate = eqx.filter_jit(lambda Z, Y, order: trust(gp, Z, Y, mask, order, CONFIG))
+    trust_factor = eqx.filter_jit(lambda Z, Y, order: trust_factors(gp, Z, Y, mask, order, CONFIG))
     order = jnp.arange(len(mask))
     turns = jnp.asarray((-1.0) ** (np.arange(len(mask)) * FOLDS // len(mask)))[:, None]
-    assert bool(jnp.all(gate(Z, Y, order) > 0.7))
-    assert bool(jnp.all(gate(Z, Y * turns, order) == 0))  # of the three other stretches two say the opposite
+    assert bool(jnp.all(trust_factor(Z, Y, order) > 0.7))
+    assert bool(jnp.all(trust_factor(Z, Y * turns, order) == 0))  # of the three other stretches two say the opposite
     mixed = jax.random.permutation(jax.random.key(0), len(mask))
-    assert bool(jnp.all(gate(Z[mixed], (Y * turns)[mixed], order[mixed]) == 0))
+    assert bool(jnp.all(trust_factor(Z[mixed], (Y * turns)[mixed], order[mixed]) == 0))
 
 
 def wandering(seed: int, num: int = 160):
@@ -102,8 +102,8 @@ def test_what_neighbours_in_time_share_earns_little_trust():
     Z, Y = wandering(0)
     mask, order = jnp.ones(len(Z), bool), jnp.arange(len(Z))
     gp = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0)).residual.gp
-    gate = eqx.filter_jit(lambda Z, Y: trust(gp, Z, Y, mask, order, CONFIG))
-    assert np.mean([gate(*wandering(seed)) for seed in range(20)]) < 0.45
+    trust_factor = eqx.filter_jit(lambda Z, Y: trust_factors(gp, Z, Y, mask, order, CONFIG))
+    assert np.mean([trust_factor(*wandering(seed)) for seed in range(20)]) < 0.45
 
 
 def test_the_memory_knows_when_its_rows_were_driven(good):

@@ -71,7 +71,7 @@ def test_the_papers_cost_drives_the_corner_sideways():
     """It does so only where every solve starts from the reference: else the front saturates and the speed falls."""
     config = dataclasses.replace(CONFIG, controllers=("paper",))
     stage, planned = drive_nominal(build(config, BatchExecutor(1)), 0)
-    assert bool(jnp.all(planned.found)) and bool(jnp.all(stage.figures.completed))
+    assert bool(jnp.all(planned.converged)) and bool(jnp.all(stage.figures.completed))
     assert float(jnp.min(stage.figures.drift_share)) >= 0.5
 
 
@@ -100,17 +100,17 @@ def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, fin
         assert again.read_stage(name).identical(folder.read_stage(name))
 
 
-@pytest.mark.parametrize("lanes", [2, pytest.param(16, marks=pytest.mark.slow)])
-def test_a_batch_equals_its_single_laps(lanes):
+@pytest.mark.parametrize("batch", [2, pytest.param(16, marks=pytest.mark.slow)])
+def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
-    scenario = build(dataclasses.replace(CONFIG, plants=lanes), BatchExecutor(1))
-    untaught = scenario.over_lanes(empty(CONFIG.gp).residual)
-    everyone = drivers(scenario, "mpc", scenario.over_lanes(scenario.table), untaught)
-    drive = lambda blocks: run_stage(dataclasses.replace(scenario, blocks=blocks), everyone, 0).laps.trace
+    scenario = build(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
+    initial = scenario.over_batch(empty(CONFIG.gp).residual)
+    everyone = drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
+    drive = lambda executor: run_stage(dataclasses.replace(scenario, executor=executor), everyone, 0).laps.trace
     batch, singles = drive(BatchExecutor(None)), drive(BatchExecutor(1))
     assert jnp.all(jnp.any(batch.decision.drifting, axis=1))
     alive = np.asarray(batch.alive)
     np.testing.assert_array_equal(singles.alive, alive)
-    for name in ("V", "beta", "r", "x", "y", "delta"):  # after a lap's end a lane waits for the others
+    for name in ("V", "beta", "r", "x", "y", "delta"):  # after a lap's end its entry waits for the others
         one, other = (np.asarray(getattr(trace, name))[alive] for trace in (singles, batch))
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from driftjax.control.driver import Decision
 from driftjax.core import Control, State, rk4_step
-from driftjax.learning.residual import estimate_lags, lag_response, reached, residual_rate, rows, samples, smooth
+from driftjax.learning.residual import estimate_lags, lag_response, lagged_input, residual_rate, rows, samples, smooth
 from driftjax.sim import Sensed, Trace
 from driftjax.vehicle import Corrected, load_vehicle
 
@@ -24,7 +24,7 @@ def driven(x0: State = X0, command: Control | None = None, lags=(0.0, 0.0)) -> t
     model = Corrected(NOMINAL, lambda z: jnp.asarray(PLANTED))
     t = DT * jnp.arange(T)
     u = Control(U0.delta + 0.02 * jnp.sin(t), U0.Fxr + 200.0 * jnp.cos(t)) if command is None else command
-    acting = Control(*(reached(one, jnp.asarray(lag), jnp.asarray(DT)) for one, lag in zip(u, lags, strict=True)))
+    acting = Control(*(lagged_input(one, jnp.asarray(lag), jnp.asarray(DT)) for one, lag in zip(u, lags, strict=True)))
 
     def move(x, u):
         return rk4_step(lambda w: model(w, u), x, DT), x
@@ -109,9 +109,9 @@ def test_what_a_lag_has_reached_is_the_exact_mean_of_its_response():
         path = target + (value - target) * left ** np.arange(fine + 1)
         mean.append(np.trapezoid(path) / fine)
         value = path[-1]
-    np.testing.assert_allclose(reached(command, jnp.asarray(lag), jnp.asarray(DT)), mean, atol=1e-9)
-    np.testing.assert_array_equal(reached(command, jnp.asarray(0.0), jnp.asarray(DT)), command)
-    slope = jax.grad(lambda tau: jnp.sum(reached(command, tau, jnp.asarray(DT))))(jnp.asarray(0.0))
+    np.testing.assert_allclose(lagged_input(command, jnp.asarray(lag), jnp.asarray(DT)), mean, atol=1e-9)
+    np.testing.assert_array_equal(lagged_input(command, jnp.asarray(0.0), jnp.asarray(DT)), command)
+    slope = jax.grad(lambda tau: jnp.sum(lagged_input(command, tau, jnp.asarray(DT))))(jnp.asarray(0.0))
     assert bool(jnp.isfinite(slope))
 
 
@@ -121,7 +121,7 @@ def test_nothing_is_reached_before_the_first_command():
     at, mean = lag_response(command, lag, dt)
     np.testing.assert_allclose(at, [0.0, 1 - left, 1 - left**2])  # as the driver's memory, which starts from 0
     np.testing.assert_allclose(mean[0], 1 - (1 - left) * 0.08 / DT)
-    np.testing.assert_array_equal(reached(command, lag, dt), mean)
+    np.testing.assert_array_equal(lagged_input(command, lag, dt), mean)
 
 
 @pytest.mark.parametrize("lags", [(0.0, 0.0), (0.05, 0.1), (0.1, 0.05)])

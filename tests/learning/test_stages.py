@@ -12,14 +12,14 @@ from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig, load_learn_config
 from driftjax.learning.explore import candidates, offset, remaining
-from driftjax.learning.loop import remember
 from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.run import _resume
 from driftjax.learning.scenario import build, drivers
-from driftjax.learning.stage import CODES, Stage, run_stage, stage_values
+from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
 from driftjax.learning.stages import _layers, first_progress, stage_names
+from driftjax.learning.updates import update_progress
 from driftjax.parallel import BatchExecutor
 from driftjax.sim import LapCode, Laps
 from driftjax.store import RunFolder
@@ -49,15 +49,15 @@ def test_there_are_as_many_exploration_laps_as_asked_for_and_none_without_sets()
 
 def test_plants_are_numbered_on_and_keep_their_noise(scenario):
     later = build(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
-    assert later.lanes[0] == scenario.lanes[1]
+    assert later.batch[0] == scenario.batch[1]
     assert bool(jnp.all(later.keys[0] == scenario.keys[1]))
 
 
 @pytest.fixture(scope="module")
 def pursued(scenario):
     """A lap of pure pursuit, and what is known before it."""
-    residual = scenario.over_lanes(empty(SHORT.gp).residual)
-    table = scenario.over_lanes(scenario.table)
+    residual = scenario.over_batch(empty(SHORT.gp).residual)
+    table = scenario.over_batch(scenario.table)
     return run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
 
 
@@ -83,8 +83,8 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
 
 
 def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
-    e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # lane 1 was lost there
-    found = eqx.tree_at(lambda c: (c.e, c.aimed), first_progress(scenario).found, (e, jnp.full_like(e, 0.1)))
+    e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # entry 1 was lost there
+    found = eqx.tree_at(lambda c: (c.e, c.aimed), first_progress(scenario).candidates, (e, jnp.full_like(e, 0.1)))
     aimed = [np.asarray(offset(scenario, found, jnp.asarray([k, k]))) for k in range(3)]
     for k in range(3):
         np.testing.assert_allclose(aimed[k][0], 0.1 - (k + 1) / 3 * e[0], rtol=1e-12)
@@ -121,22 +121,22 @@ def test_the_best_lap_and_the_last_error_are_the_measured_ones(scenario, pursued
     trace, residual = pursued
     progress = first_progress(scenario)
     laps = Laps(trace, jnp.full(2, int(LapCode.COMPLETED)), jnp.asarray(SHORT.mpc.dt))
-    table, flat, done = scenario.over_lanes(scenario.table), jnp.full(2, 0.5), jnp.ones(2, bool)
+    table, flat, done = scenario.over_batch(scenario.table), jnp.full(2, 0.5), jnp.ones(2, bool)
 
-    def lap(true: float, measured: float) -> Stage:
+    def lap(true: float, measured: float) -> StageResult:
         figures = LapFigures(jnp.full(2, true), flat, flat, flat, done, jnp.full(2, measured))
-        return Stage(laps, table, trace.V, figures)
+        return StageResult(laps, table, trace.V, figures)
 
-    first = remember(scenario, progress, lap(0.1, 0.3), residual, 1)
-    second = remember(scenario, first, lap(0.2, 0.2), residual, 2)
-    third = remember(scenario, second, lap(0.05, 0.25), residual, 3)
+    first = update_progress(scenario, progress, lap(0.1, 0.3), residual, 1)
+    second = update_progress(scenario, first, lap(0.2, 0.2), residual, 2)
+    third = update_progress(scenario, second, lap(0.05, 0.25), residual, 3)
     assert np.asarray(first.best.error).tolist() == [0.3, 0.3]
     assert np.asarray(third.best.error).tolist() == [0.2, 0.2] and np.asarray(third.last_error).tolist() == [0.25] * 2
 
 
 def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_path):
     trace, residual = pursued
-    table = scenario.over_lanes(scenario.table)
+    table = scenario.over_batch(scenario.table)
     stage = run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0)
     data = dataset(stage_values(scenario, stage, "pursuit"), {"codes": CODES})
     folder = RunFolder.create(tmp_path / "old", to_dict(SHORT))
@@ -146,8 +146,8 @@ def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_
 
 
 def test_what_was_learnt_reaches_the_layers_asked_for(scenario):
-    learnt = scenario.over_lanes(eqx.tree_at(lambda d: d.gate, empty(SHORT.gp).residual, jnp.ones(3)))
-    knows = lambda d: bool(jnp.all(d.gate == 1))
+    learnt = scenario.over_batch(eqx.tree_at(lambda d: d.trust_factor, empty(SHORT.gp).residual, jnp.ones(3)))
+    knows = lambda d: bool(jnp.all(d.trust_factor == 1))
 
     def asked(layers: str) -> tuple[Residual, Residual]:
         return _layers(dataclasses.replace(scenario, config=dataclasses.replace(SHORT, layers=layers)), learnt)

@@ -1,4 +1,4 @@
-"""Laps: how each of them ends, frozen lanes, batches against single laps, the same key the same lap."""
+"""Laps: how each of them ends, frozen batch entries, batches against single laps, the same key the same lap."""
 
 import dataclasses
 
@@ -27,7 +27,7 @@ OCP = drift_ocp(MPCConfig(horizon=1, dt=DT), Weights(), CAR, no_residual(zero_gp
 
 
 def policy(sensed, memory, alive):
-    """Pure pursuit within the limits, unless the lane's memory holds a command (finite) to apply instead."""
+    """Pure pursuit within the limits, unless the entry's memory holds a command (finite) to apply instead."""
     command, fixed = memory
     steady = jnp.asarray(SPEED), jnp.asarray(0.0)
     each = jax.vmap(lambda x: jnp.stack(STEER(PATH, x.x, x.y, x.psi, x.V, x.r, x.s, *steady)))
@@ -56,7 +56,7 @@ def lap(commands, seeds, **change):
 
 @pytest.fixture(scope="module")
 def pair():
-    """Lane 0 follows the straight, lane 1 turns in with full lock and full throttle."""
+    """Entry 0 follows the straight, entry 1 turns in with full lock and full throttle."""
     return lap([PURSUE, FULL_LOCK], [1, 2])
 
 
@@ -70,13 +70,13 @@ def test_pure_pursuit_completes_a_straight_in_the_time_it_takes(pair):
     assert np.all(np.diff(np.asarray(trace.s[0])[alive]) > 0)
 
 
-def test_full_lock_and_throttle_ends_the_lap_and_freezes_only_its_own_lane(pair):
+def test_full_lock_and_throttle_ends_the_lap_and_freezes_only_its_own_entry(pair):
     assert int(pair.code[1]) in (LapCode.SPUN, LapCode.OFF_TRACK)
     alive = np.asarray(pair.trace.alive)
     ends = alive.sum(axis=1)
     assert np.all(np.diff(alive.astype(int), axis=1) <= 0)  # never alive again
     first, later = int(np.argmin(ends)), int(np.argmax(ends))
-    assert ends[first] < ends[later]  # one lane rests while the other drives on
+    assert ends[first] < ends[later]  # one entry is frozen while the other continues
     rest = slice(ends[first], ends[later])
     for name in ("x", "y", "psi", "V", "r", "s", "delta", "Fxr"):
         held = np.asarray(getattr(pair.trace, name))[first, rest]
@@ -110,7 +110,7 @@ def test_the_same_keys_give_the_same_laps_and_others_do_not(pair):
     for a, b in zip(jax.tree.leaves(pair), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
     assert not np.array_equal(other.trace.sensed.V[0], pair.trace.sensed.V[0])
-    driven = np.asarray(pair.trace.alive[1])  # a lane's noise does not depend on its neighbour's key
+    driven = np.asarray(pair.trace.alive[1])  # an entry's noise does not depend on its neighbour's key
     np.testing.assert_array_equal(other.trace.alive[1], driven)
     np.testing.assert_array_equal(other.trace.sensed.V[1][driven], pair.trace.sensed.V[1][driven])
 

@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from driftjax.core import Control, State, rk4_step
-from driftjax.sim.rollout import SETTLE, acting, advance, begin, move, told
+from driftjax.sim.rollout import SETTLE, acting, advance, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
-from driftjax.sim.step import Felt, held, settled
+from driftjax.sim.step import LaggedState, constant_hold, steady_lagged_state
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import Place, effects_by_name
 from driftjax.vehicle.effect.flow import Aux
@@ -43,14 +43,14 @@ def without_grip(model: Universal) -> Universal:
 
 @functools.cache
 def rich():
-    """States with what is felt (NUM, 6), commands and places: sliding and gripping, driven and braked."""
+    """States with lagged states (NUM, 6), commands and places: sliding and gripping, driven and braked."""
     rng, vehicle = np.random.default_rng(5), load_vehicle("sedan")
     between = lambda low, high: rng.uniform(low, high, NUM)
     x = [between(5, 20), between(-0.6, 0.6), between(-1.0, 1.0)]
-    felt = [between(-0.4, 0.4), between(-0.4, 0.4), between(-8, 8)]
+    lagged = [between(-0.4, 0.4), between(-0.4, 0.4), between(-8, 8)]
     u = [between(-0.4, 0.4), vehicle.Fxr_max * between(-0.5, 0.8), np.zeros(NUM), np.zeros(NUM)]
     place = Place(*map(jnp.asarray, (between(0, 60), between(-3, 3), between(0, 1), between(0, 0.3))))
-    return jnp.asarray(np.stack(x + felt, axis=1)), jnp.asarray(np.stack(u, axis=1)), place
+    return jnp.asarray(np.stack(x + lagged, axis=1)), jnp.asarray(np.stack(u, axis=1)), place
 
 
 @functools.cache
@@ -81,7 +81,7 @@ def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
 
 
 def steered(model, delta, num, V=10.0, beta=0.1, r=0.0, place=STILL, dt=DT):
-    """State and what is felt (num + 1, 6) after the steering jumps from 0 to `delta`."""
+    """State and lagged state (num + 1, 6) after the steering jumps from 0 to `delta`."""
     z0 = begin(model, jnp.array([V, beta, r]), jnp.zeros(4), place)
     on = lambda z, _: (lambda z: (z, z))(move(model, z, jnp.array([delta, 0.0, 0.0, 0.0]), place, jnp.asarray(dt)).z)
     return np.concatenate([z0[None], jax.jit(lambda z: jax.lax.scan(on, z, length=num)[1])(z0)])
@@ -124,13 +124,15 @@ def test_what_is_felt_forgets_where_it_began():
     model, (z, u, place) = bent(), rich()
     at = jax.tree.map(lambda a: a[0], place)
     x, control = State(z[0, 0], z[0, 1], z[0, 2]), Control(u[0, 0], u[0, 1])
-    apart = [settled(model, x, control, at), Felt(z[1, 3:5], z[1, 5])]
+    apart = [steady_lagged_state(model, x, control, at), LaggedState(z[1, 3:5], z[1, 5])]
 
-    def on(felts, _):
-        states = [advance(model, x, felt, held(control), at, jnp.asarray(1e-4))[1] for felt in felts]
+    def on(lagged_states, _):
+        states = [
+            advance(model, x, lagged, constant_hold(control), at, jnp.asarray(1e-4))[1] for lagged in lagged_states
+        ]
         return states, None
 
-    one, other = jax.lax.scan(on, apart, length=20000)[0]  # the state held, what is felt moving: 2 s
+    one, other = jax.lax.scan(on, apart, length=20000)[0]  # fixed state, moving lagged state: 2 s
     np.testing.assert_allclose(jnp.stack([*one.slip, one.ay]), jnp.stack([*other.slip, other.ay]), rtol=1e-4, atol=1e-6)
 
 
@@ -155,13 +157,13 @@ def test_lagging_steering_is_that_of_the_differential_equation(tau):
     np.testing.assert_allclose(found[:, 0], np.convolve(jumps, response)[: lead + num], atol=1e-12)
     t = (np.arange(1000) + 0.5) / 1000  # share of a step
     reached = np.cumsum(jumps)[:, None] - np.exp(-t * DT / tau) * lagging_behind(jumps, tau)[:, None]
-    tilt = 3 * (reached * (2 * t - 1)).mean(axis=1)
-    np.testing.assert_allclose(found[:, 2], tilt, atol=(0.1 if tau < DT else 3e-4) * np.abs(tilt).max())
+    slope = 3 * (reached * (2 * t - 1)).mean(axis=1)
+    np.testing.assert_allclose(found[:, 2], slope, atol=(0.1 if tau < DT else 3e-4) * np.abs(slope).max())
     np.testing.assert_allclose(found[:, 1::2], np.tile([500.0, 0.0], (lead + num, 1)), atol=1e-10)
 
 
 def lagging_behind(jumps, tau):
-    """By how much a first-order lag is behind at the begin of each step, after the jump there."""
+    """Lag error of a first-order lag at the start of each step, after the jump there."""
     behind = [0.0]
     for jump in jumps:
         behind.append(behind[-1] * np.exp(-DT / tau) + jump)
@@ -178,7 +180,7 @@ def test_actuators_have_forgotten_their_start_after_settling():
 
 def test_sensors_tell_the_yaw_rate_with_its_bias():
     model = car_with(gyro_bias=0.03)
-    found = told(model, jnp.array([10.0, -0.3, 0.5]), jnp.ones((3, 3)), jnp.asarray(DT))
+    found = sensor_reading(model, jnp.array([10.0, -0.3, 0.5]), jnp.ones((3, 3)), jnp.asarray(DT))
     np.testing.assert_allclose(found, [10.0, -0.3, 0.53], rtol=1e-14)
 
 
@@ -190,7 +192,7 @@ def test_what_is_late_is_told_as_it_was(steps):
     cubics = [np.polynomial.Polynomial(c) for c in np.random.default_rng(8).normal(size=(3, 4)) + [[10], [0], [0]]]
     x = np.array([p(0.0) for p in cubics])
     rates = np.stack([[(p(0.0) - p(-DT)) / DT, p.deriv()(-DT), p.deriv()(0.0)] for p in cubics], axis=1)
-    found = told(model, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(DT))
+    found = sensor_reading(model, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(DT))
     rest = np.mod([0.0, steps, 0.4 * steps], 1.0)
     np.testing.assert_allclose(found, [p(-q * DT) for p, q in zip(cubics, rest, strict=True)], atol=1e-12)
     np.testing.assert_array_equal(model.split_delays(DT)[0], np.floor([0.0, steps, 0.4 * steps]))
@@ -230,7 +232,7 @@ def late_tyres(dt):
 
 
 def test_late_tyres_are_those_of_the_differential_equation():
-    """tau alpha_felt' + alpha_felt = alpha with the motion that the felt slip makes (SciPy), to second order."""
+    """tau alpha_lag' + alpha_lag = alpha with the motion caused by the lagged slip (SciPy), to second order."""
     model = car_with("rc", relaxation_length=0.04)
 
     @jax.jit

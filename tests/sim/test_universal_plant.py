@@ -110,11 +110,11 @@ def test_sensors_tell_what_their_effects_make_of_the_motion():
     car = plant(gyro_bias=0.02)
     state = car.rolling(V0)
     motion = car.motion(state, Control(jnp.asarray(0.0), jnp.asarray(0.0)))
-    told = car.told(state, motion)
+    told = car.sensor_reading(state, motion)
     assert float(told.r) == pytest.approx(0.02) and float(told.V) == V0 and float(motion.r) == 0.0
 
 
-def test_a_lane_that_spins_keeps_its_code_and_the_others_drive_on():
+def test_a_spinning_entry_keeps_its_code_and_the_others_continue():
     path, num = from_curvature([0.0, 20.0], [0.0, 0.0], 4.0, 81), 3
     fixed = jnp.array([[0.0, 0.0], [0.65, 7400.0], [np.nan, 0.0]])
     repeat = lambda tree: jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *a.shape)) if eqx.is_array(a) else a, tree)
@@ -144,7 +144,7 @@ def test_a_late_sensor_tells_what_was():
     def step(state, u):
         state = car.advance(state, Control(u[0], u[1]), DT / SUBSTEPS, 1)
         motion = car.motion(state, Control(u[0], u[1]))
-        return state, (motion, car.told(state, motion))
+        return state, (motion, car.sensor_reading(state, motion))
 
     _, (motion, told) = jax.lax.scan(step, car.rolling(V0), jnp.asarray(commands))
     np.testing.assert_array_equal(told.V, motion.V)
@@ -164,8 +164,8 @@ def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):
     assert isinstance(batch, UniversalPlant)
     assert batch.names == ("friction", "steer_lag") and batch.theta.shape == (2, 2)
     commands = jnp.asarray(wave())
-    for lane, alone in enumerate((plant(steer_lag=0.08, friction=-0.2), plant())):
-        _, motion = driven(jax.tree.map(lambda a, lane=lane: a[lane], batch), commands)
+    for entry, alone in enumerate((plant(steer_lag=0.08, friction=-0.2), plant())):
+        _, motion = driven(jax.tree.map(lambda a, entry=entry: a[entry], batch), commands)
         _, expected = driven(alone, commands)
         np.testing.assert_allclose(motion.V, expected.V, rtol=1e-9)
         np.testing.assert_allclose(motion.r, expected.r, atol=1e-9)

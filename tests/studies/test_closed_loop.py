@@ -1,4 +1,5 @@
-"""The gain in closed loop: what is driven on what, how laps are told, one sentence for bad input, and a whole run."""
+"""The gain in closed loop: plant and model of each lap, content of the results, one sentence for bad input, and a whole
+run."""
 
 import dataclasses
 import json
@@ -19,7 +20,7 @@ from driftjax.learning.scenario import lay_out
 from driftjax.logs import Run, write_log
 from driftjax.manoeuvres.campaign import Campaign
 from driftjax.sim import LapCode, UniversalPlant
-from driftjax.studies.closed_loop import before, closed_loop, compare, figures, load_course
+from driftjax.studies.closed_loop import before, closed_loop, compare, figures, load_case
 from driftjax.vehicle import DoubleTrack, Extended, actuator_lags, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 
@@ -43,13 +44,13 @@ def truth(**changes) -> str:
 
 
 def test_the_plant_is_the_car_that_was_simulated_or_a_double_track():
-    course = load_course(Path(truth()), SEDAN)
-    car: Any = course.plant
+    case = load_case(Path(truth()), SEDAN)
+    car: Any = case.plant
     assert isinstance(car, UniversalPlant) and car.names == ("load_transfer_long", "steer_lag")
     np.testing.assert_allclose(car.theta * car.scale, [0.3, 0.07])
     assert float(car.nominal.combined_slip) == 1.0 and car.step == pytest.approx(0.001)
-    assert course.config.num_lanes == 4 and course.config.controllers == ("path",)
-    assert isinstance(load_course(Path("rc_mu085"), load_vehicle("rc")).plant, DoubleTrack)
+    assert case.config.batch_size == 4 and case.config.controllers == ("path",)
+    assert isinstance(load_case(Path("rc_mu085"), load_vehicle("rc")).plant, DoubleTrack)
 
 
 def test_the_nominal_car_is_the_extended_one_without_its_values():
@@ -113,25 +114,25 @@ def test_bad_input_is_one_sentence_before_anything_is_diagnosed(case, here, caps
 
 
 def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
-    plant = load_course(Path(car("sedan")), SEDAN).plant
+    plant = load_case(Path(car("sedan")), SEDAN).plant
     assert isinstance(plant, UniversalPlant) and plant.names == () and plant.nominal.m == SEDAN.m
 
 
 @pytest.mark.parametrize("name", ["sedan", "dart"])
 def test_every_lane_is_on_the_plant_asked_for(name):
     """Of a car without plants of its own, such as dart, too."""
-    course = load_course(Path(car(name)), load_vehicle(name))
-    lanes, plants, keys = lay_out(course.config, (course.name, course.plant), 20.0)
-    assert [(lane.plant, lane.seed) for lane in lanes] == [(course.name, seed) for seed in range(4)]
-    assert isinstance(plants, UniversalPlant) and isinstance(course.plant, UniversalPlant)
-    np.testing.assert_array_equal(plants.nominal.m, [course.plant.nominal.m] * 4)
+    case = load_case(Path(car(name)), load_vehicle(name))
+    batch, plants, keys = lay_out(case.config, (case.name, case.plant), 20.0)
+    assert [(entry.plant, entry.seed) for entry in batch] == [(case.name, seed) for seed in range(4)]
+    assert isinstance(plants, UniversalPlant) and isinstance(case.plant, UniversalPlant)
+    np.testing.assert_array_equal(plants.nominal.m, [case.plant.nominal.m] * 4)
     assert len(np.unique(jax.random.key_data(keys), axis=0)) == 4
 
 
 def test_a_key_that_is_missing_is_named():
     Path("truth.yaml").write_text("vehicle: sedan\n")
     with pytest.raises(BadInput, match="truth.yaml: key 'combined_slip' is missing; give the truth.yaml"):
-        load_course(Path("truth.yaml"), SEDAN)
+        load_case(Path("truth.yaml"), SEDAN)
 
 
 def test_data_that_say_nothing_are_not_driven():
@@ -144,7 +145,7 @@ def test_data_that_say_nothing_are_not_driven():
 
 @pytest.mark.slow
 def test_with_its_effects_in_the_model_the_car_stays_nearer_to_its_plan(capsys):
-    told = closed_loop(load_course(Path(truth()), SEDAN), SEDAN, EXTENDED)
+    told = closed_loop(load_case(Path(truth()), SEDAN), SEDAN, EXTENDED)
     assert [one["completed"] for one in told["models"].values()] == [[4, 4], [4, 4]]
     apart = told["difference"]["lateral_error"]
     assert apart["pairs"] == 4 and apart["ci95"][1] < -0.05

@@ -30,7 +30,7 @@ def files(config):
     return []
 
 
-def rows(config, blocks, folder: Path):
+def rows(config, executor, folder: Path):
     """Two steps, the second better; every trial begun leaves a line in the file `trace`."""
     if config["trace"]:
         with open(config["trace"], "a") as stream:

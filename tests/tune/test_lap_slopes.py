@@ -22,7 +22,7 @@ from driftjax.track import from_curvature
 from driftjax.tune.blend import blended
 from driftjax.tune.config import Scales
 from driftjax.tune.loss import lap_errors, lap_loss
-from driftjax.tune.parameters import NAMES, moved
+from driftjax.tune.parameters import NAMES, scaled_drivers
 from driftjax.vehicle import load_plant, load_vehicle, no_residual, stack_plants
 
 SCALES, WIDTH, DT = Scales(), 3.0, 0.05
@@ -31,7 +31,7 @@ SENSORS = SensorConfig(sigma_beta=0.002, sigma_r=0.002)
 
 
 @cache
-def lanes():
+def batch():
     """The sedan at 10 m/s, a metre beside a bend that begins where the MPC has just taken over."""
     car = load_vehicle("sedan").with_combined_slip(1.0)
     path = from_curvature([0.0, 5.0, 8.0, 40.0], [0.0, 0.0, 0.06, 0.06], 4.0, 161)
@@ -55,8 +55,8 @@ def lanes():
 @eqx.filter_jit
 def value(p, width):
     """Sum of squares of the piece driven; it is not a whole lap, so nothing here asks for its end."""
-    drivers, plants, speed, keys = lanes()
-    now = moved(drivers, p)
+    drivers, plants, speed, keys = batch()
+    now = scaled_drivers(drivers, p)
     memory = eqx.filter_vmap(lambda d: d.start())(now)
     policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, width)
     laps = drive(plants, now.path, speed, policy, memory, SENSORS, LAP, dt=DT, keys=keys)

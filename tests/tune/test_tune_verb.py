@@ -8,12 +8,12 @@ import pytest
 
 from driftjax.cli.front import main
 from driftjax.learning.metrics import LapFigures
-from driftjax.tune.laps import Driven
-from driftjax.tune.loss import Slopes
+from driftjax.tune.laps import LapResults
+from driftjax.tune.loss import LapGradients
 from driftjax.tune.parameters import NAMES
 
 FIGURES: Any = LapFigures  # of NumPy's arrays here
-SLOPES: Any = Slopes
+SLOPES: Any = LapGradients
 
 
 class MadeUp:
@@ -32,9 +32,9 @@ class MadeUp:
         spun = np.zeros(apart.shape[:2], bool)
         spun[:, -1] = points[:, 5] > 0.1
         loss = np.where(spun, self.config.scales.failed, np.sum(apart**2, axis=-1))
-        return Driven(loss, np.where(spun, 2, 1), FIGURES(loss, loss, loss, loss, ~spun, loss))
+        return LapResults(loss, np.where(spun, 2, 1), FIGURES(loss, loss, loss, loss, ~spun, loss))
 
-    def slopes(self, p, which):
+    def gradients(self, p, which):
         apart = p - self._aim(which)
         num = len(apart)
         return SLOPES(np.sum(apart**2, axis=1), 2 * apart, np.tile(2 * np.eye(6), (num, 1, 1)), np.ones(num, bool))
@@ -43,8 +43,8 @@ class MadeUp:
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("driftjax.tune.run.Course", MadeUp)
-    monkeypatch.setattr("driftjax.tune.run.build", lambda learn, blocks: None)
+    monkeypatch.setattr("driftjax.tune.run.LapEvaluator", MadeUp)
+    monkeypatch.setattr("driftjax.tune.run.build", lambda learn, executor: None)
     monkeypatch.setattr(
         "driftjax.tune.run.values", lambda drivers, p: dict(zip(NAMES, np.exp(p).tolist(), strict=True))
     )
@@ -95,6 +95,10 @@ def test_where_random_search_wins_it_is_said(here, capsys, monkeypatch):
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(argv, words, here, capsys):
     assert main(["tune", *argv]) == 2
-    told = capsys.readouterr()
-    assert len(told.err.strip().splitlines()) == 1 and words in told.err and told.out == ""
+    results_content = capsys.readouterr()
+    assert (
+        len(results_content.err.strip().splitlines()) == 1
+        and words in results_content.err
+        and results_content.out == ""
+    )
     assert list(here.iterdir()) == []

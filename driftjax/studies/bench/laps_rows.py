@@ -10,10 +10,10 @@ import numpy as np
 
 from driftjax.control.driver import Driver
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.learning.loop import remember
 from driftjax.learning.scenario import Scenario, build, drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal, first_progress
+from driftjax.learning.updates import update_progress
 from driftjax.parallel import BatchExecutor, process_executor
 from driftjax.sim import LapCode
 from driftjax.studies.bench.config import Config
@@ -37,35 +37,35 @@ def settings(num: int) -> LearnConfig:
 
 def taught() -> Residual:
     """What one plant's nominal lap teaches."""
-    with process_executor(0) as blocks:
-        scenario = build(settings(1), blocks)
+    with process_executor(0) as executor:
+        scenario = build(settings(1), executor)
         stage, _ = drive_nominal(scenario, 0)
-        progress = remember(scenario, first_progress(scenario), stage, None, 0)
-    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.memory.residual)
+        progress = update_progress(scenario, first_progress(scenario), stage, None, 0)
+    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.model_state.residual)
 
 
 def drive(num: int, num_workers: int, residual: Residual) -> Driven:
     """A GP lap of `num` plants at once, with every worker's programs compiled before."""
-    with process_executor(num_workers) as blocks:
-        warm_up(blocks, max(1, num_workers), residual)
-        scenario, lanes = laid_out(blocks, num, residual)
+    with process_executor(num_workers) as executor:
+        warm_up(executor, max(1, num_workers), residual)
+        scenario, batch = laid_out(executor, num, residual)
         start = time.perf_counter()
-        stage = run_stage(scenario, lanes, 1)
+        stage = run_stage(scenario, batch, 1)
         jax.block_until_ready(stage.laps.code)
         seconds = time.perf_counter() - start
     return Driven(seconds, float(np.mean(np.asarray(stage.laps.code) == int(LapCode.COMPLETED))))
 
 
-def warm_up(blocks: BatchExecutor, num: int, residual: Residual) -> None:
+def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
     """A lap of `num` plants, one per worker."""
-    scenario, lanes = laid_out(blocks, num, residual)
-    run_stage(scenario, lanes, 0)
+    scenario, batch = laid_out(executor, num, residual)
+    run_stage(scenario, batch, 0)
 
 
-def laid_out(blocks: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
+def laid_out(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
     """`num` plants, all driven with the same residual."""
-    scenario = build(settings(num), blocks)
-    return scenario, drivers(scenario, "mpc", *scenario.over_lanes((scenario.table, residual)))
+    scenario = build(settings(num), executor)
+    return scenario, drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
 def measure(cfg: Config) -> Measured:

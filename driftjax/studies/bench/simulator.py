@@ -26,23 +26,23 @@ def columns(num: int, dtype: Dtype) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(column, dtype) for column in table.T)
 
 
-def step(lanes: tuple[State, Control, Array], car: SingleTrack) -> State:
+def step(batch: tuple[State, Control, Array], car: SingleTrack) -> State:
     """Single-track cars one step later."""
-    x, u, dt = lanes
+    x, u, dt = batch
     return rk4_step(lambda y: car(y, u), x, dt)
 
 
-def advance(lanes: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
+def advance(batch: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
     """Double-track cars one step later."""
-    return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*lanes)
+    return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*batch)
 
 
 def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
     """One step of `batch` single-track cars in one call, which XLA shares among its threads, ready to be run."""
     V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
     car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
-    lanes = (State(V, beta, r), Control(delta, Fxr), dt)
-    return lambda: call(step, lanes, car)
+    inputs = (State(V, beta, r), Control(delta, Fxr), dt)
+    return lambda: call(step, inputs, car)
 
 
 def ours_plant(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:

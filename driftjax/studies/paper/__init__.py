@@ -1,1 +1,1 @@
-"""The paper's comparison over plants that nothing was tuned on, with ablations, on both cars."""
+"""The paper's comparison on held-out plants, with ablations, on both cars."""

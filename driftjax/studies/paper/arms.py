@@ -1,4 +1,4 @@
-"""The runs of `driftjax learn` that the comparison is made of: the main one, and one change each."""
+"""The `driftjax learn` runs of the comparison: the main one, and one change each."""
 
 import dataclasses
 import hashlib
@@ -39,7 +39,7 @@ SHARED = {  # ablation: another one with the same laps up to exploration
 
 @dataclass(frozen=True)
 class Arm:
-    """One run folder of the comparison."""
+    """One run of the comparison."""
 
     car: Car
     name: str
@@ -48,17 +48,17 @@ class Arm:
 
     @property
     def folder(self) -> str:
-        """Where it lies below the comparison's."""
+        """Its folder below the comparison's."""
         return f"{self.car}/{self.name}"
 
     @property
     def like(self) -> str | None:
-        """Folder of the run with the same laps up to exploration, if there is one."""
+        """Folder of the run with the same laps up to exploration, if any."""
         return f"{self.car}/{SHARED[self.name]}" if self.name in SHARED else None
 
 
 def arms(cfg: Config) -> list[Arm]:
-    """All runs of the comparison, car by car, the main one first."""
+    """List all runs of the comparison, car by car, the main one first."""
     found = []
     for car in cfg.cars:
         base = load_learn_config(car)
@@ -75,14 +75,14 @@ def arms(cfg: Config) -> list[Arm]:
 
 
 def changed(base: LearnConfig, change: dict) -> LearnConfig:
-    """`base` with the fields in `change`, those of nested settings one by one."""
+    """Return `base` with the fields in `change`, nested settings merged."""
     parts = {name: dataclasses.replace(getattr(base, name), **value) if isinstance(value, dict) else value
              for name, value in change.items()}  # fmt: skip
     return dataclasses.replace(base, **parts)
 
 
-def fingerprint(arm: Arm) -> str:
-    """SHA-256 of the settings that a run drives with: its options, and what is in the files that they name."""
+def settings_hash(arm: Arm) -> str:
+    """Return the SHA-256 of the settings of a run: its options, and the content of the files that they name."""
     learn = arm.learn
     held = {kind: read_yaml(path) for kind, path in files_of(learn).items()}
     options = {key: value for key, value in to_dict(learn).items() if key not in ("plants", "first_plant", "seed")}

@@ -1,4 +1,4 @@
-"""What a person may choose about the paper's comparison."""
+"""Options of the paper's comparison."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ Car = Literal["sedan", "rc"]
 
 @dataclass(frozen=True)
 class Config:
-    """Every method side by side on the same plants and noise, with ablations."""
+    """Every method on the same plants and noise, with ablations."""
 
     cars: tuple[Car, ...] = ("sedan", "rc")
     """Cars to drive."""
@@ -43,5 +43,5 @@ class Config:
         return self.plants if self.half == "held_out" else 0
 
     def reduced(self) -> "Config":
-        """What `quick` asks for."""
+        """Return the reduced configuration of `quick`."""
         return dataclasses.replace(self, noise_seeds=1, ablations=False)

@@ -1,4 +1,4 @@
-"""The nominal car extended by `diagnose`, from one log of the car that the plants are drawn around."""
+"""Extend the nominal car by `diagnose`, from one log of the car that the plants are drawn around."""
 
 from pathlib import Path
 
@@ -25,20 +25,20 @@ STEP = 5e-4  # of the plant [s]
 JSON, CAR = "diagnosis.json", "extended.yaml"
 
 
-def extend(car: str, vehicle: VehicleConfig, folder: Path, blocks: BatchExecutor) -> None:
-    """log.csv, diagnosis.json and extended.yaml into `folder`: the central car of `car`'s plants, diagnosed."""
-    runs = measured(load_plant(car).build(), vehicle, np.random.default_rng(0))
+def extend(car: str, vehicle: VehicleConfig, folder: Path, executor: BatchExecutor) -> None:
+    """Write log.csv, diagnosis.json and extended.yaml of the central car of `car`'s plants into `folder`."""
+    runs = simulated_runs(load_plant(car).build(), vehicle, np.random.default_rng(0))
     folder.mkdir(parents=True, exist_ok=True)
     write_log(folder / "log.csv", runs)
     log = Log(runs, paths=(folder / "log.csv",))
     sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
-    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), executor=blocks)
+    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), executor=executor)
     write_json(folder / JSON, found.content())
     write_vehicle(folder / CAR, found.extended)
 
 
-def measured(plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator) -> tuple[Run, ...]:
-    """One run of each manoeuvre of the standard campaign, drawn again where the car spins."""
+def simulated_runs(plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator) -> tuple[Run, ...]:
+    """Simulate one run of each manoeuvre of the standard campaign, redrawn where the car spins."""
     t = np.arange(round((SECONDS + SETTLE) * RATE)) / RATE
     return tuple(_run(f"{kind}-{i + 1}", kind, plant, vehicle, rng, t) for i, kind in enumerate(RICH))
 
@@ -60,21 +60,22 @@ def _run(
 def follow(
     plant: DoubleTrack, vehicle: VehicleConfig, manoeuvre: Manoeuvre, sigma: Float[Array, "3"], key: Array, dt: float
 ) -> tuple[Float[Array, "T 3"], Float[Array, "T 2"]]:
-    """Measured V, beta, r with noise `sigma`, and the commands (rad, N) of the driver who filters them."""
+    """Return measured V, beta, r with noise `sigma`, and the commands (rad, N) of a driver with a measurement
+    filter."""
     lower, upper, rate = vehicle.command_limits()
     smooth = 1 - jnp.exp(-dt / (FILTER * size(vehicle).time))
     first, u0 = manoeuvre.x_ref[0], jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
     def step(now: tuple[PlantState, Array, Array], row: tuple[Array, Array, Array]):
-        state, seen, command = now
+        state, filtered, command = now
         x_ref, u_ref, noise = row
         motion = plant.motion(state, Control(command[0], command[1]))
         y = jnp.stack([motion.V, motion.beta, motion.r]) + noise
-        seen = seen + smooth * (y - seen)
-        command = jnp.clip(u_ref - manoeuvre.K @ (seen - x_ref), command - dt * rate, command + dt * rate)
+        filtered = filtered + smooth * (y - filtered)
+        command = jnp.clip(u_ref - manoeuvre.K @ (filtered - x_ref), command - dt * rate, command + dt * rate)
         command = jnp.clip(command, lower, upper)
         state = plant.advance(state, Control(command[0], command[1]), dt, round(dt / STEP))
-        return (state, seen, command), (y, command)
+        return (state, filtered, command), (y, command)
 
     noise = sigma * jax.random.normal(key, manoeuvre.x_ref.shape)
     start = (sliding(plant, first, u0), first, u0)
@@ -82,5 +83,6 @@ def follow(
 
 
 def sliding(plant: DoubleTrack, x: Float[Array, "3"], u: Float[Array, "2"]) -> PlantState:
-    """At V, beta, r with commands reached and free rolling wheels; tyres and loads settle within `SETTLE`."""
+    """Return the state at V, beta, r with commands applied and free-rolling wheels; tyres and loads converge within
+    `SETTLE`."""
     return plant.rolling(x[0], beta=x[1], r=x[2])._replace(delta=u[0], drive=u[1])

@@ -1,4 +1,4 @@
-"""How much of a lap asks the Gaussian process for what it has no data near."""
+"""Measure how much of a lap evaluates the Gaussian process far from its data."""
 
 import numpy as np
 
@@ -6,19 +6,19 @@ from driftjax.gp.model import FADE_LENGTH, fade_factor
 from driftjax.store import RunFolder
 from driftjax.studies.paper.laps import driven
 
-FADED = 0.5  # from which the mean counts as asked for far from data
+FADED = 0.5  # fade factor below which an input counts as far from data
 STAGES = ("single-layer", "gpr-1", "gpr-best", "explore-best")
 
 
 def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) -> dict[str, float]:
-    """Share of the driven part of the drift section where the mean is faded to less than half, by stage."""
+    """Return the share of the driven drift section where the mean is faded to less than half, by stage."""
     shares = {}
     for name in STAGES:
         if name not in run.finished():
             continue
         data, found = run.read_stage(name), []
-        for lane in np.flatnonzero(data["controller"].values == controller):
-            lap = data.isel(lane=int(lane))
+        for entry in np.flatnonzero(data["controller"].values == controller):
+            lap = data.isel(lane=int(entry))
             inside = driven(lap, section)
             z = np.stack([lap[key].values[inside] for key in ("V", "beta", "r", "delta", "Fxr")], axis=1)
             found.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))
@@ -28,7 +28,7 @@ def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) 
 
 
 def _faded(z: np.ndarray, Z: np.ndarray) -> np.ndarray:
-    """Whether the mean at `z` (n, 5) from data at `Z` (m, 5) is faded; without data it is."""
+    """Return whether the mean at `z` (n, 5) from data at `Z` (m, 5) is faded; always so without data."""
     if len(Z) < 2:
         return np.ones(len(z), bool)
     offset = (z[:, None] - Z[None]) / (FADE_LENGTH * np.std(Z, axis=0))

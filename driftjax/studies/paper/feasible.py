@@ -1,4 +1,4 @@
-"""Whether a plant can drive what is planned: the steady drift of the corner on the car as learnt from each plant."""
+"""Check whether a plant can drive the plan: the steady drift of the corner on the car learnt from each plant."""
 
 from typing import Any
 
@@ -19,30 +19,30 @@ STAGE = "gpr-best"
 
 
 def feasible(run: RunFolder) -> dict[str, Any] | None:
-    """Of each plant, by controller: whether a drift exists at the planned V_b and r_b, and the speed of the one at the
-    planned sideslip and radius over V_b, on nominal + GP; None where the run has no GP laps."""
+    """Return for each controller whether its plants have a drift at the planned V_b and r_b, and the speed of the one
+    at the planned sideslip and radius relative to V_b, on nominal + GP; None where the run has no GP laps."""
     if STAGE not in run.finished():
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
     scenario = build(config, BatchExecutor(1))
-    residual = read_progress(scenario, run, STAGE).memory.residual
+    residual = read_progress(scenario, run, STAGE).model_state.residual
     corner = scenario.corner
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))
     guess, branch = (scenario.x_eq, scenario.u_eq), jnp.asarray(scenario.branch)
     exists, steady, speed = map(np.asarray, call(on_learnt, residual, scenario.nominal, planned, guess, branch))
     found: dict[str, Any] = {"V_b": float(corner.V_b), "r_b": float(corner.r_b)}
     for who in config.controllers:
-        lanes = np.array([lane.controller == who for lane in scenario.lanes])
-        ratio = speed[lanes & steady] / corner.V_b
+        batch = np.array([entry.controller == who for entry in scenario.batch])
+        ratio = speed[batch & steady] / corner.V_b
         ends = [float(f(ratio)) if len(ratio) else None for f in (np.mean, np.min, np.max)]
-        found[who] = {"exists": float(exists[lanes].mean()), "steady": float(steady[lanes].mean()), "speed": ends}
+        found[who] = {"exists": float(exists[batch].mean()), "steady": float(steady[batch].mean()), "speed": ends}
     return found
 
 
 def on_learnt(
     residual: Residual, nominal: AnyCar, planned: tuple[Array, ...], guess: tuple[State, Control], branch: Array
 ) -> tuple[Array, Array, Array]:
-    """Per lane: whether a drift at (V_b, r_b) exists; whether one at (beta, R) does, and its speed."""
+    """Return per batch entry whether a drift at (V_b, r_b) exists; whether one at (beta, R) does, and its speed."""
     V_b, r_b, beta, R = planned
 
     def one(d: Residual) -> tuple[Array, Array, Array]:

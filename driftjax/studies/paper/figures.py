@@ -1,4 +1,4 @@
-"""The comparison in one figure per car."""
+"""Draw the comparison, one figure per car."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ SHIFT = {"paper": -0.16, "path": 0.16}
 
 
 def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
-    """`statistics_<car>.png` and .pdf; the paths of the PNGs."""
+    """Write `statistics_<car>.png` and .pdf; return the paths of the PNGs."""
     return [_draw(car, found, folder) for car, found in results["cars"].items()]
 
 
@@ -32,7 +32,7 @@ def _draw(car: str, found: dict[str, Any], folder: Path) -> Path:
 
 
 def _point(axis: Axes, y: float, cell: dict[str, Any], who: str, label: str | None = None) -> None:
-    """A mean with its interval, and the plants where there are some."""
+    """Draw a mean with its interval, and the plants where available."""
     mean = cell.get("mean", cell.get("value"))
     if mean is None:
         return

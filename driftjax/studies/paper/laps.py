@@ -1,4 +1,4 @@
-"""Figures of the laps of a run, per plant."""
+"""Compute figures of the laps of a run, per plant."""
 
 import numpy as np
 import xarray as xr
@@ -9,14 +9,14 @@ ENTRY = 1 / 3  # of the drift section: what is lost before there was made while 
 
 
 def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Every figure of one controller's laps in a stage (SI): means over noise seeds, one per plant.
+    """Return every figure of one controller's laps in a stage (SI): means over noise seeds, one per plant.
 
-    RMSE and the parts of the lateral error are over what was driven of the section by the drift controller; lap times
-    are those of completed laps, NaN of plants without one.
+    RMSE and the parts of the lateral error are over the part of the section driven by the drift controller; lap times
+    are those of completed laps, NaN for plants without one.
     """
-    lanes = data.isel(lane=np.flatnonzero(data["controller"].values == controller))
-    rows = [_lap(lanes.isel(lane=i), section) for i in range(lanes.sizes["lane"])]
-    plants = lanes["plant"].values
+    batch = data.isel(lane=np.flatnonzero(data["controller"].values == controller))
+    rows = [_lap(batch.isel(lane=i), section) for i in range(batch.sizes["lane"])]
+    plants = batch["plant"].values
     of = {
         plant: [row for row, name in zip(rows, plants, strict=True) if name == plant] for plant in dict.fromkeys(plants)
     }
@@ -24,13 +24,13 @@ def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -
 
 
 def driven(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
-    """Which steps of one lap the drift controller drove in the section."""
+    """Return the steps of one lap that the drift controller drove in the section."""
     s = lap["s"].values
     return lap["alive"].values & lap["drifting"].values & (s >= section[0]) & (s <= section[1])
 
 
 def _mean(values: list[float]) -> float:
-    """Mean of those that are numbers; NaN where none is."""
+    """Return the mean of the finite values; NaN where there are none."""
     finite = [value for value in values if np.isfinite(value)]
     return float(np.mean(finite)) if finite else float("nan")
 
@@ -59,6 +59,6 @@ def _over(where: np.ndarray, values: np.ndarray) -> float:
 
 
 def section_of(run: RunFolder) -> tuple[float, float]:
-    """First and last arc length of the planned drift section [m]."""
+    """Return the first and last arc length of the planned drift section [m]."""
     plan = run.read_dataset("plan.nc")
     return float(plan.attrs["drift_start"]), float(plan.attrs["drift_end"])

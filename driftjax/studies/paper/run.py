@@ -1,4 +1,4 @@
-"""Drive every run of the comparison that is not there yet, and put together what they show."""
+"""Drive every missing run of the comparison, and summarise the results."""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from driftjax.parallel import process_executor
 from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
-from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, fingerprint
+from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
 from driftjax.studies.paper.config import Config
 from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
@@ -28,7 +28,7 @@ Report = Callable[[str, int, int], None]
 
 
 def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
-    """Results of the comparison; each run has a folder of its own and goes on where it stopped."""
+    """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, found = arms(cfg), [], {}
     for number, arm in enumerate(todo):
@@ -36,34 +36,34 @@ def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> di
         drive(arm, folder.path, say, num_workers)
         if arm.name == MAIN:
             write_report(run_of(arm, folder.path))
-        done.append((arm, shown(arm, folder.path)))
-        found = write(cfg, done, folder)  # what is measured is told whatever comes next
+        done.append((arm, arm_results(arm, folder.path)))
+        found = write(cfg, done, folder)  # written after every run, whatever happens next
     report("done", len(todo), len(todo))
     write_figures(found, folder.path / "figures")
     return found
 
 
 def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
-    """Results, tables and figures from the runs that are finished."""
+    """Rebuild results, tables and figures from the finished runs."""
     cfg = cfg.reduced() if cfg.quick else cfg
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
     if not done or done[0].name != MAIN:
         raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
-    found = write(cfg, [(arm, shown(arm, folder.path)) for arm in done], folder)
+    found = write(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
     write_figures(found, folder.path / "figures")
     return found
 
 
 def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
-    """The laps of one run, or what is left of them."""
+    """Drive the missing laps of one run."""
     path = out / arm.folder
-    run = RunFolder.open(path) if (path / "config.yaml").exists() else begin(arm, out, num_workers)
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, num_workers)
     if not run.has("results.json"):
         learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
 
 
-def begin(arm: Arm, out: Path, num_workers: int) -> RunFolder:
-    """A new run folder, with the laps that another run has driven already."""
+def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
+    """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
         config = dataclasses.replace(config, vehicle=extended(arm, out, num_workers))
@@ -76,25 +76,25 @@ def begin(arm: Arm, out: Path, num_workers: int) -> RunFolder:
 
 
 def extended(arm: Arm, out: Path, num_workers: int) -> Path:
-    """YAML of the car extended by a diagnosis, which is made where it is not there yet."""
+    """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_combined_slip(arm.learn.combined_slip)
-        with process_executor(min(num_workers, 1)) as blocks:
-            extend(arm.car, nominal, folder, blocks)
+        with process_executor(min(num_workers, 1)) as executor:
+            extend(arm.car, nominal, folder, executor)
     return (folder / CAR).resolve()
 
 
 def run_of(arm: Arm, out: Path) -> RunFolder:
-    """The folder of a finished run."""
+    """Open the folder of a finished run."""
     return RunFolder.open(out / arm.folder)
 
 
-def shown(arm: Arm, out: Path) -> dict[str, Any]:
-    """What one finished run shows."""
+def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
+    """Return the results of one finished run."""
     run = run_of(arm, out)
     if arm.name == MAIN:
-        return {"settings": fingerprint(arm), **compared(run, arm.car), "feasible": feasible(run)}
+        return {"settings": settings_hash(arm), **compared(run, arm.car), "feasible": feasible(run)}
     found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
@@ -103,7 +103,7 @@ def shown(arm: Arm, out: Path) -> dict[str, Any]:
 
 
 def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
-    """results.json and results.md of the runs that are `done`, with what each shows; the former is returned."""
+    """Write results.json and results.md of the runs in `done`; return the former."""
     cars: dict[str, Any] = {}
     for arm, one in done:
         if arm.name == MAIN:

@@ -1,11 +1,11 @@
-"""What the laps of the comparison show: figures of every method, gains between them, each with its interval."""
+"""Summarise the laps of the comparison: figures of every method, gains between them, each with its interval."""
 
 from typing import Any
 
 import numpy as np
 
 from driftjax.learning.metrics import interval, reduction
-from driftjax.learning.results import PAPER
+from driftjax.learning.results import PUBLISHED_REDUCTIONS
 from driftjax.store import RunFolder
 from driftjax.studies.paper.extrapolation import extrapolated
 from driftjax.studies.paper.laps import per_plant, section_of
@@ -28,14 +28,14 @@ GAINS = {  # name: (before, after, figure)
 }
 TARGETS: dict[str, dict[str, float]] = {  # of the paper's controller [%]
     car: dict(zip(("gpr", "exploration", "exploration_velocity"), published, strict=True))
-    for car, published in PAPER.items()
+    for car, published in PUBLISHED_REDUCTIONS.items()
 }
 BEST_ERROR = {"sedan": 0.25, "rc": 0.06}  # that the best method is to reach [m]
 DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of the section
 
 
 def compared(run: RunFolder, car: str) -> dict[str, Any]:
-    """Methods, gains, laps of learning and the targets of one car."""
+    """Return methods, gains, extrapolation and targets of one car."""
     section, stages = section_of(run), {name: run.read_stage(name) for name in run.finished()}
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {
         who: {name: per_plant(data, name if name in ALONE else who, section) for name, data in stages.items()}
@@ -52,19 +52,19 @@ def compared(run: RunFolder, car: str) -> dict[str, Any]:
 
 
 def gain(rows: dict[str, dict[str, np.ndarray]], before: str, after: str, figure: str) -> dict[str, Any]:
-    """Reduction of a figure from one stage to another [%], paired over plants."""
+    """Return the reduction of a figure from one stage to another [%], paired over plants."""
     if before not in rows or after not in rows:
         return {"value": None, "ci95": [None, None]}
     return reduction(rows[before][figure], rows[after][figure])
 
 
 def summary(rows: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Mean and interval of each figure over the plants that have it, and the values of all."""
+    """Return mean and interval of each figure over the plants that have it, and the values of all."""
     return {name: interval(values) | {"per_plant": values.tolist()} for name, values in rows.items()}
 
 
 def targets(car: str, gains: dict[str, Any], found: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[dict]:
-    """What was to be shown, what is, and whether: gains must reach their aim with an interval that excludes 0."""
+    """Return each target, its measured value, and whether it is met: gains need an interval that excludes 0."""
     rows = []
     for name, aim in TARGETS[car].items():
         low = gains[name]["ci95"][0]
@@ -83,7 +83,7 @@ def targets(car: str, gains: dict[str, Any], found: dict[str, dict[str, dict[str
 
 
 def ablation(run: RunFolder) -> dict[str, Any]:
-    """Figures and gains of an ablation's ends."""
+    """Return figures and gains of an ablation."""
     section, done = section_of(run), run.finished()
     stages = {name: run.read_stage(name) for name in ("nominal", "gpr-best", "explore-best") if name in done}
     found = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in CONTROLLERS}

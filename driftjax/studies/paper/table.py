@@ -1,4 +1,4 @@
-"""results.md: the comparison in tables."""
+"""Write results.md: the comparison in tables."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ GAINS = {
 
 
 def page(results: dict[str, Any]) -> str:
-    """All tables, in Markdown."""
+    """Return all tables, in Markdown."""
     split = results["split"]
     first, last = split["plants"][0], split["plants"][-1]
     lines = [
@@ -75,7 +75,7 @@ def _methods(methods: dict[str, Any]) -> list[str]:
 
 
 def _parts(found: dict[str, Any]) -> list[str]:
-    """Where the lateral error comes from, and how often the GP is asked far from its data."""
+    """Return the parts of the lateral error, and how often the GP is evaluated far from its data."""
     rows = []
     for who, stages in found["methods"].items():
         for name in stages:
@@ -90,7 +90,7 @@ def _parts(found: dict[str, Any]) -> list[str]:
 
 
 def _feasible(found: dict[str, Any]) -> list[str]:
-    """Whether the plants, as learnt from them, can drive the planned speed and yaw rate."""
+    """Return whether the plants, as learnt, can drive the planned speed and yaw rate."""
     rows = []
     for who in (who for who in CONTROLLERS if who in found):
         mean, low, high = (number(value, ".3f") for value in found[who]["speed"])
@@ -117,10 +117,10 @@ def _ablations(ablations: dict[str, Any]) -> list[str]:
             rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
     head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
             "completed: GPR, explored")  # fmt: skip
-    told = [
+    notes = [
         f"{found['words'][0].upper()}{found['words'][1:]}, from 60 s of the car that the plants are drawn around: "
         f"{found['diagnosis']['verdict']}. {found['diagnosis']['sentence']}"
         for found in ablations.values()
         if "diagnosis" in found
     ]
-    return _rows(head, rows) + [line for words in told for line in (words, "")]
+    return _rows(head, rows) + [line for words in notes for line in (words, "")]

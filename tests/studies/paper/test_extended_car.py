@@ -1,4 +1,5 @@
-"""The log from which the comparison's extended car is found: a double-track car that holds drifts, told with noise."""
+"""The log from which the comparison's extended car is found: a double-track car that sustains drifts, measured with
+noise."""
 
 import dataclasses
 
@@ -7,14 +8,14 @@ import pytest
 
 from driftjax.manoeuvres.campaign import typical
 from driftjax.manoeuvres.library import RICH
-from driftjax.studies.paper.extended import RATE, SECONDS, measured
+from driftjax.studies.paper.extended import RATE, SECONDS, simulated_runs
 from driftjax.vehicle import load_plant, load_vehicle
 
 
 @pytest.fixture(scope="module", params=["sedan", "rc"])
 def log(request):
     vehicle = load_vehicle(request.param).with_combined_slip(None)
-    return vehicle, measured(load_plant(request.param).build(), vehicle, np.random.default_rng(5))
+    return vehicle, simulated_runs(load_plant(request.param).build(), vehicle, np.random.default_rng(5))
 
 
 def test_drifts_are_held_and_the_rest_is_driven_with_grip(log):
@@ -45,4 +46,4 @@ def test_a_car_that_cannot_be_held_is_told():
     vehicle = load_vehicle("sedan").with_combined_slip(None)
     ice = dataclasses.replace(load_plant("sedan"), muf=0.15, mur=0.15)
     with pytest.raises(RuntimeError, match="it spun in 6 draws"):
-        measured(ice.build(), vehicle, np.random.default_rng(5))
+        simulated_runs(ice.build(), vehicle, np.random.default_rng(5))

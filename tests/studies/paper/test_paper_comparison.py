@@ -13,12 +13,12 @@ from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig
 from driftjax.store import RunFolder
-from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, MAIN, SHARED, arms, fingerprint
+from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, MAIN, SHARED, arms, settings_hash
 from driftjax.studies.paper.config import Config
 from driftjax.studies.paper.extrapolation import extrapolated
 from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.laps import per_plant
-from driftjax.studies.paper.run import begin
+from driftjax.studies.paper.run import start_run
 from driftjax.studies.paper.statistics import GAINS, METHODS, gain, summary, targets
 from driftjax.studies.paper.table import page
 
@@ -56,7 +56,7 @@ def test_halves_share_no_plant_and_all_else_is_the_same():
         mains = {half: next(arm for arm in found if arm.car == car and arm.name == MAIN) for half, found in of.items()}
         numbers = [set(range(m.learn.first_plant, m.learn.first_plant + m.learn.plants)) for m in mains.values()]
         assert len(numbers[0] | numbers[1]) == 32
-        assert len({fingerprint(arm) for arm in mains.values()}) == 1
+        assert len({settings_hash(arm) for arm in mains.values()}) == 1
         assert mains["held_out"].learn.controllers == ("path", "paper") and mains["held_out"].learn.noise_seeds == 2
 
 
@@ -74,7 +74,7 @@ def test_an_ablation_differs_in_what_it_says_only():
         change = flat(ABLATIONS[arm.name][1])
         apart = {key for key in new if new[key] != old[key]}
         assert apart and apart <= set(change)
-        assert len({fingerprint(arm), fingerprint(found[0])}) == 2
+        assert len({settings_hash(arm), settings_hash(found[0])}) == 2
 
 
 def test_runs_that_share_laps_differ_in_exploration_only():
@@ -90,7 +90,7 @@ def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
     other = RunFolder.create(tmp_path / "rc/as_it_is", {})
     for name in ("nominal", "gpr-1", "gpr-best", "explore-1"):
         other.write_stage(name, laps([[0.2]], [[True]]), name.encode())
-    run = begin(arm, tmp_path, 0)
+    run = start_run(arm, tmp_path, 0)
     assert run.finished() == ["nominal", "gpr-1"] and run.read_state("gpr-1") == b"gpr-1"
     assert run.read_stage("gpr-1").identical(other.read_stage("gpr-1")) and run.config == to_dict(arm.learn)
 
@@ -98,16 +98,16 @@ def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
 def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkeypatch):
     made = []
 
-    def extend(car, vehicle, folder, blocks):
+    def extend(car, vehicle, folder, executor):
         made.append((car, vehicle.name, vehicle.combined_slip))
         folder.mkdir(parents=True)
         (folder / "extended.yaml").write_text("")
 
     monkeypatch.setattr("driftjax.studies.paper.run.extend", extend)
     arm, plain = (next(a for a in arms(Config(cars=("rc",))) if a.name == name) for name in (EXTENDED, "as_it_is"))
-    run = begin(arm, tmp_path, 0)
+    run = start_run(arm, tmp_path, 0)
     shutil.rmtree(run.path)
-    assert begin(arm, tmp_path, 0).config == run.config and made == [("rc", "rc", 1.0)]
+    assert start_run(arm, tmp_path, 0).config == run.config and made == [("rc", "rc", 1.0)]
     assert run.config == to_dict(plain.learn) | {"vehicle": str(tmp_path / "rc/diagnosis/extended.yaml")}
 
 
@@ -208,7 +208,7 @@ def test_states_far_from_the_data_are_counted(tmp_path):
     data = laps([[0.2], [0.3]], [[True], [True]])
     rng = np.random.default_rng(0)
     Z = rng.normal(size=(2, 30, 5)) * 0.1
-    Z[1] += 50.0  # the data of the second lane lie elsewhere
+    Z[1] += 50.0  # the data of the second entry lie elsewhere
     data = data.assign(gp_Z=(("lane", "point", "feature"), Z), gp_mask=(("lane", "point"), np.ones((2, 30), bool)))
     run = RunFolder.create(tmp_path / "run", {})
     run.write_stage("gpr-best", data, b"")
