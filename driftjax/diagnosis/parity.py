@@ -13,13 +13,13 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from driftjax.diagnosis.noise import measurement_noise
-from driftjax.diagnosis.runs import SPAN
+from driftjax.diagnosis.runs import ERROR_BLOCK
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
 WINDOW = 0.3  # over which changes are compared [s]
-SLOW = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
+MIN_SPEED = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
 CHANCE = 1e-4  # with which noise alone is told to be more, per channel and test
 MARGIN = 1.1  # RMS of blocks over what noise gives, from how well the noise is known
 CHANNELS = ("V", "beta")
@@ -55,7 +55,7 @@ def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Pa
     """
     if not all({"ax", "ay"} <= set(run.extra) for run in runs):
         return None
-    slowest = SLOW * np.sqrt(G * (vehicle.a + vehicle.b))
+    slowest = MIN_SPEED * np.sqrt(G * (vehicle.a + vehicle.b))
     noise = acceleration_noise(runs)
     parts = [windows(run, np.asarray(sigma), noise, slowest) for run in runs]
     shift = np.cumsum([0, *(part.block.max(initial=-1) + 1 for part in parts)])
@@ -84,8 +84,8 @@ def acceleration_noise(runs: Sequence[Run]) -> np.ndarray:
     each = []
     for run in runs:
         a = np.stack([run.extra["ax"], run.extra["ay"]], axis=1)[None]
-        seen = np.isfinite(a)
-        each.append(measurement_noise(np.where(seen, a, 0.0), seen))
+        valid = np.isfinite(a)
+        each.append(measurement_noise(np.where(valid, a, 0.0), valid))
     return np.median(each, axis=0)
 
 
@@ -111,7 +111,7 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
     of_beta = (a + along * sigma[1] ** 2 + side * (sigma[0] / speed) ** 2) / speed**2 + sigma[2] ** 2
     ends = np.broadcast_to(2 * sigma[:2] ** 2 / T**2, rest.shape)
     within = np.stack([of_V, of_beta], axis=1) * (weight**2).sum()
-    block = (starts * run.dt // SPAN).astype(int)
+    block = (starts * run.dt // ERROR_BLOCK).astype(int)
     opens = (np.diff(starts, prepend=-2 * W) > W) | (np.diff(block, prepend=-1) > 0)
     return Windows(rest, ends, within, block, opens)
 

@@ -92,7 +92,7 @@ def read_case(line: str) -> Case:
     return from_dict(Case, values, "case")
 
 
-def hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
+def draw_hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
     """An effect of random strength and, where it may have either, random sign."""
     strengths = []
     for parameter in EFFECTS[name].parameters:
@@ -102,7 +102,7 @@ def hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
     return Hidden(name, tuple(strengths))
 
 
-def names(num: int, choice: tuple[str, ...], rng: np.random.Generator) -> list[str]:
+def draw_names(num: int, choice: tuple[str, ...], rng: np.random.Generator) -> list[str]:
     """`num` of `choice` in random order, each as often as any other."""
     drawn: list[str] = []
     while len(drawn) < num:

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from driftjax.studies.hidden_effects.judged import BINS, Result, hidden_in
+from driftjax.studies.hidden_effects.criteria import BINS, Result, hidden_in
 from driftjax.studies.hidden_effects.stats import wilson
 from driftjax.vehicle.effect import EFFECTS
 

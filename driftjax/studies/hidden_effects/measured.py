@@ -13,21 +13,21 @@ ATTEMPTS = 4  # at runs in which the car does not spin
 APART = 2**32  # between the seeds of attempts
 
 
-def nominal(case: Case) -> VehicleConfig:
+def nominal_vehicle(case: Case) -> VehicleConfig:
     """The car that the simulation believes in; drifts are held on a friction circle."""
     if case.car in FOREIGN:
         return foreign_vehicle()
     return dataclasses.replace(load_vehicle(case.car), combined_slip=1.0)
 
 
-def measured(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
+def measured_runs(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
     """The runs of a case; a run that spins is driven anew, and left out when it always does."""
     if case.car in FOREIGN:
         return foreign_runs(case.car, case.seed, case.noise)
     theta, found = case.theta(tuple(EFFECTS.values())), dict[str, Run]()
     campaign = Campaign(case.manoeuvres, noise=case.noise, process_noise=case.process_noise, seed=case.seed)
-    for attempt in range(ATTEMPTS):
-        runs, truth = record_runs(vehicle, theta, dataclasses.replace(campaign, seed=case.seed + attempt * APART))
+    for try_case in range(ATTEMPTS):
+        runs, truth = record_runs(vehicle, theta, dataclasses.replace(campaign, seed=case.seed + try_case * APART))
         found = {run.name: run for run in runs} | found
         missing = set(truth.left_out) - set(found)
         if not missing:
