@@ -1,4 +1,4 @@
-"""Residual forces in bins of what they may go with: means, what they explain beyond chance, and the worst in words."""
+"""Bin residual forces over explanatory variables: means, variance explained beyond chance, the largest in words."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ DESCRIPTIONS = {
 
 
 class Binned(NamedTuple):
-    """Residual forces over one driver; bins (B) in rising order, those of too few blocks left out."""
+    """Residual forces binned over one variable (B bins, ascending; bins with too few blocks omitted)."""
 
     value: np.ndarray  # (B,) mean of the driver
     mean: np.ndarray  # (B, 3) [N]
@@ -32,7 +32,7 @@ class Binned(NamedTuple):
 
 
 class ForceSummary(NamedTuple):
-    """Residual forces of one model over everything looked at."""
+    """Summary of one model's residual forces over all explanatory variables."""
 
     rms: np.ndarray  # (3,) [N]
     variables: dict[str, Binned]
@@ -40,7 +40,7 @@ class ForceSummary(NamedTuple):
 
 
 def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
-    """`forces` (n, 3) over bins of the driver `values` (n,); None where it hardly varies.
+    """Bin `forces` (n, 3) over the variable `values` (n,); None where it hardly varies.
 
     The mean of a bin is taken as that of independent blocks: its error sums the squares of the blocks' sums.
     """
@@ -73,7 +73,7 @@ def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs:
 
 
 def summarise_forces(residual: Residuals, seed: int) -> ForceSummary:
-    """Residual forces over every driver, and the test that they go with none of them."""
+    """Return residual forces binned over every variable, with a test that they depend on none of them."""
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, residual.block.max() + 1))
     each = {
         name: bin_forces(values, residual.forces, residual.block, signs) for name, values in residual.variables.items()
@@ -88,7 +88,7 @@ def summarise_forces(residual: Residuals, seed: int) -> ForceSummary:
 
 
 def best_variable(found: ForceSummary, force: int) -> str | None:
-    """What the force goes with most; None where chance would do as much."""
+    """Return the variable that explains most of a force; None where chance would explain as much."""
     if not found.variables:
         return None
     name = max(found.variables, key=lambda one: found.variables[one].explained[force])
@@ -96,7 +96,7 @@ def best_variable(found: ForceSummary, force: int) -> str | None:
 
 
 def describe_worst(found: ForceSummary, vehicle: VehicleConfig) -> str:
-    """The worst residual force in one sentence: how large, and what it goes with."""
+    """Describe the largest residual force in one sentence: its size and the variable that explains most of it."""
     size = force_limits(vehicle)
     systematic = np.max([one.systematic for one in found.variables.values()], axis=0) if found.variables else found.rms
     clear = found.p_value < LEVEL

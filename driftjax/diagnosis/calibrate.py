@@ -1,4 +1,4 @@
-"""The nominal car fitted to data: effects that one believes in get their sizes, without asking whether they act."""
+"""Fit chosen effects of the nominal car to data, without testing whether they are present."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ DEFAULT_EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "drive_gain"
 
 
 class FittedParameter(NamedTuple):
-    """One parameter of a calibration, SI."""
+    """One fitted parameter, SI."""
 
     parameter: str  # effect.parameter
     value: float
@@ -47,7 +47,7 @@ class FittedParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A car fitted to data, and what that gains on runs that had no part in it; `str` is its table."""
+    """A car fitted to data, with its gain on held-out runs; `str` gives its table."""
 
     nominal: VehicleConfig
     problem: Problem  # with noise and observer of the fitted car
@@ -60,12 +60,12 @@ class Calibration:
 
     @property
     def vehicle(self) -> VehicleConfig:
-        """The calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
+        """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
         return extended_car(self.nominal, self.problem, self.selected, self.fit.theta, self.scores)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
-        """Every parameter fitted, SI."""
+        """Return every fitted parameter, SI."""
         problem = self.problem
         columns, scale = problem.columns(self.selected), np.asarray(problem.model.scale)
         names = [(problem.effects[i].name, p) for i in self.selected for p in problem.effects[i].parameters]
@@ -76,7 +76,7 @@ class Calibration:
         )
 
     def content(self) -> dict[str, Any]:
-        """Return what calibration.json holds."""
+        """Return the content of calibration.json."""
         noise = self.problem.noise
         return {
             "parameters": [one._asdict() for one in self.parameters],
@@ -106,7 +106,7 @@ def calibrate(
     vehicle: VehicleConfig, log: Log, effects: Sequence[str] = DEFAULT_EFFECTS, *, held_out: int = 3, seed: int = 0,
     catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Calibration:  # fmt: skip
-    """Fit the `effects` of the car to a log in which it should be right; others stay as `vehicle` has them.
+    """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. Every `held_out`-th run is held out
     to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects that these runs cannot tell.
@@ -135,7 +135,7 @@ def calibrate(
 def calibration_gain(
     problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int
 ) -> Gain | None:
-    """What the effects `selected`, fitted without every `held_out`-th run, gain on those.
+    """Return the gain on every `held_out`-th run of the effects `selected`, fitted without those runs.
 
     Noise and observer are those of the other runs too.
     """
@@ -151,7 +151,7 @@ def calibration_gain(
 
 
 def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
-    """The best fit over `selected` with its derivatives, in the problem whose noise is what the car so fitted leaves.
+    """Fit the effects `selected`; return the problem with the noise re-estimated at the fit, the fit, its linearisation.
 
     The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """

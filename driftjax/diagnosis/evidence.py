@@ -1,4 +1,4 @@
-"""How sure a name is: intervals of its parameters, and the probability that it rather than a rival acts."""
+"""Uncertainty of named effects: intervals of their parameters, and the probability of each against its rivals."""
 
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the dat
 
 
 class Cause(NamedTuple):
-    """One named effect."""
+    """One named effect, in typical sizes."""
 
     effect: int
     theta: np.ndarray  # (k,) in typical sizes
@@ -40,7 +40,7 @@ class NamedEffect(NamedTuple):
 
 
 def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
-    """Return the causes with names of effects and parameters in SI."""
+    """Return the named effects with their parameters in SI."""
     scale = np.asarray(problem.model.scale)
     selection = []
     for cause in causes:
@@ -58,7 +58,7 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
 
 
 def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
-    """Every named effect with its interval, its probability and its rivals."""
+    """Return every named effect with its interval, probability and rivals."""
     columns = problem.columns(selection.selected)
     if not len(columns):
         return []
@@ -74,12 +74,12 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
 
 
 def half_widths(problem: Problem, last: Scores, selected: tuple[int, ...]) -> np.ndarray:
-    """Half-widths (k,) of the 95 % intervals of the parameters of `selected`, in typical sizes."""
+    """Return the half-widths (k,) of the 95 % intervals of the parameters of `selected`, in typical sizes."""
     return half_widths_from(last.H, last.blocks, problem.columns(selected))
 
 
 def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
-    """Probability that chance alone makes runs ask for a parameter as differently as they do, the least per member.
+    """Return per effect the smallest p-value of the hypothesis that its parameters are the same in all runs.
 
     A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016). Scores of each run, all other
     members taken out, over their information make Cochran's Q (1954), in units of what blocks vary by.
@@ -106,7 +106,7 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
 
 
 def effect_probability(problem: Problem, selection: Selection, member: int) -> tuple[float, dict[int, float], float]:
-    """Return the probability of `member` in its place among all effects, that of rivals above `RIVAL_PROBABILITY`, its p-value.
+    """Return the probability of `member` against all other effects, its rivals above a threshold, and its p-value.
 
     A rival's cost is that of its best linear step, which flatters no one but hardly any rival either. The p-value is
     that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
@@ -122,7 +122,7 @@ def effect_probability(problem: Problem, selection: Selection, member: int) -> t
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:
-    """Return how many times what noise explains the fit varies by: the `overdispersion` of its members."""
+    """Return the `overdispersion` of the selected effects at the fit."""
     return overdispersion(selection.scores.H, selection.scores.blocks, problem.columns(selection.selected))
 
 
@@ -139,7 +139,7 @@ def hypothesis_probabilities(costs: np.ndarray, sizes: np.ndarray, excess: float
 
 
 def confusable_effects(problem: Problem, selection: Selection, member: int) -> tuple[int, ...]:
-    """Return the effects that can nearly imitate what `member` does in these data, all other members apart.
+    """Return the effects that nearly reproduce the signature of `member` in these data, other selected ones removed.
 
     Measured by the canonical correlation, in the metric of the information, of the fitted signature of `member` with
     those of all parameters of the other effect (Hotelling 1936); of two single parameters that is their cosine.

@@ -1,4 +1,4 @@
-"""What figures of a diagnosis need, as one dataset: `diagnosis.nc`."""
+"""Assemble the data of the figures of a diagnosis: `diagnosis.nc`."""
 
 import numpy as np
 import xarray as xr
@@ -43,12 +43,12 @@ def figure_data(car: str, problem: Problem, selection: Selection, findings: Find
 
 
 def thin_indices(num: int) -> np.ndarray:
-    """At most `POINTS` of the indices below `num`, first and last among them."""
+    """Return at most `POINTS` evenly spaced indices below `num`, first and last included."""
     return np.unique(np.linspace(0, num - 1, POINTS).round().astype(int))
 
 
 def horizon_curves(findings: Findings, dt: float) -> dict[str, np.ndarray]:
-    """Errors over the horizon."""
+    """Return the prediction errors over the horizon."""
     keep = thin_indices(len(findings.noise_floor))
     rmse = [root_mean_square(one.error[:, :, keep] ** 2, (0, 1)) for one in findings.comparison.predictions.values()]
     return {
@@ -58,7 +58,7 @@ def horizon_curves(findings: Findings, dt: float) -> dict[str, np.ndarray]:
 
 
 def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
-    """Predictions from some starts in the first runs beside what was measured."""
+    """Return predictions from some starts in the first runs, with the measurements."""
     problem, ahead = findings.comparison.problem, findings.comparison.predictions
     first = np.unique(problem.data.run, return_index=True)[1][:PANELS]  # the first piece of each run
     names = np.array([findings.names[number] for number in problem.data.run[first].tolist()])
@@ -77,7 +77,7 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
 
 
 def force_bins(findings: Findings) -> dict[str, np.ndarray]:
-    """Residual forces in bins; bins left out are NaN."""
+    """Return the binned residual forces; omitted bins are NaN."""
     each = [findings.residual[name] for name in MODELS]
     names = [name for name in each[0].variables if all(name in one.variables for one in each)]
     pad = lambda a: np.concatenate([a, np.full((BINS - len(a), *a.shape[1:]), np.nan)])
@@ -93,7 +93,7 @@ def force_bins(findings: Findings) -> dict[str, np.ndarray]:
 
 
 def score_data(problem: Problem, selection: Selection, findings: Findings) -> dict[str, np.ndarray]:
-    """Scores at the nominal car, and how alike the parameters' signatures are at the extended one."""
+    """Return the scores at the nominal car, and the cosines of the parameters' signatures at the extended car."""
     names = np.array([f"{effect.name}.{p.name}" for effect in problem.effects for p in effect.parameters])
     H = selection.scores.H
     size = np.sqrt(np.maximum(np.diag(H), 0.0))

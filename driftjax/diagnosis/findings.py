@@ -1,4 +1,4 @@
-"""What the nominal car gets wrong, before and after naming: what `diagnosis.json` tells of it and figures draw."""
+"""Errors of the nominal and the extended car: content of `diagnosis.json` and of the figures."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ class Autocorrelation(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Predictions of the models compared, on the runs held out, or on all where none are."""
+    """Open-loop predictions of the compared models, on the held-out runs, or on all where there are none."""
 
     problem: Problem
     predictions: dict[str, Predictions]  # `nominal` and `extended` among them
@@ -46,7 +46,7 @@ class Comparison(NamedTuple):
 
 
 class Findings(NamedTuple):
-    """What the figures show; models are `nominal` and `extended`."""
+    """Errors of the models `nominal` and `extended`, as the figures draw them."""
 
     limits: np.ndarray  # (3,) what the forces are measured by [N]
     noise: Noise  # that the nominal car needs when nothing else explains its errors
@@ -64,7 +64,7 @@ class Findings(NamedTuple):
 def describe_errors(
     vehicle: VehicleConfig, problem: Problem, runs: Sequence[Run], found: Selection, comparison: Comparison, seed: int
 ) -> Findings:  # fmt: skip
-    """Everything about the errors of the nominal and the extended car on all `runs`, those of `problem`."""
+    """Compute the errors of the nominal and the extended car on all `runs`, those of `problem`."""
     zero, base = found.nominal.theta, found.base
     along = {"nominal": observer_path(base, zero), "extended": (found.linearisation.path, found.linearisation.steps)}
     noise = nominal_noise(base, *along["nominal"])
@@ -86,7 +86,7 @@ def describe_errors(
 
 
 def autocorrelation(problem: Problem, path: Path) -> Autocorrelation:
-    """Autocorrelation of one model's whitened innovations."""
+    """Return the autocorrelation of one model's whitened innovations."""
     skip, num = round(SKIPPED_START / problem.data.dt), max(round(LAGS / problem.data.dt), 1)
     e, valid = np.asarray(whiten(problem.gains, path.e))[:, skip:], np.asarray(path.valid)[:, skip:]
     power = (e**2).sum(axis=(0, 1)) / valid.sum(axis=(0, 1))
@@ -96,7 +96,7 @@ def autocorrelation(problem: Problem, path: Path) -> Autocorrelation:
 
 
 def findings_json(findings: Findings, noise: Noise) -> dict[str, Any]:
-    """The block `describe_errors` of `diagnosis.json`; `noise` is what no effect of the catalogue explains."""
+    """Return the block `show` of `diagnosis.json`; `noise` is what no effect of the catalogue explains."""
     by_channel = lambda values: dict(zip(MEASURED, np.asarray(values).T.tolist(), strict=True))
     table = findings.errors.rms
     return {

@@ -1,4 +1,4 @@
-"""Hypotheses fitted: Gauss-Newton on the parameters of the effects in question, through the observer's innovations."""
+"""Fit hypotheses: Gauss-Newton on the active parameters, through the observer's innovations."""
 
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, from which 
 
 
 class Problem(NamedTuple):
-    """Data and model of one diagnosis, with the noise and the observer's gains."""
+    """Data and model of one diagnosis, with the noise and the observer gains."""
 
     model: Universal
     data: Pieces
@@ -48,21 +48,21 @@ class Problem(NamedTuple):
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The catalogue, in the order of `owner`."""
+        """Return the catalogue, in the order of `owner`."""
         return self.model.effects
 
     def columns(self, selected: tuple[int, ...]) -> np.ndarray:
-        """Parameters of the effects `selected`."""
+        """Return the parameter indices of the effects `selected`."""
         return np.flatnonzero(np.isin(self.owner, selected))
 
     def subset(self, runs: np.ndarray) -> "Problem":
-        """The same problem over the runs with these numbers only."""
+        """Return the problem restricted to the runs with these numbers."""
         keep = np.flatnonzero(np.isin(self.data.run, runs))
         return self._replace(data=self.data.subset(keep), gains=take(self.gains, keep))
 
 
 class Fit(NamedTuple):
-    """One hypothesis at its best."""
+    """One fitted hypothesis."""
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
@@ -72,7 +72,7 @@ class Fit(NamedTuple):
 def build_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Everything that questions need, the noise estimated from the data: what no effect in question explains."""
+    """Build the problem, with the noise estimated from the data as what no active effect explains."""
     problem = initial_problem(vehicle, effects, runs, without)
     return with_estimated_noise(problem, problem.start, problem.active)
 
@@ -80,7 +80,7 @@ def build_problem(
 def initial_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Everything but the noise, which is a first guess, and gains, which hold any car to the data.
+    """Build the problem with an initial guess of the noise and fixed observer gains.
 
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
     """
@@ -95,7 +95,7 @@ def initial_problem(
 
 
 def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
-    """In how many parts a step between samples is to be integrated, at nearly the slowest speed of `runs`.
+    """Return the number of integration steps per sample, for stability at nearly the slowest speed of `runs`.
 
     On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates.
     """
@@ -106,7 +106,7 @@ def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
 
 
 def initial_theta(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
-    """Theta (K,) of the effects in the file of `vehicle`."""
+    """Return theta (K,) of the effects in the file of `vehicle`."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
     each = [(effect.name, p.name) for effect in model.effects for p in effect.parameters]
     lost = sorted({effect for effect, _ in values} - {effect for effect, _ in each})
@@ -116,13 +116,13 @@ def initial_theta(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
 
 
 def initial_noise(data: Pieces) -> Noise:
-    """Noise before any model is asked."""
+    """Return the noise assumed before any model is fitted."""
     sigma = measurement_noise(np.asarray(data.padded.y), np.asarray(data.padded.valid))
     return Noise(sigma, FIRST_DISTURBANCE * sigma, CORRELATION)
 
 
 def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
-    """The problem with the noise that the car `theta` needs, and gains along its path.
+    """Return the problem with the noise estimated for the car `theta`, and gains along its path.
 
     What parameters that are `profiled` (K,) out could explain is not taken for noise.
     """
@@ -134,7 +134,7 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
 
 
 def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
-    """The problem with this noise, and gains along the path of the car `theta`."""
+    """Return the problem with this noise, and gains along the path of the car `theta`."""
     data = problem.data
     return problem._replace(
         noise=noise, gains=observer_gains(problem.model, data, theta, noise.as_vector(), fixed_gain(data))
@@ -142,12 +142,12 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
-    """Whitened innovations and their derivatives at `fit`."""
+    """Return whitened innovations and their derivatives at `fit`."""
     return differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
 
 
 def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
-    """The hypothesis `theta` with its cost, infinite where the observer loses the car.
+    """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
     Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
     costs: otherwise a delay would pay by itself.
@@ -161,18 +161,18 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
 
 
 def information(J: ArrayLike) -> np.ndarray:
-    """Information (K, K) of derivatives (P, T, 3, K)."""
+    """Return the information matrix (K, K) of derivatives (P, T, 3, K)."""
     J = np.asarray(J)
     return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
 def information_and_score(at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
-    """Information (K, K) and score (K,)."""
+    """Return the information matrix (K, K) and the score (K,)."""
     return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
 
 
 def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation, num: int = 6) -> Fit:
-    """`fit` improved over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
+    """Improve `fit` over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
 
     Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
     1995, Sec. 5.4.1), for they take several times as long as the innovations.
@@ -198,7 +198,7 @@ def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation,
 
 
 def refit_to_convergence(problem: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Linearisation]:
-    """The best fit over the parameters `columns`, and its derivatives: refined until its own ask for no more."""
+    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation."""
     at = linearise(problem, fit)
     for _ in range(num):
         better = refine(problem, fit, columns, at)
@@ -209,7 +209,7 @@ def refit_to_convergence(problem: Problem, fit: Fit, columns: np.ndarray, num: i
 
 
 def _shorten(problem: Problem, fit: Fit, step: np.ndarray) -> Fit:
-    """The first of ever shorter steps that lowers the cost, else `fit`."""
+    """Return the first of successively shorter steps that lowers the cost, else `fit`."""
     for length in STEP_LENGTHS:
         trial = evaluate(problem, np.clip(fit.theta + length * step, problem.lower, problem.upper))
         if trial.cost < fit.cost:

@@ -1,4 +1,4 @@
-"""What naming the cause gains, on runs that had no part in it: open-loop predictions against the measurement."""
+"""Open-loop prediction errors on held-out runs: what naming the causes gains."""
 
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ class Errors(NamedTuple):
 
     @property
     def rms(self) -> np.ndarray:
-        """Root of the mean over all starts (horizons, channels)."""
+        """Return the root mean square over all starts (horizons, channels)."""
         return root_mean_square(self.squares, 0)
 
 
@@ -78,18 +78,18 @@ def _predict_runs(model, theta, runs, z, starts, num, dt, residual):
 
 
 def predict_pieces(*args) -> tuple[Array, Array]:
-    """`predict_run` for some pieces of runs, with their `z` (P, T, 6), at once."""
+    """Apply `predict_run` to a batch of pieces with their states `z` (P, T, 6)."""
     return call(_predict_runs, *args)
 
 
 def prediction_starts(problem: Problem) -> tuple[np.ndarray, int]:
-    """Samples that predictions start from, and over how many steps they go."""
+    """Return the samples at which predictions start, and the number of steps."""
     dt, size = problem.data.dt, problem.data.size
     return np.arange(round(0.5 / dt), size - 1, round(START_INTERVAL / dt)), max(round(HORIZONS[-1] / dt), 1)
 
 
 def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> Predictions:
-    """Predictions of the model `theta` with a `residual` rate, each from where its own observer stands."""
+    """Predict with the model `theta` and a `residual` rate, from the states of its own observer."""
     data, (starts, num) = problem.data, prediction_starts(problem)
     where, first = jnp.asarray(theta), jnp.asarray(starts)
     path = run_observer(problem.model, data, theta, problem.gains)
@@ -104,7 +104,7 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> 
 
 
 def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:
-    """Squares (P, S, N, 3) of errors after one step and the horizons."""
+    """Select the squared errors (P, S, N, 3) after one step and at the horizons."""
     horizons = (problem.data.dt, *HORIZONS)
     steps = np.array([max(round(h / problem.data.dt), 1) for h in horizons])
     chosen = squares[:, :, steps - 1]
@@ -114,18 +114,18 @@ def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:
 
 
 def open_loop_errors(problem: Problem, theta: np.ndarray) -> Errors:
-    """Errors of the model `theta` after one step and the horizons."""
+    """Return the errors of the model `theta` after one step and at the horizons."""
     return at_horizons(problem, predict(problem, theta).error ** 2)
 
 
 def root_mean_square(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
-    """Root of the mean of `squares` over `axis`, of those that are not NaN; NaN where all are."""
+    """Return the root mean square from `squares` over `axis`, ignoring NaN; NaN where all are."""
     num = np.isfinite(squares).sum(axis)
     return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
 def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[float, tuple[float, float]]:
-    """Share of the explainable error one second ahead that `after` removes, and its 95 % interval over blocks.
+    """Return the share of the explainable error one second ahead that `after` removes, with its 95 % interval.
 
     Explainable is what exceeds the `least`, the floor that noise makes; errors count in its mean over their piece of a
     run, for on a drift some starts spin and others do not. NaN where no run lasts that long, or where the data leave it
@@ -147,7 +147,7 @@ def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[
 
 
 def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
-    """RMS error of `after` over that of `before` at every horizon with its 95 % interval over blocks: (horizons, 3).
+    """Return the RMS error of `after` over that of `before` per horizon, with its 95 % interval: (horizons, 3).
 
     Channels count in the mean square of `before`, alike. NaN where no run lasts that long.
     """
@@ -165,7 +165,7 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
 
 
 def resample_blocks(block: np.ndarray, old: np.ndarray, new: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (RESAMPLES,) of `old` and `new` (n,) over blocks drawn at random, the same ones for both."""
+    """Return bootstrap sums (RESAMPLES,) of `old` and `new` (n,) over blocks, the same draws for both."""
     names = np.unique(block, return_inverse=True)[1]
     old, new = (np.bincount(names, values) for values in (old, new))
     draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))

@@ -1,4 +1,4 @@
-"""The gain on runs held out: what is named and fitted without them predicts them better."""
+"""Gain on held-out runs: prediction errors of effects named and fitted without them."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person wou
 
 
 def check_held_out(every: int) -> None:
-    """Raise `BadInput` where not every so-many-th run can be held out."""
+    """Raise `BadInput` unless `every` is 0 or at least 2."""
     require(every == 0 or every >= 2, f"key 'held_out' is {every}; give 0, or 2 or more.")
 
 
@@ -50,7 +50,7 @@ class DiagnoseConfig:
 
 @dataclass(frozen=True)
 class Gain:
-    """What the extension gains on runs held out, when named and fitted without them."""
+    """Gain of the extended car on held-out runs, named and fitted without them."""
 
     held_out: tuple[str, ...]  # names of the runs held out
     named: tuple[str, ...]  # effects named without them
@@ -62,7 +62,7 @@ class Gain:
 
 
 def split_runs(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the runs to name from, and of those held out; of fewer than `every` runs none is held out."""
+    """Return the numbers of the training runs and of the held-out runs (none for fewer than `every` runs)."""
     runs = np.arange(num)
     held = runs % every == every - 1 if every else np.zeros(num, bool)
     return runs[~held], runs[held]
@@ -71,14 +71,14 @@ def split_runs(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
 def measure_from_runs(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
 ) -> Gain | None:
-    """`measure_gain` from the start: a worker poses the problem as soon as its parent, whose programs it must load too."""
+    """Build the problem and call `measure_gain`: a worker process builds it itself."""
     return measure_gain(
         initial_problem(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config
     )
 
 
 def split_problem(problem: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:
-    """Return the problems over the runs `use` and over those `fixed_gain` out, both with the noise estimated from `use`."""
+    """Return the problems over the runs `use` and over the runs `held`, both with the noise estimated from `use`."""
     train = with_estimated_noise(problem.subset(use), problem.start, problem.active)
     return train, with_noise(problem.subset(held), problem.start, train.noise)
 
@@ -112,7 +112,7 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
 
 
 def compare(comparison: Comparison, held: tuple[str, ...], selected: tuple[int, ...], seed: int) -> Gain:
-    """Errors and skills of the models `comparison` on the runs `fixed_gain` out; `selected` were fitted without them."""
+    """Compare the models of `comparison` on the runs `held`: errors and skills; `selected` were fitted without them."""
     problem = comparison.problem
     errors = {name: at_horizons(problem, one.error**2) for name, one in comparison.predictions.items()}
     least = at_horizons(problem, comparison.least)
@@ -123,7 +123,7 @@ def compare(comparison: Comparison, held: tuple[str, ...], selected: tuple[int, 
 
 
 def compare_on_all_runs(problem: Problem, selection: Selection, seed: int) -> Comparison:
-    """Nominal and extended car on the runs that the extension was named from, where none is held out."""
+    """Compare the nominal and the extended car on all runs, where none is held out."""
     thetas = {"nominal": selection.nominal.theta, "extended": selection.fit.theta}
     ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", selection.base), ("extended", problem))}
     return Comparison(problem, ahead, noise_floor(problem, selection.fit.theta, ahead["extended"], seed))

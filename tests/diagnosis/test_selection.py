@@ -96,7 +96,7 @@ def followed(e, J) -> Linearisation:
 
 
 @pytest.mark.parametrize("lower", [FREE, ONE_SIDED], ids=["free", "one-sided"])
-@pytest.mark.parametrize("members", [(), (0,)], ids=["none", "one"])
+@pytest.mark.parametrize("selected", [(), (0,)], ids=["none", "one"])
 def test_chance_is_rejected_no_more_often_than_said(lower, selected):
     rng, problem = np.random.default_rng(8), made_up(lower)
     p = np.array([scores(problem, noise(rng), np.zeros(SIZE), selected, seed=i).p_value for i in range(200)])

@@ -26,8 +26,8 @@ def measured_runs(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
         return foreign_runs(case.car, case.seed, case.noise)
     theta, found = case.theta(tuple(EFFECTS.values())), dict[str, Run]()
     campaign = Campaign(case.manoeuvres, noise=case.noise, process_noise=case.process_noise, seed=case.seed)
-    for try_case in range(ATTEMPTS):
-        runs, truth = record_runs(vehicle, theta, dataclasses.replace(campaign, seed=case.seed + try_case * APART))
+    for attempt in range(ATTEMPTS):
+        runs, truth = record_runs(vehicle, theta, dataclasses.replace(campaign, seed=case.seed + attempt * APART))
         found = {run.name: run for run in runs} | found
         missing = set(truth.left_out) - set(found)
         if not missing:
