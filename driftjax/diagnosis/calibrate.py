@@ -151,7 +151,7 @@ def calibration_gain(
 
 
 def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
-    """Fit the effects `selected`; return the problem with the noise re-estimated at the fit, the fit, its linearisation.
+    """Fit the effects `selected`; return the problem with noise re-estimated at the fit, the fit, its linearisation.
 
     The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """

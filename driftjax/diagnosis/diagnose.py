@@ -1,4 +1,4 @@
-"""From a log to a diagnosis: name the causes, say how sure that is, measure what mending them gains."""
+"""Diagnose a log: name the causes with their uncertainty, and measure the gain of correcting them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a verdict rests on."""
+    """Evidence for a verdict."""
 
     problem: Problem
     selection: Selection
@@ -38,15 +38,15 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a log says the model of a car gets wrong, why, and what mending it gains."""
+    """Result of a diagnosis: what the model of a car gets wrong, why, and the gain of correcting it."""
 
     vehicle: VehicleConfig
-    """The car that was questioned."""
+    """The nominal car."""
     log: Log
     config: DiagnoseConfig
     judgement: Judgement
     evidence: Evidence | None
-    """None where the log is too short for any: the verdict is DATA_INSUFFICIENT."""
+    """None where the log is too short: the verdict is DATA_INSUFFICIENT."""
 
     @property
     def verdict(self) -> Verdict:
@@ -55,27 +55,27 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """What a person would say of it, with units."""
+        """Return the verdict in words, with units."""
         return self.judgement.sentence
 
     @property
     def causes(self) -> tuple[NamedEffect, ...]:
-        """Every named effect with its probability, parameters (SI) and rivals."""
+        """Return every named effect with its probability, parameters (SI) and rivals."""
         return named_effects(self.evidence.problem, self.evidence.causes) if self.evidence else ()
 
     @property
     def gain(self) -> Gain | None:
-        """Errors on runs held out, of what was named and fitted without them; None where none was held out."""
+        """Return the prediction errors on held-out runs, of effects named and fitted without them; None without any."""
         return self.evidence.gain if self.evidence else None
 
     @property
     def proposal(self) -> Proposal | None:
-        """What to drive next so that rival explanations come apart."""
+        """Return the manoeuvre to drive next, which best separates rival explanations."""
         return self.evidence.proposal if self.evidence else None
 
     @property
     def extended(self) -> VehicleConfig:
-        """The car with what was named, for simulator, planner, equilibria and MPC; the same car where nothing was."""
+        """Return the car with the named effects, for simulator, planner, equilibria and MPC."""
         if self.evidence is None:
             return self.vehicle
         last = self.evidence.selection
@@ -90,7 +90,7 @@ class Diagnosis:
         return describe_errors(self.vehicle, problem, self.log.runs, selection, comparison, seed)
 
     def content(self, findings: Findings | None = None) -> dict[str, Any]:
-        """Return what diagnosis.json holds, schema version 1; `findings` is that of `describe_errors`, if it is to be part of it."""
+        """Return the content of diagnosis.json, schema version 1, with the block `show` where `findings` are given."""
         return diagnosis_json(self, findings)
 
     def save(self, folder: str | Path) -> Path:

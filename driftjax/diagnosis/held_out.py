@@ -84,8 +84,9 @@ def split_problem(problem: Problem, use: np.ndarray, held: np.ndarray) -> tuple[
 
 
 def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
-    """Open-loop errors on the runs held out of the nominal car, the re-tuned one, the extended one, and both ends with
-    a GP on what they lack; with skills. None where no run is held out.
+    """Measure open-loop errors and skills on the held-out runs; None where no run is held out.
+
+    Models are the nominal, the re-tuned and the extended car, and the first and last with a GP on their residuals.
 
     Noise, and with it the observer that predictions start from and the floor, is estimated without the runs held out:
     that of `problem` is not used.

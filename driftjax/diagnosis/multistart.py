@@ -1,4 +1,4 @@
-"""A search that begins far from the truth: with an observer that follows whatever acts on the nominal car."""
+"""Search from far: with an observer whose disturbances absorb the errors of the nominal car."""
 
 import numpy as np
 
@@ -13,24 +13,24 @@ POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects e
 
 
 def nominal_fit(problem: Problem) -> Fit:
-    """The car before anything is named."""
+    """Return the fit of the nominal car, with no effect named."""
     return evaluate(problem, problem.start)
 
 
 def misfit(problem: Problem, fit: Fit) -> float:
-    """Cost per measurement: 1 for a right model."""
+    """Return the cost per measurement: 1 for a right model."""
     return fit.cost / float(np.sum(np.asarray(problem.data.padded.valid)))
 
 
 def require_finite(fit: Fit) -> Fit:
-    """`fit`, if its observer has not lost the car."""
+    """Return `fit` if its cost is finite; raise `BadInput` where its observer diverged."""
     if not np.isfinite(fit.cost):
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
     return fit
 
 
 def search_multistart(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
-    """What is found in `problem`, with the problem that it was found in: the same one but where that leads nowhere.
+    """Search for effects, from far where that fails; return the problem searched in and the selection.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about.
@@ -46,13 +46,12 @@ def search_multistart(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) 
 
 
 def with_nominal_noise(problem: Problem) -> Problem:
-    """The problem with the noise that the nominal car needs for itself: nothing is explained away."""
+    """Return the problem with the noise estimated for the nominal car alone, no parameter profiled out."""
     return with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
 
 
 def search_from_far(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
-    """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
-    observer of the car found."""
+    """Search with the noise of the nominal car, then prune and search again with noise and observer of the fitted car."""
     loose = with_nominal_noise(problem)
     start = require_finite(nominal_fit(loose))
     rough = search(loose, start, seed, most=most)

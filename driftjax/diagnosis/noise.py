@@ -1,4 +1,4 @@
-"""Measurement and process noise from the data, by the restricted likelihood of the observer's innovations.
+"""Estimate measurement and process noise from the data, by the restricted likelihood of the innovations.
 
 The noise is what no effect of the catalogue explains: the parameters of all of them are profiled out to first order,
 so that missing physics is not mistaken for noise (Harville 1977, Eq. 3.1; Kristensen, Madsen and Jorgensen 2004 for
@@ -36,12 +36,12 @@ class Noise(NamedTuple):
     correlation: float  # correlation time of the disturbances [s]
 
     def as_vector(self) -> np.ndarray:
-        """All of it (7,)."""
+        """Return all parameters as one vector (7,)."""
         return np.concatenate([self.sigma, self.disturbance, [self.correlation]])
 
 
 def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """First guess (c,) from third differences of y (P, T, c), robustly: motion hardly bends between four samples."""
+    """Return an initial guess (c,) from third differences of y (P, T, c), robust to outliers."""
     d = np.diff(y, n=3, axis=1)
     whole = np.min([valid[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
     spread = [np.median(np.abs(d[..., i][whole[..., i]])) if whole[..., i].any() else 0.0 for i in range(y.shape[2])]
@@ -76,7 +76,7 @@ def restricted_likelihood(logs: Float[Array, "7"], steps: Steps, e: Array, L: Ar
 
 
 def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float) -> Minimum:
-    """Minimum of `restricted_likelihood` per measurement within bounds, in units of the change that data resolve."""
+    """Minimise `restricted_likelihood` per measurement within bounds, in scaled logarithms."""
     rows, stiff = jnp.maximum(jnp.sum(steps.valid), 1.0), jnp.asarray(LOG_SCALES)
     value = lambda x, first, steps, e, L: restricted_likelihood(first + x / stiff, steps, e, L, dt) / rows
     lower, upper, options = (
@@ -89,7 +89,7 @@ def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Ar
 
 
 def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
-    """Noise from innovations `e` (P, T, 3) under `observer_gains`, searched from `start`."""
+    """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`."""
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))

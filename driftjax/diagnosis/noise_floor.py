@@ -1,4 +1,4 @@
-"""What a right model would still get wrong: its predictions beside drives of the same car with the noise of the data.
+"""Noise floor of predictions: errors of the right model, from disturbed roll-outs of the same car with sensor noise.
 
 Each drive starts where the car may have been when the prediction was made, and its rates are disturbed at random.
 """
@@ -24,7 +24,7 @@ ROUNDING = 1e-9  # added to correlations, so that they have a root
 
 
 def covariance_root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """A matrix that makes white noise noise of covariance `M`."""
+    """Return a matrix root of the covariance `M`, which maps white noise to noise of covariance `M`."""
     size = jnp.sqrt(jnp.diagonal(M))
     return size[:, None] * jnp.linalg.cholesky(M / (size[:, None] * size) + ROUNDING * jnp.eye(len(M)))
 
@@ -34,7 +34,7 @@ def disturbed_rollouts(
     ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], noise: Float[Array, "7"], dt: float,
     seed: Array,
 ) -> Float[Array, "S N 3"]:  # fmt: skip
-    """Mean squares by which what is told of disturbed drives differs from the predictions `ahead`.
+    """Return the mean squared difference between sensor readings of disturbed roll-outs and the predictions `ahead`.
 
     Drives start at samples `starts` about the states `z` with the covariances `P`; predictions know no disturbance.
     """
@@ -70,7 +70,7 @@ def _batched_rollouts(model, theta, runs, z, P, ahead, number, starts, noise, dt
 
 
 def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int) -> np.ndarray:
-    """Mean squares (P, S, N, 3) of the errors of the predictions `ahead`, if the car `theta` behind them is right."""
+    """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
     data, where, starts = problem.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
     one = lambda *rows: call(_batched_rollouts, problem.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))

@@ -1,4 +1,4 @@
-"""An observer that follows every run: its innovations, and their derivatives by every parameter of the catalogue.
+"""Kalman observer of every run: its innovations, and their derivatives by every parameter of the catalogue.
 
 A Kalman filter of the car and of slowly varying disturbances of its rates predicts each sample from all samples and
 commands before it. Its innovations are white if the model is right, whatever feedback made the commands, and they do
@@ -25,7 +25,7 @@ START_VARIANCE = 4.0  # variance of the first state, over that of one measuremen
 
 
 class PaddedRun(NamedTuple):
-    """One run, padded: T samples, with the w commands before them."""
+    """One padded run: T samples, preceded by w commands."""
 
     commands: Float[Array, "w+T 2"]
     V: Float[Array, " w+T"]
@@ -36,7 +36,7 @@ class PaddedRun(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """How the observer uses an innovation, and how large innovations are; per sample."""
+    """Observer gains and the scale of the innovations, per sample."""
 
     L: Float[Array, "T 6 3"]  # update of state and disturbances
     whitening: Float[Array, "T 3 3"]  # what makes innovations white and of unit variance, rows of missing channels zero
@@ -46,7 +46,7 @@ class Gains(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Where the observer went; per sample."""
+    """Estimates of the observer along a run, per sample."""
 
     e: Float[Array, "T 3"]  # innovations, zero where missing
     z: Float[Array, "T 6"]  # state and what is felt after the update
@@ -59,22 +59,22 @@ class Path(NamedTuple):
 
 
 def in_run(valid: Float[Array, "T 3"]) -> Array:
-    """Whether a sample (T,) is one of the run: what follows its last measurement is padding, where nothing moves."""
+    """Return whether each sample (T,) is within the run: those after its last measurement are padding."""
     return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(valid, axis=1)))) > 0
 
 
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:
-    """Geometric slip angles of front and rear [rad]."""
+    """Return the geometric slip angles of front and rear [rad]."""
     return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))
 
 
 def set_state(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "6"]:
-    """State and what is felt with the state `x`: tyres feel it at once; what lags in them stays as far behind."""
+    """Return the augmented state with the car's state set to `x`; lagged slip angles keep their lag."""
     return jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
 
 
 def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun:
-    """The run with every measurement at the sample that it tells of: whole steps of delay are taken off its time.
+    """Shift every measurement back by whole steps of the sensors' delay, to the sample that it belongs to.
 
     Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
     """
@@ -87,7 +87,7 @@ def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun
 
 
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
-    """Commands acting (T, 4), and state with what is felt (6,) at the first sample."""
+    """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - told(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
@@ -95,7 +95,7 @@ def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, A
 
 
 def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float) -> Path:
-    """The observer along one run."""
+    """Run the observer along one run."""
     model, step = model.at(theta), jnp.asarray(dt)
     run = align_measurements(model, run, dt)
     u, z = initial_state(model, run, dt)
@@ -121,7 +121,7 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
 def kalman_gains(
     A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float
 ) -> Gains:
-    """Gains of one run from the state's transitions `A`, for white measurement noise and disturbances of the rates."""
+    """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates."""
     R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
     start = jnp.block([[START_VARIANCE * R, zero], [zero, grown]])
     Q = disturbance_covariance(disturbance, decay)
@@ -143,18 +143,18 @@ def kalman_gains(
 
 
 def disturbance_covariance(disturbance: Float[Array, "3"], decay: Array) -> Float[Array, "6 6"]:
-    """Covariance that one step adds to that of state and disturbances, which keeps the disturbances' own."""
+    """Return the process covariance of one step for state and disturbances; the disturbances stay stationary."""
     return jnp.zeros((6, 6)).at[3:, 3:].set((1 - decay**2) * jnp.diag(disturbance**2))
 
 
 def transition(A: Float[Array, "3 3"], decay: Array, dt: float) -> Float[Array, "6 6"]:
-    """State and disturbances one step later by the same, for the state's own transition `A`."""
+    """Return the one-step transition matrix of state and disturbances, for the state transition `A`."""
     zero, eye = jnp.zeros((3, 3)), jnp.eye(3)
     return jnp.block([[A, dt * (eye + A) / 2], [zero, decay * eye]])
 
 
 class Steps(NamedTuple):
-    """Derivatives along a run: of every step by itself, and of the start."""
+    """Derivatives along a run: of every single step, and of the start."""
 
     A: Float[Array, "T 6 6"]  # next state and what is felt, by the same
     C: Float[Array, "T 6 K"]  # by theta, through the car and through the commands
@@ -168,14 +168,14 @@ class Steps(NamedTuple):
 
 
 def augmented_change(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n"]:
-    """State and what is felt, by a change `x` of the state alone: tyres feel it at once."""
+    """Return the change of the augmented state by a change `x` of the state alone, without lag of the tyres."""
     return jnp.concatenate([x, slip @ x, jnp.zeros_like(x[:1])])
 
 
 def propagate_derivatives(
     steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] | None = None
 ) -> Float[Array, "T 3 K"]:
-    """Derivatives of the innovations by theta: those of state and disturbances run along with the observer.
+    """Propagate the derivatives of the innovations by theta along the observer.
 
     `extra` is added to the update of state and disturbances.
     """
@@ -195,7 +195,7 @@ def propagate_derivatives(
 
 
 def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
-    """Innovations (T, 3) under `observer_gains`, to first order, from those under the gains `L`."""
+    """Return the innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
     still = jnp.zeros((6, 1))
     old = jnp.einsum("tij,tj->ti", L, e)
     steps = steps._replace(C=jnp.broadcast_to(still, (len(e), 6, 1)), F=-e[:, :, None], first=still)
@@ -203,7 +203,7 @@ def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains
 
 
 class SampleDerivatives(NamedTuple):
-    """Derivatives at single samples, as in `Steps`, with those by the commands and by theta at given commands."""
+    """Derivatives at single samples, as in `Steps`, separately by the commands and by theta at fixed commands."""
 
     A: Float[Array, "n 6 6"]
     by_u: Float[Array, "n 6 4"]
@@ -216,7 +216,7 @@ class SampleDerivatives(NamedTuple):
 
 
 def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> SampleDerivatives:
-    """Derivatives at single samples of `path` (leading axis)."""
+    """Compute the derivatives at single samples of `path` (leading axis)."""
     car, step = model.at(theta), jnp.asarray(dt)
     late_by = car.delayed(step)[1].lateness() / step
 
@@ -232,7 +232,7 @@ def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place,
 
 
 def command_derivatives(model: Universal, theta: Array, run: PaddedRun, dt: float) -> tuple[Array, Array]:
-    """Derivatives by theta of the commands acting (T, 4, K), and of state and what is felt at the start (6, K)."""
+    """Return the derivatives by theta of the acting commands (T, 4, K) and of the initial augmented state (6, K)."""
     stations = [effect.station for effect in model.effects for _ in effect.parameters]
     columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
     run = align_measurements(model.at(theta), run, dt)

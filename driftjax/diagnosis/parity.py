@@ -1,4 +1,4 @@
-"""Kinematic parity: whether the measured accelerations and the measured motion agree, whatever the car.
+"""Check kinematic parity: whether measured accelerations and motion agree, independent of the car model.
 
 dV/dt = ax cos beta + ay sin beta and dbeta/dt = (ay cos beta - ax sin beta) / V - r hold without any parameter of the
 car (Ryu and Gerdes 2004). Where they fail, a sensor or the road is at fault, not the model of the car. Nothing is
@@ -27,7 +27,7 @@ UNITS = ("m/s^2", "rad/s")
 
 
 class Windows(NamedTuple):
-    """What is measured less what the accelerations say, as mean rates of windows (n) that were measured throughout."""
+    """Measured minus integrated motion, as mean rates over n windows without missing samples."""
 
     rest: np.ndarray  # (n, 2) of V [m/s^2] and beta [rad/s]
     ends: np.ndarray  # (n, 2) variance from the noise of the first and the last sample, the same for all
@@ -37,7 +37,7 @@ class Windows(NamedTuple):
 
 
 class Parity(NamedTuple):
-    """How far motion and accelerations agree; per channel V [m/s^2], beta [rad/s]."""
+    """Agreement of motion and accelerations, per channel V [m/s^2], beta [rad/s]."""
 
     mean: np.ndarray  # (2,)
     z: np.ndarray  # (2,) the mean over its standard error, robust to dependence within blocks
@@ -49,7 +49,7 @@ class Parity(NamedTuple):
 
 
 def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Parity | None:
-    """Parity of all `runs` for the measurement noise `sigma` (3,) of V, beta, r.
+    """Test the parity of all `runs` for the measurement noise `sigma` (3,) of V, beta, r.
 
     None where a run lacks ax or ay, or too little was measured in a row to compare anything.
     """
@@ -64,7 +64,7 @@ def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Pa
 
 
 def summary(all_of: Windows) -> Parity | None:
-    """Mean, errors and statement; None for fewer than three blocks."""
+    """Return mean, errors and statement; None for fewer than three blocks."""
     rest, ends, within, block, opens = all_of
     names, block = np.unique(block, return_inverse=True)
     if (C := len(names)) < 3:
@@ -80,7 +80,7 @@ def summary(all_of: Windows) -> Parity | None:
 
 
 def acceleration_noise(runs: Sequence[Run]) -> np.ndarray:
-    """Standard deviation (2,) of the measured ax, ay [m/s^2], the median over runs."""
+    """Return the standard deviation (2,) of the measured ax, ay [m/s^2], the median over runs."""
     each = []
     for run in runs:
         a = np.stack([run.extra["ax"], run.extra["ay"]], axis=1)[None]
@@ -90,7 +90,7 @@ def acceleration_noise(runs: Sequence[Run]) -> np.ndarray:
 
 
 def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> Windows:
-    """Windows of one run one after the other; those with a gap or below the speed `slowest` are left out."""
+    """Return consecutive windows of one run; those with a gap or below the speed `slowest` are omitted."""
     W, (ax, ay) = max(round(WINDOW / run.dt), 2), (run.extra["ax"], run.extra["ay"])
     cos, sin, V = np.cos(run.beta), np.sin(run.beta), np.maximum(run.V, slowest)
     across = ay * cos - ax * sin
@@ -117,7 +117,7 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
 
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:
-    """What parity over `num` blocks says of where the fault lies."""
+    """Describe in words what parity over `num` blocks says about the location of the fault."""
     clear, parts = student.isf(CHANCE / 2, num - 1), []
     most = MARGIN * np.sqrt(chi2.isf(CHANCE, num) / num)
     for name, unit, m, one, ratio in zip(("V'", "beta'"), UNITS, mean, z, excess, strict=True):

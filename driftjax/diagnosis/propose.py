@@ -1,4 +1,4 @@
-"""The next manoeuvre: what to drive so that rival explanations come apart.
+"""Propose the next manoeuvre: the one that best separates rival explanations.
 
 The paper explores cornering speeds by the variance of its model; here every manoeuvre of the library is driven on the
 extended car, and the one whose data would tell the rivals apart best is proposed (Hunter and Reiner 1965; Box and
@@ -24,7 +24,7 @@ DURATION = 10.0  # of a proposed run [s]
 
 
 class Proposal(NamedTuple):
-    """What to drive next, and what it should bring."""
+    """A proposed manoeuvre and its expected benefit."""
 
     manoeuvre: str
     duration: float  # [s]
@@ -37,7 +37,7 @@ class Proposal(NamedTuple):
 def propose(
     vehicle: VehicleConfig, problem: Problem, selection: Selection, named: list[Cause], judgement: Judgement, seed: int
 ) -> Proposal | None:
-    """The manoeuvre that should settle a SET or show what insufficient data hide; None for other verdicts.
+    """Propose the manoeuvre that should resolve a SET or insufficient data; None for other verdicts.
 
     None too where the car survives no manoeuvre of the library.
     """
@@ -61,13 +61,13 @@ def propose(
 
 
 def in_full_catalogue(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """`theta` of the problem's effects as parameters of the whole catalogue, others neutral."""
+    """Return `theta` of the problem's effects as parameters of the whole catalogue, others neutral."""
     own = {effect.name: theta[problem.columns((i,))] for i, effect in enumerate(problem.effects)}
     return np.concatenate([own.get(name, np.zeros(len(e.parameters))) for name, e in EFFECTS.items()])
 
 
 def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selection, runs) -> list[np.ndarray]:
-    """Information (K, K) that each of `runs` would add, around the fit."""
+    """Return the information (K, K) that each of `runs` would add, linearised at the fit."""
     data = pieces(vehicle, runs)
     own = observer_gains(problem.model, data, problem.start, problem.noise.as_vector(), fixed_gain(data))
     at = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
@@ -75,7 +75,7 @@ def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selec
 
 
 def _least_sure(problem: Problem, selection: Selection, named: list[Cause], added: np.ndarray) -> float:
-    """Expected probability of the least sure cause with the information `added` (K, K) to that of the data."""
+    """Return the expected probability of the least certain cause with the information `added` (K, K)."""
     least, excess = 1.0, fit_dispersion(problem, selection)
     for cause in named:
         others = problem.columns(tuple(i for i in selection.selected if i != cause.effect))
@@ -89,7 +89,7 @@ def _least_sure(problem: Problem, selection: Selection, named: list[Cause], adde
 
 
 def _apart(problem: Problem, selection: Selection, one: int, rival: int, others: np.ndarray, H: np.ndarray) -> float:
-    """Cost that the effect `one` at its size leaves when the `rival` takes its place; refitted, with all `others`."""
+    """Return the cost that remains of the effect `one` when the `rival` replaces it, refitted with all `others`."""
     columns, given = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
     P = partial_out(H, given)[:, columns]
     theta = selection.fit.theta[columns]

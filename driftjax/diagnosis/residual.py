@@ -1,4 +1,4 @@
-"""Residual forces: what each axle does beyond the model, and with what that goes.
+"""Residual forces: forces of each axle beyond the model, and the variables they depend on.
 
 A disturbance of the rates is a force along the car, one to the left and a moment, and these are, whatever the car, a
 drive force and a lateral force of each axle. A cause that sits at one axle therefore shows at that axle only.
@@ -25,7 +25,7 @@ SKIPPED_START = 0.5  # time after a run's start that is left out: commands befor
 
 
 class Residuals(NamedTuple):
-    """Samples (n,) of one model's residual forces, and what they may go with."""
+    """Residual forces of one model at n samples, with explanatory variables."""
 
     forces: np.ndarray  # (n, 3) drive force, lateral force of front and of rear axle [N], left positive
     variables: dict[str, np.ndarray]  # (n,) each, SI
@@ -33,7 +33,7 @@ class Residuals(NamedTuple):
 
 
 def axle_forces(vehicle: VehicleConfig, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Forces (..., 3) [N] that give the car in the state `x` (..., 3) the further rates `push` (..., 3).
+    """Return the forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
     dY = dFyf cos delta + dFyr, dN = a dFyf cos delta - b dFyr, dX = dFx - dFyf sin delta.
@@ -49,19 +49,19 @@ def axle_forces(vehicle: VehicleConfig, x: np.ndarray, delta: np.ndarray, push: 
 
 
 def force_limits(vehicle: VehicleConfig) -> np.ndarray:
-    """What residual forces (3,) are measured by: friction times static load, of the rear axle for the drive [N]."""
+    """Return the reference sizes (3,) of residual forces: friction times static load, of the rear axle for Fx [N]."""
     front, rear = (vehicle.mu * vehicle.m * G * arm / (vehicle.a + vehicle.b) for arm in (vehicle.b, vehicle.a))
     return np.array([rear, front, rear])
 
 
 def observer_path(problem: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
-    """The observer's path under `theta`, and the derivatives of its steps."""
+    """Return the observer's path under `theta`, and the derivatives of its steps."""
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     return path, step_derivatives(problem.model, problem.data, theta, path, problem.active)
 
 
 def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
-    """Noise that the nominal car needs on `path` when nothing else explains its errors: its defect as disturbances."""
+    """Estimate the noise that the nominal car needs on `path` when no effect explains its errors."""
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
     return estimate_noise(bare, path.e, problem.gains, problem.noise, problem.data.dt)
 
@@ -69,7 +69,7 @@ def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
 def residual_forces(
     vehicle: VehicleConfig, problem: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
 ) -> Residuals:
-    """What the model that went along `path` leaves over on `runs`, those of `problem`, as forces of the nominal car."""
+    """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`."""
     valid = np.asarray(path.valid)
     x, push = smooth(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
@@ -84,7 +84,7 @@ def residual_forces(
 def explanatory_variables(
     vehicle: VehicleConfig, problem: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
 ) -> dict[str, np.ndarray]:
-    """What residual forces may go with (P, T): heading and position where every run measured them."""
+    """Return the explanatory variables (P, T); heading and position only where every run measured them."""
     nominal, place = vehicle.build(), problem.data.padded.place
     front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
     found = {

@@ -1,4 +1,4 @@
-"""A GP on what a model leaves unexplained: the rival of a named cause, and its complement."""
+"""Fit a GP to the rates that a model lacks: an alternative or a complement to named causes."""
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,6 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
 
 
 def fit_residual_gp(problem: Problem, theta: np.ndarray, seed: int) -> GP:
-    """The GP on what the model `theta` lacks in these data, outputs in SI rates."""
+    """Fit a GP to the rates [SI] that the model `theta` lacks in these data."""
     kept = select_dictionary(*residual_rates(problem, theta), DICTIONARY_SIZE)
     return fit(*kept, key=jax.random.key(seed)).gp

@@ -1,4 +1,4 @@
-"""All runs of a data set through the observer, in a few compiled programs of fixed shapes."""
+"""Run the observer over all runs of a data set, in a few compiled programs of fixed shapes."""
 
 from typing import NamedTuple
 
@@ -41,7 +41,7 @@ FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
 
 class Pieces(NamedTuple):
-    """Runs in pieces of one length, padded with samples that were not measured."""
+    """Runs cut into pieces of one length, padded with invalid samples."""
 
     padded: PaddedRun  # leading axis of pieces (P)
     run: np.ndarray  # (P,) number of the run
@@ -51,36 +51,35 @@ class Pieces(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Samples T of one piece."""
+        """Number of samples T of one piece."""
         return self.block.shape[1]
 
     def subset(self, keep: np.ndarray) -> "Pieces":
-        """Only the pieces with the numbers `keep`."""
+        """Return the pieces with the numbers `keep`."""
         names, block = np.unique(self.block[keep], return_inverse=True)
         return Pieces(take(self.padded, keep), self.run[keep], block.reshape(len(keep), -1), len(names), self.dt)
 
 
 def error_blocks(data: Pieces) -> np.ndarray:
-    """Number (P, T) of the span that a sample lies in."""
+    """Return the number (P, T) of the block of length `ERROR_BLOCK` that each sample lies in."""
     span = np.asarray(data.padded.place.t) // ERROR_BLOCK
     return np.unique(data.run[:, None] * (1 + span.max()) + span, return_inverse=True)[1].reshape(span.shape)
 
 
 def take(tree, which):
-    """Entries `which` along the first axis of every array; in NumPy, where cutting needs no program."""
+    """Return the entries `which` along the first axis of every array; in NumPy, which needs no compilation."""
     return jax.tree.map(lambda a: np.asarray(a)[which], tree)
 
 
 def fill_gaps(values: np.ndarray) -> np.ndarray:
-    """`values` (n,) with gaps filled linearly; zeros where nothing was measured at all."""
+    """Fill gaps in `values` (n,) linearly; zeros where nothing was measured."""
     good = np.isfinite(values)
     at = np.arange(len(values))
     return np.interp(at, at[good], values[good]) if good.any() else np.zeros_like(values)
 
 
 def lap_lengths(runs: tuple[Run, ...]) -> list[float]:
-    """Length of the lap that `s` counts in each run [m]: a run that begins `s` anew tells it, for others it is the
-    range of all runs together."""
+    """Return the lap length of each run [m]: the range of `s` in a run where it restarts, else over all runs."""
     each = [fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros(1) for run in runs]
     whole = max(s.max() for s in each) - min(s.min() for s in each)
     again = lambda s: len(s) > 1 and np.diff(s).min() < -0.5 * np.ptp(s) < 0
@@ -88,7 +87,7 @@ def lap_lengths(runs: tuple[Run, ...]) -> list[float]:
 
 
 def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
-    """Time, heading, share of the lap of length `lap` [m] and sliding work along a run (n,)."""
+    """Return time, heading, share of the lap of length `lap` [m] and sliding work along a run (n,)."""
     V, beta, r = fill_gaps(run.V), fill_gaps(run.beta), fill_gaps(run.r)
     psi = fill_gaps(run.extra["psi"]) if "psi" in run.extra else np.cumsum(r) * run.dt
     s = fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros_like(V)
@@ -98,13 +97,13 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 
 def piece_size(lengths: list[int]) -> int:
-    """Samples of one piece for runs of these `lengths`: short ones where they at least halve what is to be followed."""
+    """Return the samples of one piece for runs of these `lengths`: short where that at least halves the padding."""
     whole = lambda size: sum(-(-n // size) * size for n in lengths)
     return SHORT_PIECE_LENGTH if 2 * whole(SHORT_PIECE_LENGTH) <= whole(PIECE_LENGTH) else PIECE_LENGTH
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Runs cut where they are longer than a piece; before its first command a run counts as driven with it held."""
+    """Cut runs into pieces; before its first command a run is assumed to have held that command."""
     dt, rows, blocks, number = runs[0].dt, [], [], []
     size = piece_size([len(run.t) for run in runs])
     for i, (run, lap) in enumerate(zip(runs, lap_lengths(runs), strict=True)):
@@ -120,7 +119,7 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
 
 
 def _piece_of(run: Run, place: Place, k: int, size: int) -> PaddedRun:
-    """The piece of `run` of `size` samples that begins at sample `k`."""
+    """Return the piece of `run` of `size` samples that begins at sample `k`."""
     measured, w = np.stack([run.V, run.beta, run.r], axis=1), round(SETTLE / run.dt)
     lead = lambda values: np.concatenate([np.repeat(values[:1], w, axis=0), values])
     part = measured[k : k + size]
@@ -158,18 +157,18 @@ def _by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> 
 
 
 def map_pieces(function, num: int, *trees):
-    """`function` of all pieces of `trees` (leading axis), `BATCH_SIZE` at once, so that one program serves any number."""
+    """Apply `function` to all pieces of `trees` (leading axis) in batches of `BATCH_SIZE`, with one program."""
     rows = [np.minimum(np.arange(k, k + BATCH_SIZE), num - 1) for k in range(0, num, BATCH_SIZE)]
     return concatenate_trees([function(*take(trees, row)) for row in rows], num)
 
 
 def concatenate_trees(parts: list, num: int):
-    """The first `num` entries of trees one after the other."""
+    """Concatenate trees along the first axis and return the first `num` entries."""
     return jax.tree.map(lambda *a: np.concatenate(a)[:num], *parts)
 
 
 class Linearisation(NamedTuple):
-    """The observer's whitened innovations, and the derivatives of its predictions; zero where nothing was measured."""
+    """Whitened innovations of the observer and derivatives of its predictions; zero where invalid."""
 
     e: Array  # (P, T, 3)
     J: Array  # (P, T, 3, K)
@@ -178,7 +177,7 @@ class Linearisation(NamedTuple):
 
 
 def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
-    """A fixed gain that holds any car to the data, before any noise is known: it believes `share` of an innovation."""
+    """Return fixed gains, for use before any noise is known: each innovation is applied by `share`."""
     num = len(data.run)
     L = jnp.zeros((num, data.size, 6, 3)).at[..., :3, :].set(share * jnp.eye(3))
     nothing = jnp.zeros(num)
@@ -186,7 +185,7 @@ def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
 
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
-    """Gains along the path of the car `theta`, that of `first` and then their own; `noise` (7,) as `Noise.as_vector`."""
+    """Return the gains along the path of the car `theta`, starting from the gains `first`; `noise` as `Noise.as_vector`."""
     found = first
     for _ in range(2):
         path = run_observer(model, data, theta, found)
@@ -197,13 +196,13 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
 
 
 def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
-    """The observer along every piece."""
+    """Run the observer along every piece."""
     one = lambda run, gains: call(_follow, model, jnp.asarray(theta), run, gains, data.dt)
     return map_pieces(one, len(data.run), data.padded, gains)
 
 
 def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> SampleDerivatives:
-    """Derivatives of every step, leading axes (P, T), some samples in each call."""
+    """Compute the derivatives of every step, leading axes (P, T), in batches of samples."""
     lead = path.e.shape[:2]
     num = lead[0] * lead[1]
     flat = jax.tree.map(lambda a: a.reshape(num, *a.shape[2:]), (path, data.padded.place))
@@ -216,13 +215,15 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Sa
 
 
 def whiten(gains: Gains, e: Array) -> Array:
-    """Innovations (P, T, 3, ...) in units of what they should be."""
+    """Return innovations (P, T, 3, ...) scaled to unit covariance."""
     return jnp.einsum("ptij,ptj...->pti...", gains.whitening, e)
 
 
 def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Path, active: np.ndarray) -> Steps:
-    """Derivatives of every step along `path`, those through the commands included; nothing but zeros for parameters
-    that are not `active` for (K,), so that any part of the catalogue runs in the same programs."""
+    """Compute the derivatives of every step along `path`, those through the commands included.
+
+    Those by parameters that are not `active` (K,) are zero: any part of the catalogue runs in the same programs.
+    """
     where = jnp.asarray(theta)
     one = _each_sample(model, where, path, data)
     by_u, first = map_pieces(lambda run: call(_by_commands, model, where, run, data.dt), len(data.run), data.padded)
@@ -232,13 +233,13 @@ def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Pa
 
 
 def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, active: np.ndarray) -> Linearisation:
-    """Whitened innovations and their derivatives by the parameters `active` for (K,)."""
+    """Return whitened innovations and their derivatives by the `active` (K,) parameters."""
     path = run_observer(model, data, theta, gains)
     steps = step_derivatives(model, data, theta, path, active)
     return Linearisation(whiten(gains, path.e), whitened_derivatives(steps, gains, data), path, steps)
 
 
 def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces) -> Array:
-    """Derivatives (P, T, 3, K) of the whitened predictions."""
+    """Return the derivatives (P, T, 3, K) of the whitened predictions."""
     one = lambda steps, gains: call(_chain, steps, gains, data.dt)
     return -whiten(gains, map_pieces(one, len(data.run), steps, gains))

@@ -1,4 +1,4 @@
-"""Which effects the residuals ask for: scores, their test at a family-wise rate, and what they would be worth.
+"""Score tests of effects: scores, their test at a family-wise rate, and the fall of the cost they promise.
 
 Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
@@ -21,7 +21,7 @@ CONDITION = 1e-8  # share of an effect's information that must be its own for it
 
 
 class Scores(NamedTuple):
-    """Tests of everything that is not in the hypothesis yet."""
+    """Score tests of all effects that are not selected."""
 
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
@@ -32,7 +32,7 @@ class Scores(NamedTuple):
 
     @property
     def p_value(self) -> float:
-        """Probability that chance gives the largest score."""
+        """Return the probability that chance gives the largest score."""
         return self._rarity(max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0)))
 
     def p_value_of(self, effect: int, columns: np.ndarray) -> float:
@@ -48,12 +48,12 @@ class Scores(NamedTuple):
 
     @property
     def threshold(self) -> float:
-        """Of scores, which chance passes in one data set of twenty."""
+        """Return the score that chance exceeds in 5 % of data sets."""
         return float(np.quantile(self.null_max, 0.95))
 
 
 def sums_by_block(problem: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Information (K, K) and scores by block (C, K) of innovations (P, T, 3) and derivatives (P, T, 3, K)."""
+    """Return information (K, K) and scores by block (C, K) of innovations (P, T, 3), derivatives (P, T, 3, K)."""
     e, J = np.asarray(e), np.asarray(J)
     blocks = np.zeros((problem.data.num_blocks, J.shape[-1]))
     np.add.at(blocks, problem.data.block, np.einsum("ptik,pti->ptk", J, e))
@@ -61,7 +61,7 @@ def sums_by_block(problem: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndar
 
 
 def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Matrix (K, K) that takes the members `columns` out of scores: effective score = blocks @ it."""
+    """Return the matrix (K, K) that projects the parameters `columns` out of scores: effective score = blocks @ it."""
     P = np.eye(len(H))
     if len(columns):
         HS = H[np.ix_(columns, columns)]
@@ -70,7 +70,7 @@ def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tuple[int, ...], seed: int) -> Scores:
-    """Tests of all effects outside `selected` at the fit that `at` belongs to."""
+    """Test all effects outside `selected` at the fit that the linearisation `at` belongs to."""
     H, blocks = sums_by_block(problem, at.e, at.J)
     columns = problem.columns(selected)
     P = partial_out(H, columns)
@@ -92,13 +92,13 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Sum of the scores (C, K) over the root of their sum of squares; 0 but for those that are their `own`."""
+    """Return the sum of the scores (C, K) over the root of their sum of squares; 0 where not `own`."""
     spread = np.sqrt((effective**2).sum(axis=0))
     return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 
 
 def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
-    """How far sums `U` (n, k) of k scores (C, k) are from zero together: the |T| of one parameter that is as rare.
+    """Return the joint score of sums `U` (n, k) of k scores (C, k), as the |T| of one parameter of equal p-value.
 
     Hotelling's statistic with the sum of squares of the blocks, which random signs leave as it is.
     """
@@ -109,8 +109,10 @@ def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
 def null_max_scores(
     effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int, together: Sequence[np.ndarray] = ()
 ) -> np.ndarray:
-    """Largest score (DRAWS,) when blocks have random signs, ascending: of |T|, where `one_sided` ones count if they are
-    positive, and of the parameters `together`."""
+    """Return the largest score (DRAWS,) under random signs of the blocks, ascending.
+
+    It is that of |T|, where `one_sided` scores count only if positive, and of the joint scores of `together`.
+    """
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
     drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
     drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
@@ -121,7 +123,7 @@ def null_max_scores(
 def _gain(
     problem: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, selected: tuple[int, ...]
 ) -> float:
-    """Fall of the sum of squares by the best linear step in the parameters of one effect whose sign is allowed."""
+    """Return the fall of the cost by the best linear step in the parameters of one effect with allowed sign."""
     columns = problem.columns((effect,))
     columns = columns[T[columns] != 0]
     if effect in selected or not len(columns):
@@ -131,7 +133,7 @@ def _gain(
 
 
 def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
+    """Return the covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
 
     It is robust to dependence within blocks, never below the model's own: sandwich with the correction C / (C - k) of
     few clusters (Cameron and Miller 2015, Eq. 12).

@@ -1,4 +1,4 @@
-"""Which effects are named: forward, swap and backward steps between refits of the whole nonlinear model."""
+"""Select effects: forward, swap and backward steps between refits of the whole nonlinear model."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ MIN_SIZE = 0.08  # size below which an effect is left out, in typical sizes
 
 
 class Selection(NamedTuple):
-    """What the search ends with."""
+    """Result of the search."""
 
     selected: tuple[int, ...]
     fit: Fit
@@ -28,19 +28,19 @@ class Selection(NamedTuple):
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:
-    """Cost of a hypothesis with what its parameters must earn."""
+    """Return the cost of a hypothesis with the penalty of its parameters."""
     return fit.cost + PARAMETER_PENALTY * len(problem.columns(selected))
 
 
 def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
-    """Whether an effect differs from where it starts by what anyone would care for."""
+    """Return whether an effect differs materially from its start value."""
     return bool(np.abs((fit.theta - problem.start)[problem.columns((effect,))]).max() >= MIN_SIZE)
 
 
 def add_best_effect(
     problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, gain: np.ndarray
 ) -> tuple[tuple, Fit]:
-    """`selected` with one more, the one whose refit has the least price; themselves where none earns its keep.
+    """Add to `selected` the effect whose refit has the least penalised cost; none where the cost does not fall.
 
     Candidates by the `gain` (E,) they promise at the fit, linearised in `at`; after one step all but the best three
     are given up.
@@ -59,7 +59,7 @@ def add_best_effect(
 def search(
     problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS
 ) -> Selection:
-    """Effects added while the test rejects and the refit earns its keep, `most` in all; swaps and cuts follow each.
+    """Add effects while the test rejects and the penalised cost falls, at most `most`; swap and prune after each.
 
     The search begins with the effects `selected` of `start`.
     """
@@ -79,14 +79,14 @@ def search(
 def refit_without(
     problem: Problem, fit: Fit, selected: tuple[int, ...], gone: int, near: Linearisation
 ) -> tuple[tuple[int, ...], Fit]:
-    """The hypothesis refitted without the effect `gone`; `near` are the derivatives of a fit nearby."""
+    """Refit the hypothesis without the effect `gone`; `near` are the derivatives of a nearby fit."""
     theta, rest = fit.theta.copy(), tuple(i for i in selected if i != gone)
     theta[problem.columns((gone,))] = problem.start[problem.columns((gone,))]
     return rest, refine(problem, evaluate(problem, theta), problem.columns(rest), near)
 
 
 def swap(problem: Problem, selected: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
-    """Each earlier member in turn gives way to the outsider that suits its place best, where that lowers the price."""
+    """Replace each earlier effect by the best other one, where that lowers the penalised cost."""
     for old in selected[:-1]:
         rest, base = refit_without(problem, fit, selected, old, linearise(problem, fit))
         base, at = refit_to_convergence(problem, base, problem.columns(rest))
@@ -98,7 +98,7 @@ def swap(problem: Problem, selected: tuple[int, ...], fit: Fit) -> tuple[tuple[i
 
 
 def prune(problem: Problem, selected: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
-    """Members that are immaterial or not worth their parameters are taken out, the least worth first."""
+    """Remove effects that are immaterial or do not lower the penalised cost, the least useful first."""
     while selected:
         at, trials = linearise(problem, fit), []
         for one in selected:

@@ -45,7 +45,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
 
 
 def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
-    """What is left, or what effects only imitate; neither channel nor drivers where that is nothing.
+    """Return what remains unexplained, or what effects only imitate; channel None where nothing does.
 
     `at_first` are the variables that drive all that the nominal car gets wrong.
     """
@@ -64,7 +64,7 @@ def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
 
 
 def gain_json(gain: Gain | None) -> dict[str, Any]:
-    """The gain on the runs held out, per model, horizon and channel."""
+    """Return the gain on the held-out runs, per model, horizon and channel."""
     if gain is None:
         return {
             "held_out_runs": [],

@@ -1,4 +1,4 @@
-"""What disturbs the car's rates, from the samples before and after: a smoother along the observer's path.
+"""Smooth disturbances of the car's rates along the observer's path, from all samples of a run.
 
 The observer's path is one the car could have taken but for the observer's corrections and disturbances. Around it the
 model is linear, and state and disturbances are had by the recursions of Rauch, Tung and Striebel (1965). All pieces of
@@ -16,7 +16,7 @@ from driftjax.diagnosis.observer import START_VARIANCE, Path, Steps, disturbance
 
 
 class LinearModel(NamedTuple):
-    """The model along a path: w = (what the state exceeds the path's by, disturbances of the rates)."""
+    """Linear model along a path: w = (state minus the path's, disturbances of the rates)."""
 
     F: np.ndarray  # (P, T, 6, 6) w one step later, by w
     c: np.ndarray  # (P, T, 6) less what the path itself does beyond the undisturbed car
@@ -27,7 +27,7 @@ class LinearModel(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Means and covariances of w, from the samples before one and from that one too."""
+    """Predicted and filtered means and covariances of w."""
 
     predicted: np.ndarray  # (P, T, 6)
     covariance: np.ndarray  # (P, T, 6, 6)
@@ -36,12 +36,12 @@ class Filtered(NamedTuple):
 
 
 def samples_in_run(valid: np.ndarray) -> np.ndarray:
-    """Whether a sample (P, T) is one of its run rather than padding after its last measurement."""
+    """Return whether each sample (P, T) is within its run rather than padding after its last measurement."""
     return np.asarray(jax.vmap(in_run)(jnp.asarray(valid)))
 
 
 def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: float, dt: float) -> LinearModel:
-    """The model along the observer's `path` with the derivatives `steps`; what tyres feel late is held to the path."""
+    """Build the linear model along the observer's `path` from `steps`; lags of the tyres stay as on the path."""
     A, D = np.asarray(steps.A)[..., :3, :3], np.asarray(steps.D)
     e, z, before, d = (np.asarray(a) for a in (path.e, path.z, path.predicted, path.d))
     alive = samples_in_run(valid)
@@ -58,13 +58,13 @@ def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: float, dt: 
 
 
 def disturbance_step(noise: Noise, dt: float) -> tuple[float, np.ndarray]:
-    """Share of a disturbance left after one step, and the covariance (6, 6) that a step adds to that of w."""
+    """Return the decay of a disturbance over one step, and the process covariance (6, 6) of w."""
     decay = float(np.exp(-dt / noise.correlation))
     return decay, np.asarray(disturbance_covariance(jnp.asarray(noise.disturbance), jnp.asarray(decay)))
 
 
 def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
-    """Kalman filter of w along every piece."""
+    """Run the Kalman filter of w along every piece."""
     R, Q = noise.sigma**2, disturbance_step(noise, dt)[1]
     mean = model.first
     P = np.broadcast_to(np.diag([*(START_VARIANCE * R), *noise.disturbance**2]), (len(mean), 6, 6))
@@ -85,7 +85,7 @@ def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
 
 
 def smooth(path: Path, steps: Steps, valid: np.ndarray, noise: Noise, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """State (P, T, 3) and disturbances of its rates (P, T, 3) from all samples of a run.
+    """Return the state (P, T, 3) and disturbances of its rates (P, T, 3) given all samples of a run.
 
     They are expectations: where the data say little, a disturbance is told smaller than it is.
     """

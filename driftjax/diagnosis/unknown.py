@@ -1,4 +1,4 @@
-"""What no effect of the catalogue explains: generic terms in every rate and sensor, and the variables that drive them.
+"""Detect errors that no effect of the catalogue explains: generic terms in every rate and sensor.
 
 After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
 the same test as effects. What they explain beside the effects named says which rate is wrong and what it depends on.
@@ -45,7 +45,7 @@ class Term(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """What is left beside the effects named."""
+    """Errors that remain beside the named effects."""
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
     gain: float  # fall of the cost that the best single term promises
@@ -56,12 +56,12 @@ class Unexplained(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        """Whether anything is left that chance hardly makes and that is worth a parameter."""
+        """Return whether a significant error remains that is worth a parameter."""
         return self.p_value < LEVEL and self.gain > MIN_TERM_GAIN
 
 
 class GenericTerms(NamedTuple):
-    """Scores of the generic terms beside one hypothesis, whose effects are taken out of them."""
+    """Scores of the generic terms beside one hypothesis, whose effects are projected out."""
 
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
     U: np.ndarray  # (n,)
@@ -74,7 +74,7 @@ class GenericTerms(NamedTuple):
 
 
 def rate_functions(problem: Problem, path: Path) -> dict[str, dict[str, Array]]:
-    """Functions (P, T) of every variable along `path`, of order one on any car; keys say how each is written."""
+    """Return functions (P, T) of every variable along `path`, scaled to order one; keys give their formulas."""
     car, place = problem.model.base, problem.data.padded.place
     x, u = jnp.moveaxis(path.z[..., :3], -1, 0), jnp.moveaxis(path.u, -1, 0)
     angles = jax.vmap(jax.vmap(lambda x, u: slip_angles(problem.model, x, u)))
@@ -106,7 +106,7 @@ def rate_functions(problem: Problem, path: Path) -> dict[str, dict[str, Array]]:
 
 
 def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array]]:
-    """Functions (P, T) that errors of the sensors may go with; before the sample, of whose noise they are free."""
+    """Return functions (P, T) for sensor errors, of the predicted state, which is independent of the sample's noise."""
     V, beta, r = jnp.moveaxis(path.predicted[..., :3], -1, 0)
     size = term_scales(problem.model)["sensor"]
     return {"1": ("1", jnp.ones_like(V)), "V": ("V/sqrt(gL)", V / size[0]), "beta": ("beta", beta),
@@ -114,7 +114,7 @@ def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array
 
 
 def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
-    """The test of all that the effects named leave, and what drives it.
+    """Test what remains beside the named effects, and rank the variables that explain it.
 
     Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
     """
@@ -137,7 +137,7 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
 def generic_terms(
     problem: Problem, at: Linearisation, tested: Scores, selected: tuple[int, ...], seed: int
 ) -> GenericTerms:
-    """Generic terms at the hypothesis of `selected`, which `at` and `tested` belong to."""
+    """Score the generic terms at the hypothesis `selected`, which `at` and `tested` belong to."""
     rates = [(v, *one) for v, terms in rate_functions(problem, at.path).items() for one in terms.items()]
     sensors = [(v, *one) for v, one in sensor_functions(problem, at.path).items()]
     kinds = [
@@ -160,7 +160,7 @@ def generic_terms(
 
 
 def rank_variables(terms: GenericTerms) -> dict[str, float]:
-    """Variables with the fall of the cost that their terms promise, the largest first."""
+    """Rank the variables by the fall of the cost that their terms promise, the largest first."""
     names = list(dict.fromkeys(variable for variable, *_ in terms.kinds))
     each = {name: _penalised_gain(terms.U, terms.F, np.array([k[0] in ("1", name) for k in terms.kinds]) & terms.own)
             for name in names}  # fmt: skip
@@ -168,7 +168,7 @@ def rank_variables(terms: GenericTerms) -> dict[str, float]:
 
 
 def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
-    """Fall of the cost that the best single term promises, and that term."""
+    """Return the fall of the cost that the best single term promises, and that term."""
     information = np.diag(terms.F)
     gain = np.where(terms.own, terms.U**2 / np.where(terms.own, information, 1.0), 0.0)
     at = int(np.argmax(gain))
@@ -181,13 +181,13 @@ def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
 
 
 def term_scales(model: Universal) -> dict[str, np.ndarray]:
-    """Size of the rates of V, beta, r and of V, beta, r themselves, SI: g, sqrt(g/L), g/L; sqrt(gL), 1, sqrt(g/L)."""
+    """Return the scale of rates (g, sqrt(g/L), g/L) and of V, beta, r themselves (sqrt(gL), 1, sqrt(g/L)), SI."""
     time, speed = float(model.base.unit_time), float(model.base.unit_speed)
     return {"rate": np.array([G, 1 / time, 1 / time**2]), "sensor": np.array([speed, 1.0, 1 / time])}
 
 
 def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
-    """Whitened derivatives (P, T, 3, terms) of the predictions by terms, three of each function (P, T)."""
+    """Return whitened derivatives (P, T, 3, terms) of the predictions by terms, three per function (P, T)."""
     size = {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
     push = steps.push * size["rate"]
     moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
@@ -200,7 +200,7 @@ def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: 
 
 
 def _penalised_gain(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:
-    """Fall of the cost that the terms `which` promise together, less what their number costs."""
+    """Return the fall of the cost that the terms `which` promise together, less a penalty per term."""
     if not which.any():
         return 0.0
     part, U = F[np.ix_(which, which)], U[which]

@@ -1,4 +1,4 @@
-"""The closed set of verdicts, and the sentence that a person would say."""
+"""Verdicts of a diagnosis, and the sentences that state them."""
 
 from enum import StrEnum
 from typing import NamedTuple
@@ -18,7 +18,7 @@ INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs betwe
 
 
 class Verdict(StrEnum):
-    """What a diagnosis may say."""
+    """Possible results of a diagnosis."""
 
     NOTHING = "NOTHING"
     NAMED = "NAMED"
@@ -28,14 +28,14 @@ class Verdict(StrEnum):
 
 
 class Judgement(NamedTuple):
-    """Verdict with its reason."""
+    """A verdict with its reason."""
 
     verdict: Verdict
     sentence: str
 
 
 def detectable_share(problem: Problem, H: np.ndarray) -> float:
-    """Share of the one-parameter effects in question whose typical size data with the information H (K, K) show."""
+    """Return the share of active one-parameter effects that data of information H (K, K) detect at typical size."""
     single = np.bincount(problem.owner)[problem.owner] == 1
     return float(np.mean(np.sqrt(np.diag(H)[single & problem.active]) > DETECTABLE))
 
@@ -43,7 +43,7 @@ def detectable_share(problem: Problem, H: np.ndarray) -> float:
 def decide_verdict(
     problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float
 ) -> Judgement:
-    """The verdict on a search and what to say of it."""
+    """Decide the verdict on a search and state its reason."""
     varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
     if remaining.significant or remaining.simpler or varying:
         return Judgement(Verdict.UNKNOWN, _unknown(problem, named, remaining, varying))
@@ -58,7 +58,7 @@ def decide_verdict(
 
 
 def describe_cause(problem: Problem, cause: Cause) -> str:
-    """One cause in words: what, how much, how sure, and what it may be instead."""
+    """Describe one cause in words: effect, size, probability and rivals."""
     effect = problem.effects[cause.effect]
     scale = np.asarray(problem.model.scale)[problem.columns((cause.effect,))]
     rows = zip(effect.parameters, cause.theta, cause.half_width, scale, strict=True)
@@ -81,11 +81,12 @@ def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained, varyi
         )
     if remaining.simpler:
         text = f"Something is missing that no effect of the catalogue explains: {names} together explain no more than"
-        return f"{text} {_words(remaining.simpler)}; it goes most with {' and '.join(list(remaining.nominal_drivers)[:2])}."
+        drivers = " and ".join(list(remaining.nominal_drivers)[:2])
+        return f"{text} {_words(remaining.simpler)}; it goes most with {drivers}."
     return f"Something is missing that {', '.join(varying)} only stands for: its size differs from run to run."
 
 
 def _words(term: Term) -> str:
-    """A generic term in words."""
+    """Describe a generic term in words."""
     where = f"in the rate of {term.channel}" if term.where == "rate" else f"in what is measured as {term.channel}"
     return f"{term.value:.2g} ± {term.half_width:.1g} {term.unit} times {term.function} {where}"
