@@ -29,7 +29,7 @@ from driftjax.vehicle.universal import Universal, universal
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
-REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, from which derivatives are had anew
+REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
 class Problem(NamedTuple):

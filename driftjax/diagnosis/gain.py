@@ -28,8 +28,8 @@ class Predictions(NamedTuple):
     """Open-loop predictions of one model: P pieces of runs, S starts in each, N steps ahead."""
 
     starts: np.ndarray  # (S,) samples at which they start
-    z: Array  # (P, T, 6) where the model's observer stands: state and what is felt
-    readings: np.ndarray  # (P, S, N, 3) what sensors would tell of V, beta, r
+    z: Array  # (P, T, 6) augmented states of the model's observer
+    readings: np.ndarray  # (P, S, N, 3) sensor readings of V, beta, r
     error: np.ndarray  # (P, S, N, 3) that less the measurement, NaN where there is none or the run is over
 
 

@@ -51,7 +51,7 @@ def with_nominal_noise(problem: Problem) -> Problem:
 
 
 def search_from_far(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
-    """Search with the noise of the nominal car, then prune and search again with noise and observer of the fitted car."""
+    """Search with the noise of the nominal car, then prune and search again with that of the fitted car."""
     loose = with_nominal_noise(problem)
     start = require_finite(nominal_fit(loose))
     rough = search(loose, start, seed, most=most)

@@ -39,8 +39,8 @@ class Gains(NamedTuple):
     """Observer gains and the scale of the innovations, per sample."""
 
     L: Float[Array, "T 6 3"]  # update of state and disturbances
-    whitening: Float[Array, "T 3 3"]  # what makes innovations white and of unit variance, rows of missing channels zero
-    decay: Array  # share of a disturbance left after one step
+    whitening: Float[Array, "T 3 3"]  # whitens innovations to unit variance; rows of missing channels zero
+    decay: Array  # factor of a disturbance over one step
     P: Float[Array, "T 6 6"]  # covariance of state and disturbances after the update
     log_det: Array  # sum of the logarithms of the innovations' determinants
 
@@ -49,12 +49,12 @@ class Path(NamedTuple):
     """Estimates of the observer along a run, per sample."""
 
     e: Float[Array, "T 3"]  # innovations, zero where missing
-    z: Float[Array, "T 6"]  # state and what is felt after the update
+    z: Float[Array, "T 6"]  # augmented state after the update
     predicted: Float[Array, "T 6"]  # and before it
     rates: Float[Array, "T 3 3"]  # of the state over the step before the sample, as `rollout.Moved` has them
     u: Float[Array, "T 4"]  # commands acting: means and tilts
     d: Float[Array, "T 3"]  # disturbances of the rates after the update
-    y: Float[Array, "T 3"]  # what was measured of that sample, whenever it was told; zero where missing
+    y: Float[Array, "T 3"]  # measurements of that sample, delays removed; zero where missing
     valid: Float[Array, "T 3"]  # 1 where that was measured, 0 where not
 
 
@@ -156,15 +156,15 @@ def transition(A: Float[Array, "3 3"], decay: Array, dt: float) -> Float[Array, 
 class Steps(NamedTuple):
     """Derivatives along a run: of every single step, and of the start."""
 
-    A: Float[Array, "T 6 6"]  # next state and what is felt, by the same
+    A: Float[Array, "T 6 6"]  # next augmented state, by the augmented state
     C: Float[Array, "T 6 K"]  # by theta, through the car and through the commands
-    D: Float[Array, "T 3 3"]  # what is told, by the state
+    D: Float[Array, "T 3 3"]  # sensor readings, by the state
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
-    push: Float[Array, "T 6 3"]  # next state and what is felt, by a push of the rates during the step
+    push: Float[Array, "T 6 3"]  # next augmented state, by additional rates during the step
     late: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
     valid: Float[Array, "T 3"]  # as in `Path`
-    first: Float[Array, "6 K"]  # state and what is felt at the first sample, by theta
+    first: Float[Array, "6 K"]  # augmented state at the first sample, by theta
 
 
 def augmented_change(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n"]:

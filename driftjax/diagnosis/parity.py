@@ -20,7 +20,7 @@ from driftjax.vehicle.single_track import G
 
 WINDOW = 0.3  # over which changes are compared [s]
 MIN_SPEED = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
-CHANCE = 1e-4  # with which noise alone is told to be more, per channel and test
+CHANCE = 1e-4  # false-alarm probability per channel and test
 MARGIN = 1.1  # RMS of blocks over what noise gives, from how well the noise is known
 CHANNELS = ("V", "beta")
 UNITS = ("m/s^2", "rad/s")

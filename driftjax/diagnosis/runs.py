@@ -185,7 +185,7 @@ def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
 
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
-    """Return the gains along the path of the car `theta`, starting from the gains `first`; `noise` as `Noise.as_vector`."""
+    """Return the gains along the path of the car `theta`, starting from `first`; `noise` as `Noise.as_vector`."""
     found = first
     for _ in range(2):
         path = run_observer(model, data, theta, found)

@@ -9,10 +9,10 @@ from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
-MAX_EFFECTS = 4  # effects that a diagnosis names where no other number is asked for
+MAX_EFFECTS = 4  # default limit of named effects
 REFITS = 6  # candidates refitted at each step
-PARAMETER_PENALTY = 10.0  # fall of the sum of squares that an effect must earn, beside the test, per parameter
-MIN_SIZE = 0.08  # size below which an effect is left out, in typical sizes
+PARAMETER_PENALTY = 10.0  # required fall of the sum of squares per parameter, beside the test
+MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
 
 
 class Selection(NamedTuple):

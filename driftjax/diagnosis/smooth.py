@@ -20,8 +20,8 @@ class LinearModel(NamedTuple):
 
     F: np.ndarray  # (P, T, 6, 6) w one step later, by w
     c: np.ndarray  # (P, T, 6) less what the path itself does beyond the undisturbed car
-    H: np.ndarray  # (P, T, 3, 6) what is told, by w; zero where nothing was measured
-    y: np.ndarray  # (P, T, 3) measured beyond what the path would tell; zero where nothing was
+    H: np.ndarray  # (P, T, 3, 6) sensor readings, by w; zero where nothing was measured
+    y: np.ndarray  # (P, T, 3) measurement minus the reading on the path; zero where invalid
     valid: np.ndarray  # (P, T, 3) 1 where measured, 0 where not
     first: np.ndarray  # (P, 6) w expected at the first sample
 

@@ -29,8 +29,8 @@ from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal
 
 UNITS = {"rate": ("m/s^2", "rad/s", "rad/s^2"), "sensor": ("m/s", "rad", "rad/s")}  # of V, beta, r
-MIN_TERM_GAIN = 16.0  # what a term must explain to count as left over: terms are many
-TERM_PENALTY = 5.0  # what a term must explain to count when variables are compared
+MIN_TERM_GAIN = 16.0  # required fall of the cost of a remaining term: terms are many
+TERM_PENALTY = 5.0  # penalty per term when variables are compared
 
 
 class Term(NamedTuple):
@@ -66,7 +66,7 @@ class GenericTerms(NamedTuple):
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
-    own: np.ndarray  # (n,) whether a term can be told from the hypothesis
+    own: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
     e: np.ndarray  # (P, T, 3) whitened innovations
     J: np.ndarray  # (P, T, 3, K+n) their derivatives by all effects and terms
     P: np.ndarray  # (K+n, n) what takes the hypothesis out of those by the terms

@@ -1,4 +1,4 @@
-"""The whole bench: draw, run, score, tell."""
+"""Run the whole bench: draw, run, score, report."""
 
 import json
 from dataclasses import dataclass, field
@@ -43,7 +43,7 @@ class Config:
 
 
 def main(cfg: Config) -> dict[str, Any]:
-    """Run the bench; returns its scores, or the result of the one case asked for."""
+    """Run the bench; return its scores, or the result of the one case given."""
     if cfg.case is not None:
         result = run_case(read_case(cfg.case))
         print(json.dumps(result, indent=1))
@@ -53,7 +53,7 @@ def main(cfg: Config) -> dict[str, Any]:
 
 
 def _cases(cfg: Config) -> list[Case]:
-    """New cases, written down first, or those of an interrupted bench."""
+    """Draw new cases and write them, or read those of an interrupted bench."""
     path = cfg.out / CASES
     if cfg.resume:
         if not path.is_file():
@@ -71,7 +71,7 @@ def _cases(cfg: Config) -> list[Case]:
 
 
 def report_scores(results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Scores and wrong cases onto the screen, into score.json and figures."""
+    """Print scores and wrong cases; write score.json and figures."""
     table = score_results(results)
     wrong = confusions(results)
     scores = as_json(table)

@@ -1,4 +1,4 @@
-"""Cases that went wrong, each in a line that says what was named instead and how the truth looked."""
+"""List the cases that went wrong, each in one line with what was named and how the truth scored."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from driftjax.studies.hidden_effects.criteria import Result, misnamed, named_exa
 
 
 def confusions(results: list[Result]) -> list[str]:
-    """One line for each case that went wrong: group, truth, what was named, and how the truth looked."""
+    """Return one line per wrong case: group, truth, what was named, and how the truth scored."""
     wrong: list[str] = []
     tests: dict[str, Callable[[Result], bool]] = {
         "single": named_first,

@@ -1,4 +1,4 @@
-"""Which cases a bench runs: drawn at run time, in an order whose every beginning is a fair sample."""
+"""Draw the cases of a bench, in an order in which every prefix is a fair sample."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ def draw_cases(
     numbers: Numbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
     manoeuvres: tuple[str, ...] = RICH,
 ) -> list[Case]:  # fmt: skip
-    """All cases of `seed`, effects from `choice`."""
+    """Draw all cases of `seed`, with effects from `choice`."""
     rng = np.random.default_rng(seed)
     drawn: list[Case] = []
     for car in cars:

@@ -17,7 +17,7 @@ RIDGE = 1e-9  # share of an effect's information that keeps its own parameters a
 
 
 def naive_gains(problem: Problem) -> np.ndarray:
-    """Fall (E,) of the sum of squared one-step errors, in units of their spread, by the best of each effect alone."""
+    """Return the fall (E,) of the sum of squared one-step errors, scaled, by the best step in each effect alone."""
     data, theta = problem.data, problem.start
     believing = fixed_gain(data, 1.0)
     path = run_observer(problem.model, data, theta, believing)
@@ -30,7 +30,7 @@ def naive_gains(problem: Problem) -> np.ndarray:
 
 
 def _fall(problem: Problem, H: np.ndarray, b: np.ndarray, columns: np.ndarray) -> float:
-    """Fall of the sum of squares by a linear step in `columns`, those of a sign that cannot be left out."""
+    """Return the fall of the sum of squares by a linear step in those of `columns` with allowed sign."""
     columns = columns[((b > 0) | (problem.lower < 0))[columns] & (np.diag(H) > 0)[columns]]
     if not len(columns):
         return 0.0

@@ -1,4 +1,4 @@
-"""Cases run side by side, each result on disk as soon as it is there."""
+"""Run cases in parallel, writing each result to disk as soon as it is available."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ from driftjax.studies.hidden_effects.trial import run_case
 
 
 def try_case(case: Case) -> dict[str, Any]:
-    """The result of a case, or the error that it ended with, which counts as a failure."""
+    """Return the result of a case, or its error, which counts as a failure."""
     try:
         return run_case(case)
     except Exception:
@@ -24,7 +24,7 @@ def try_case(case: Case) -> dict[str, Any]:
 
 
 def read_results(path: Path) -> list[dict[str, Any]]:
-    """Results so far."""
+    """Read the results so far."""
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.is_file() else []
 
 
@@ -54,7 +54,7 @@ def _each(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
 
 
 def format_result(result: dict[str, Any]) -> str:
-    """One line on a result."""
+    """Format a result in one line."""
     hidden = " + ".join(f"{e['name']} {e['strengths']}" for e in result["case"]["effects"]) or "nothing"
     if "error" in result:
         return f"{result['group']}: {hidden} -> failed: {result['error'].strip().splitlines()[-1]}"

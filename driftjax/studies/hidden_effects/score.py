@@ -1,4 +1,4 @@
-"""What a bench measures, beside its targets."""
+"""Measures of a bench, with their targets."""
 
 from dataclasses import asdict
 from typing import Any
@@ -13,7 +13,7 @@ from driftjax.studies.hidden_effects.stats import Measure, mean, rate
 
 
 def score_results(results: list[Result]) -> dict[str, Measure]:
-    """All measures; results that failed are counted by themselves."""
+    """Return all measures; failed results are counted separately."""
     good = [r for r in results if "error" not in r]
     table = {"failed": Measure(len(results) - len(good), len(results), target="0")}
     for car in sorted({r["case"]["car"] for r in good}):
@@ -26,7 +26,7 @@ def score_results(results: list[Result]) -> dict[str, Measure]:
 
 
 def foreign(own: list[Result]) -> dict[str, Measure]:
-    """Measures of a foreign simulator."""
+    """Return the measures of a foreign simulator."""
     return {
         "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in own if r["named"]), "1"),
         "held-out gain": mean((r["skill"]["extended"][0] for r in own), "> 0"),
@@ -35,7 +35,7 @@ def foreign(own: list[Result]) -> dict[str, Measure]:
 
 
 def of_car(own: list[Result]) -> dict[str, Measure]:
-    """Measures of one car with hidden effects."""
+    """Return the measures of one car with hidden effects."""
     cases = [from_dict(Case, r["case"], "result") for r in own]
     pick = lambda f: [r for r, case in zip(own, cases, strict=True) if f(case)]
     none = pick(lambda c: c.condition == "none" and c.noise == 1)
@@ -87,12 +87,12 @@ def of_car(own: list[Result]) -> dict[str, Measure]:
 
 
 def as_json(table: dict[str, Measure]) -> dict[str, Any]:
-    """The table as plain values."""
+    """Return the table as plain values."""
     return {name: asdict(measure) for name, measure in table.items()}
 
 
 def as_text(table: dict[str, Measure]) -> str:
-    """The table beside its targets."""
+    """Format the table with its targets."""
     width = max(map(len, table))
     lines = [f"{'':{width}}  {'n':>5} {'value':>7}  {'95 % interval':16} target"]
     for name, m in table.items():

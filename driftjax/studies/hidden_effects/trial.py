@@ -1,4 +1,4 @@
-"""One case diagnosed and set beside its truth."""
+"""Diagnose one case and compare the result with its truth."""
 
 import dataclasses
 import time
@@ -25,7 +25,7 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 
 
 def run_case(case: Case) -> dict[str, Any]:
-    """Drive, diagnose and compare one case; plain values for one line of JSON."""
+    """Drive, diagnose and compare one case; return plain values for one line of JSON."""
     start = time.perf_counter()
     vehicle = nominal_vehicle(case)
     runs = measured_runs(case, vehicle)
@@ -42,7 +42,7 @@ def run_case(case: Case) -> dict[str, Any]:
 def diagnose_case(
     case: Case, vehicle: VehicleConfig, runs: tuple[Run, ...], effects: tuple[Effect, ...], held_out: int = 3
 ) -> dict[str, Any]:
-    """What the diagnosis with the catalogue `effects` makes of `runs`, beside the truth of `case`.
+    """Diagnose `runs` with the catalogue `effects` and compare the result with the truth of `case`.
 
     The gain is measured on every `held_out`-th run; 0: on none, which takes half the time.
     """
@@ -68,7 +68,7 @@ def diagnose_case(
 
 
 def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
-    """The diagnosis as plain values; parameters in typical sizes."""
+    """Return the diagnosis as plain values; parameters in typical sizes."""
     problem, name = evidence.problem, lambda i: evidence.problem.effects[i].name
     causes = [
         {
@@ -130,7 +130,7 @@ def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarr
 
 
 def penalised_costs(found: Evidence, case: Case) -> dict[str, float]:
-    """Price of what was named and of the truth refitted: which of search and evidence went wrong."""
+    """Return the penalised costs of what was named and of the truth refitted: was the search or the evidence wrong?"""
     problem = found.problem
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
     true = evaluate(problem, case.theta(problem.effects))
