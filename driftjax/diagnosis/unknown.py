@@ -52,7 +52,7 @@ class Unexplained(NamedTuple):
     drivers: dict[str, float]  # variables with the fall of the cost that their terms promise, the largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
-    nominal_drivers: dict[str, float]  # as `rank_variables`, of all that the nominal car gets wrong
+    nominal_drivers: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
 
     @property
     def significant(self) -> bool:
