@@ -7,7 +7,7 @@ import tyro
 
 from driftjax.cli.console import default_out, typed, within
 from driftjax.core import require
-from driftjax.diagnosis.calibrate import USUAL, calibrate
+from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, calibrate
 from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
 from driftjax.report import gain_table
@@ -36,7 +36,7 @@ class Calibrate:
     left out."""
     cut: float | None = None
     """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
-    effects: tuple[str, ...] = USUAL
+    effects: tuple[str, ...] = DEFAULT_EFFECTS
     """Effects of the catalogue to fit."""
     held_out: int = 3
     """Every so-many-th run is held out to measure the gain on, by a fit without them; 0: none."""

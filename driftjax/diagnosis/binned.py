@@ -1,17 +1,17 @@
-"""Residual forces in bins of what they may go with: means, what they explain beyond chance, and the worst in words."""
+"""Bin residual forces over explanatory variables: means, variance explained beyond chance, the largest in words."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.residual import FORCES, Residuals, limits
+from driftjax.diagnosis.residual import FORCES, Residuals, force_limits
 from driftjax.diagnosis.select import LEVEL
 from driftjax.vehicle import VehicleConfig
 
 BINS = 10  # of equal numbers of samples
-FEWEST = 3  # blocks of time below which a bin says nothing
+MIN_BLOCKS = 3  # blocks of time below which a bin says nothing
 DRAWS = 499  # of random signs
-WORDS = {
+DESCRIPTIONS = {
     "Fx": "the longitudinal force", "Fyf": "the lateral force of the front axle",
     "Fyr": "the lateral force of the rear axle", "slip_front": "the front slip angle",
     "slip_rear": "the rear slip angle", "drive": "the drive force", "speed": "the speed",
@@ -20,7 +20,7 @@ WORDS = {
 
 
 class Binned(NamedTuple):
-    """Residual forces over one driver; bins (B) in rising order, those of too few blocks left out."""
+    """Residual forces binned over one variable (B bins, ascending; bins with too few blocks omitted)."""
 
     value: np.ndarray  # (B,) mean of the driver
     mean: np.ndarray  # (B, 3) [N]
@@ -31,16 +31,16 @@ class Binned(NamedTuple):
     drawn: np.ndarray  # (DRAWS, 3) the same under random signs of the blocks
 
 
-class Found(NamedTuple):
-    """Residual forces of one model over everything looked at."""
+class ForceSummary(NamedTuple):
+    """Summary of one model's residual forces over all explanatory variables."""
 
     rms: np.ndarray  # (3,) [N]
-    over: dict[str, Binned]
+    variables: dict[str, Binned]
     p_value: float  # that chance gives the largest ratio
 
 
-def binned(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
-    """`forces` (n, 3) over bins of the driver `values` (n,); None where it hardly varies.
+def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
+    """Bin `forces` (n, 3) over the variable `values` (n,); None where it hardly varies.
 
     The mean of a bin is taken as that of independent blocks: its error sums the squares of the blocks' sums.
     """
@@ -52,7 +52,7 @@ def binned(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.
     np.add.at(sums, (block, which), forces)
     np.add.at(counts, (block, which), 1.0)
     blocks = (counts > 0).sum(axis=0)
-    use = blocks >= FEWEST
+    use = blocks >= MIN_BLOCKS
     if use.sum() < 2:
         return None
     sums, counts, blocks = sums[:, use], counts[:, use], blocks[use, None]
@@ -72,41 +72,43 @@ def binned(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.
     )  # fmt: skip
 
 
-def look(left: Residuals, seed: int) -> Found:
-    """Residual forces over every driver, and the test that they go with none of them."""
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, left.block.max() + 1))
-    each = {name: binned(values, left.forces, left.block, signs) for name, values in left.over.items()}
+def summarise_forces(residual: Residuals, seed: int) -> ForceSummary:
+    """Return residual forces binned over every variable, with a test that they depend on none of them."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, residual.block.max() + 1))
+    each = {
+        name: bin_forces(values, residual.forces, residual.block, signs) for name, values in residual.variables.items()
+    }
     over = {name: one for name, one in each.items() if one is not None}
-    rms = np.sqrt((left.forces**2).mean(axis=0))
+    rms = np.sqrt((residual.forces**2).mean(axis=0))
     if not over:
-        return Found(rms, over, 1.0)
+        return ForceSummary(rms, over, 1.0)
     largest = np.max([one.drawn.max(axis=1) for one in over.values()], axis=0)
     most = max(float(one.ratio.max()) for one in over.values())
-    return Found(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
+    return ForceSummary(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
 
 
-def driver(found: Found, force: int) -> str | None:
-    """What the force goes with most; None where chance would do as much."""
-    if not found.over:
+def best_variable(found: ForceSummary, force: int) -> str | None:
+    """Return the variable that explains most of a force; None where chance would explain as much."""
+    if not found.variables:
         return None
-    name = max(found.over, key=lambda one: found.over[one].explained[force])
-    return name if found.over[name].explained[force] > 0 else None
+    name = max(found.variables, key=lambda one: found.variables[one].explained[force])
+    return name if found.variables[name].explained[force] > 0 else None
 
 
-def worst(found: Found, vehicle: VehicleConfig) -> str:
-    """The worst residual force in one sentence: how large, and what it goes with."""
-    size = limits(vehicle)
-    systematic = np.max([one.systematic for one in found.over.values()], axis=0) if found.over else found.rms
+def describe_worst(found: ForceSummary, vehicle: VehicleConfig) -> str:
+    """Describe the largest residual force in one sentence: its size and the variable that explains most of it."""
+    size = force_limits(vehicle)
+    systematic = np.max([one.systematic for one in found.variables.values()], axis=0) if found.variables else found.rms
     clear = found.p_value < LEVEL
     force = int(np.argmax((systematic if clear else found.rms) / size))
     amount = f"{found.rms[force]:.3g} N RMS ({100 * found.rms[force] / size[force]:.2g} % of mu Fz)"
     if not clear:
         text = f"No residual force goes with anything looked at (p = {found.p_value:.2f}); the largest is "
-        return text + f"{WORDS[FORCES[force]]}, {amount}."
-    name = WORDS[FORCES[force]]
+        return text + f"{DESCRIPTIONS[FORCES[force]]}, {amount}."
+    name = DESCRIPTIONS[FORCES[force]]
     text = f"{name[0].upper()}{name[1:]} is off most: {amount}"
-    by = driver(found, force)
+    by = best_variable(found, force)
     if by is None:
         return text + ", wherever and however the car drives."
-    share = f"{100 * found.over[by].explained[force]:.0f} % of its variance (p = {found.p_value:.3f})"
-    return text + f"; it goes with {WORDS[by]} most, which explains {share}."
+    share = f"{100 * found.variables[by].explained[force]:.0f} % of its variance (p = {found.p_value:.3f})"
+    return text + f"; it goes with {DESCRIPTIONS[by]} most, which explains {share}."

@@ -1,4 +1,4 @@
-"""The nominal car fitted to data: effects that one believes in get their sizes, without asking whether they act."""
+"""Fit chosen effects of the nominal car to data, without testing whether they are present."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,26 +9,34 @@ import numpy as np
 
 from driftjax.core import BadInput, require
 from driftjax.diagnosis.evidence import half_widths
-from driftjax.diagnosis.fit import Fit, Problem, observed, posed, priced, settle, tuned
+from driftjax.diagnosis.findings import Comparison
+from driftjax.diagnosis.fit import (
+    Fit,
+    Problem,
+    evaluate,
+    initial_problem,
+    refit_to_convergence,
+    with_estimated_noise,
+    with_noise,
+)
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.held_out import Gain, check_held_out, compared, split
-from driftjax.diagnosis.multistart import kept, loosened, nominal
-from driftjax.diagnosis.noise_floor import floor
-from driftjax.diagnosis.runs import Followed
+from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_runs
+from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
+from driftjax.diagnosis.noise_floor import noise_floor
+from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 from driftjax.diagnosis.serialise import extended_car, gain_json
-from driftjax.diagnosis.show import Judged
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, effects_by_name
 
-USUAL = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
+DEFAULT_EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
 
 
 class FittedParameter(NamedTuple):
-    """One parameter of a calibration, SI."""
+    """One fitted parameter, SI."""
 
     parameter: str  # effect.parameter
     value: float
@@ -39,11 +47,11 @@ class FittedParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A car fitted to data, and what that gains on runs that had no part in it; `str` is its table."""
+    """A car fitted to data, with its gain on held-out runs; `str` gives its table."""
 
     nominal: VehicleConfig
-    task: Problem  # with noise and observer of the fitted car
-    members: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
+    problem: Problem  # with noise and observer of the fitted car
+    selected: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
     fit: Fit
     scores: Scores
     half_width: np.ndarray  # (k,) of the 95 % intervals, in typical sizes
@@ -52,15 +60,15 @@ class Calibration:
 
     @property
     def vehicle(self) -> VehicleConfig:
-        """The calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
-        return extended_car(self.nominal, self.task, self.members, self.fit.theta, self.scores)
+        """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
+        return extended_car(self.nominal, self.problem, self.selected, self.fit.theta, self.scores)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
-        """Every parameter fitted, SI."""
-        task = self.task
-        columns, scale = task.columns(self.members), np.asarray(task.model.scale)
-        names = [(task.effects[i].name, p) for i in self.members for p in task.effects[i].parameters]
+        """Return every fitted parameter, SI."""
+        problem = self.problem
+        columns, scale = problem.columns(self.selected), np.asarray(problem.model.scale)
+        names = [(problem.effects[i].name, p) for i in self.selected for p in problem.effects[i].parameters]
         values, widths = self.fit.theta[columns] * scale[columns], self.half_width * scale[columns]
         return tuple(
             FittedParameter(f"{name}.{p.name}", float(value), float(half), p.unit, f"{name}.{p.name}" in self.bound)
@@ -68,8 +76,8 @@ class Calibration:
         )
 
     def content(self) -> dict[str, Any]:
-        """Return what calibration.json holds."""
-        noise = self.task.noise
+        """Return the content of calibration.json."""
+        noise = self.problem.noise
         return {
             "parameters": [one._asdict() for one in self.parameters],
             "gain": gain_json(self.gain),
@@ -95,10 +103,10 @@ class Calibration:
 
 
 def calibrate(
-    vehicle: VehicleConfig, log: Log, effects: Sequence[str] = USUAL, *, held_out: int = 3, seed: int = 0,
+    vehicle: VehicleConfig, log: Log, effects: Sequence[str] = DEFAULT_EFFECTS, *, held_out: int = 3, seed: int = 0,
     catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Calibration:  # fmt: skip
-    """Fit the `effects` of the car to a log in which it should be right; others stay as `vehicle` has them.
+    """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. Every `held_out`-th run is held out
     to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects that these runs cannot tell.
@@ -108,44 +116,46 @@ def calibrate(
     require(bool(effects), "key 'effects' is empty; name the effects to fit.")
     runs, names = log.runs, tuple(effects)
     wanted = {effect.name for effect in effects_by_name(names)}
-    task = posed(vehicle, catalogue, runs)
-    members = tuple(i for i, effect in enumerate(task.effects) if effect.name in wanted)
-    lost = [task.effects[i].name for i in members if not task.asked[task.columns((i,))].all()]
+    problem = initial_problem(vehicle, catalogue, runs)
+    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
+    lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs)
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
-    task, fit, at = fitted(loosened(task), members)
-    last = scores(task, at, fit.theta, members, seed)
-    on = [f"{task.effects[i].name}.{p.name}" for i in members for p in task.effects[i].parameters]
-    columns = task.columns(members)
-    ends = (fit.theta == task.lower) & (task.lower != 0) | (fit.theta == task.upper)
+    problem, fit, at = fit_effects(with_nominal_noise(problem), selected)
+    last = scores(problem, at, fit.theta, selected, seed)
+    on = [f"{problem.effects[i].name}.{p.name}" for i in selected for p in problem.effects[i].parameters]
+    columns = problem.columns(selected)
+    ends = (fit.theta == problem.lower) & (problem.lower != 0) | (fit.theta == problem.upper)
     bound = tuple(name for name, end in zip(on, ends[columns], strict=True) if end)
-    gain = gained(task, members, tuple(run.name for run in runs), held_out, seed)
-    return Calibration(vehicle, task, members, fit, last, half_widths(task, last, members), bound, gain)
+    gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed)
+    return Calibration(vehicle, problem, selected, fit, last, half_widths(problem, last, selected), bound, gain)
 
 
-def gained(task: Problem, members: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int) -> Gain | None:
-    """What the effects `members`, fitted without every `held_out`-th run, gain on those.
+def calibration_gain(
+    problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int
+) -> Gain | None:
+    """Return the gain on every `held_out`-th run of the effects `selected`, fitted without those runs.
 
     Noise and observer are those of the other runs too.
     """
-    use, held = split(len(names), held_out)
+    use, held = split_runs(len(names), held_out)
     if not len(held):
         return None
-    loose, apart = loosened(task.part(use)), task.part(held)
-    near, fit, _ = fitted(loose, members)
-    bare, test = observed(apart, task.start, loose.noise), observed(apart, fit.theta, near.noise)
+    loose, apart = with_nominal_noise(problem.subset(use)), problem.subset(held)
+    near, fit, _ = fit_effects(loose, selected)
+    bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, fit.theta, near.noise)
     ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
-    judged = Judged(test, ahead, floor(test, fit.theta, ahead["fitted"], seed))
-    return compared(judged, tuple(names[i] for i in held), members, seed)
+    comparison = Comparison(test, ahead, noise_floor(test, fit.theta, ahead["fitted"], seed))
+    return compare(comparison, tuple(names[i] for i in held), selected, seed)
 
 
-def fitted(loose: Problem, members: tuple[int, ...]) -> tuple[Problem, Fit, Followed]:
-    """The best fit over `members` with its derivatives, in the problem whose noise is what the car so fitted leaves.
+def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
+    """Fit the effects `selected`; return the problem with noise re-estimated at the fit, the fit, its linearisation.
 
     The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """
-    columns = loose.columns(members)
-    rough, _ = settle(loose, kept(nominal(loose)), columns)
-    anew = tuned(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
-    return anew, *settle(anew, kept(priced(anew, rough.theta)), columns)
+    columns = loose.columns(selected)
+    rough, _ = refit_to_convergence(loose, require_finite(nominal_fit(loose)), columns)
+    anew = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
+    return anew, *refit_to_convergence(anew, require_finite(evaluate(anew, rough.theta)), columns)

@@ -1,21 +1,21 @@
-"""From a log to a diagnosis: name the causes, say how sure that is, measure what mending them gains."""
+"""Diagnose a log: name the causes with their uncertainty, and measure the gain of correcting them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from driftjax.diagnosis.evidence import Cause, NamedEffect, causes, named_effects
+from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects
 from driftjax.diagnosis.figure_data import figure_data
-from driftjax.diagnosis.fit import Problem, problem
-from driftjax.diagnosis.held_out import DiagnoseConfig, Gain, measure, measured, on_all
-from driftjax.diagnosis.multistart import approach
+from driftjax.diagnosis.findings import Findings, describe_errors
+from driftjax.diagnosis.fit import Problem, build_problem
+from driftjax.diagnosis.held_out import DiagnoseConfig, Gain, compare_on_all_runs, measure_from_runs, measure_gain
+from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, extended_car
-from driftjax.diagnosis.show import Show, show
-from driftjax.diagnosis.unknown import Unexplained, unexplained
-from driftjax.diagnosis.verdict import SHORTEST, Judgement, Verdict, judge
+from driftjax.diagnosis.unknown import Unexplained, find_unexplained
+from driftjax.diagnosis.verdict import MIN_DURATION, Judgement, Verdict, decide_verdict
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.parallel import BatchExecutor
@@ -26,7 +26,7 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a verdict rests on."""
+    """Evidence for a verdict."""
 
     problem: Problem
     selection: Selection
@@ -38,15 +38,15 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a log says the model of a car gets wrong, why, and what mending it gains."""
+    """Result of a diagnosis: what the model of a car gets wrong, why, and the gain of correcting it."""
 
     vehicle: VehicleConfig
-    """The car that was questioned."""
+    """The nominal car."""
     log: Log
     config: DiagnoseConfig
     judgement: Judgement
     evidence: Evidence | None
-    """None where the log is too short for any: the verdict is DATA_INSUFFICIENT."""
+    """None where the log is too short: the verdict is DATA_INSUFFICIENT."""
 
     @property
     def verdict(self) -> Verdict:
@@ -55,54 +55,54 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """What a person would say of it, with units."""
+        """Return the verdict in words, with units."""
         return self.judgement.sentence
 
     @property
     def causes(self) -> tuple[NamedEffect, ...]:
-        """Every named effect with its probability, parameters (SI) and rivals."""
+        """Return every named effect with its probability, parameters (SI) and rivals."""
         return named_effects(self.evidence.problem, self.evidence.causes) if self.evidence else ()
 
     @property
     def gain(self) -> Gain | None:
-        """Errors on runs held out, of what was named and fitted without them; None where none was held out."""
+        """Return the prediction errors on held-out runs, of effects named and fitted without them; None without any."""
         return self.evidence.gain if self.evidence else None
 
     @property
     def proposal(self) -> Proposal | None:
-        """What to drive next so that rival explanations come apart."""
+        """Return the manoeuvre to drive next, which best separates rival explanations."""
         return self.evidence.proposal if self.evidence else None
 
     @property
     def extended(self) -> VehicleConfig:
-        """The car with what was named, for simulator, planner, equilibria and MPC; the same car where nothing was."""
+        """Return the car with the named effects, for simulator, planner, equilibria and MPC."""
         if self.evidence is None:
             return self.vehicle
         last = self.evidence.selection
-        return extended_car(self.vehicle, self.evidence.problem, last.members, last.fit.theta, last.scores)
+        return extended_car(self.vehicle, self.evidence.problem, last.selected, last.fit.theta, last.scores)
 
-    def show(self) -> Show | None:
+    def describe_errors(self) -> Findings | None:
         """Compute residual forces, kinematic parity, open-loop errors and all else that figures draw."""
         if self.evidence is None:
             return None
-        task, selection, seed = self.evidence.problem, self.evidence.selection, self.config.seed
-        judged = self.gain.judged if self.gain else on_all(task, selection, seed)
-        return show(self.vehicle, task, self.log.runs, selection, judged, seed)
+        problem, selection, seed = self.evidence.problem, self.evidence.selection, self.config.seed
+        comparison = self.gain.comparison if self.gain else compare_on_all_runs(problem, selection, seed)
+        return describe_errors(self.vehicle, problem, self.log.runs, selection, comparison, seed)
 
-    def content(self, shown: Show | None = None) -> dict[str, Any]:
-        """Return what diagnosis.json holds, schema version 1; `shown` is that of `show`, if it is to be part of it."""
-        return diagnosis_json(self, shown)
+    def content(self, findings: Findings | None = None) -> dict[str, Any]:
+        """Return the content of diagnosis.json, schema version 1, with the block `show` where `findings` are given."""
+        return diagnosis_json(self, findings)
 
     def save(self, folder: str | Path) -> Path:
         """Write diagnosis.json and, of a log that was long enough, extended.yaml and diagnosis.nc into `folder`."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        shown = self.show()
-        if self.evidence is not None and shown is not None:
+        findings = self.describe_errors()
+        if self.evidence is not None and findings is not None:
             write_vehicle(folder / "extended.yaml", self.extended)
-            data = figure_data(self.vehicle.name, self.evidence.problem, self.evidence.selection, shown, self.gain)
+            data = figure_data(self.vehicle.name, self.evidence.problem, self.evidence.selection, findings, self.gain)
             write_netcdf(folder / "diagnosis.nc", data)
-        write_json(folder / "diagnosis.json", self.content(shown))
+        write_json(folder / "diagnosis.json", self.content(findings))
         return folder
 
 
@@ -125,19 +125,19 @@ def diagnose(
     require_float64()
     config = DiagnoseConfig() if config is None else config
     duration = sum(len(run.t) * run.dt for run in log.runs)
-    if duration < SHORTEST:
-        text = f"The log holds {duration:.1f} s; at least {SHORTEST:.0f} s are needed to tell anything."
+    if duration < MIN_DURATION:
+        text = f"The log holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
         return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
     report("noise and nominal car")
     parallel = executor is not None and executor.pool is not None
-    beside = executor.submit(measured, vehicle, effects, log.runs, config) if executor and parallel else None
-    task = problem(vehicle, effects, log.runs, config.without)
+    beside = executor.submit(measure_from_runs, vehicle, effects, log.runs, config) if executor and parallel else None
+    problem = build_problem(vehicle, effects, log.runs, config.without)
     report("naming")
-    task, selection = approach(task, config.seed, config.most)
-    named = causes(task, selection)
-    left = unexplained(task, selection, config.seed)
-    judgement = judge(task, selection, named, left, duration)
-    proposal = propose(vehicle, task, selection, named, judgement, config.seed)
+    problem, selection = search_multistart(problem, config.seed, config.most)
+    named = find_causes(problem, selection)
+    remaining = find_unexplained(problem, selection, config.seed)
+    judgement = decide_verdict(problem, selection, named, remaining, duration)
+    proposal = propose(vehicle, problem, selection, named, judgement, config.seed)
     report("gain")
-    gain = beside() if beside else measure(task, tuple(run.name for run in log.runs), config)
-    return Diagnosis(vehicle, log, config, judgement, Evidence(task, selection, named, left, proposal, gain))
+    gain = beside() if beside else measure_gain(problem, tuple(run.name for run in log.runs), config)
+    return Diagnosis(vehicle, log, config, judgement, Evidence(problem, selection, named, remaining, proposal, gain))

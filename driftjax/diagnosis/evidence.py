@@ -1,21 +1,21 @@
-"""How sure a name is: intervals of its parameters, and the probability that it rather than a rival acts."""
+"""Uncertainty of named effects: intervals of their parameters, and the probability of each against its rivals."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
-from driftjax.diagnosis.fit import Problem, information, settle
-from driftjax.diagnosis.score import CONDITION, Scores, half_widths_of, overdispersion, partial_out, scores
-from driftjax.diagnosis.select import WORTH, Selection, without
+from driftjax.diagnosis.fit import Problem, information, refit_to_convergence
+from driftjax.diagnosis.score import CONDITION, Scores, half_widths_from, overdispersion, partial_out, scores
+from driftjax.diagnosis.select import PARAMETER_PENALTY, Selection, refit_without
 
-RIVAL = 0.01  # probability from which a rival is worth telling of
-SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
-ALIKE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
+RIVAL_PROBABILITY = 0.01  # probability from which a rival is worth telling of
+MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
+CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
 
 
 class Cause(NamedTuple):
-    """One named effect."""
+    """One named effect, in typical sizes."""
 
     effect: int
     theta: np.ndarray  # (k,) in typical sizes
@@ -39,124 +39,127 @@ class NamedEffect(NamedTuple):
     rivals: dict[str, float]  # effects that might act in its place, with their probabilities
 
 
-def named_effects(task: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
-    """Return the causes with names of effects and parameters in SI."""
-    scale = np.asarray(task.model.scale)
-    found = []
+def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
+    """Return the named effects with their parameters in SI."""
+    scale = np.asarray(problem.model.scale)
+    selection = []
     for cause in causes:
-        effect, columns = task.effects[cause.effect], task.columns((cause.effect,))
+        effect, columns = problem.effects[cause.effect], problem.columns((cause.effect,))
         rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], strict=True)
         parameters = {
             p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit} for p, x, w, s in rows
         }
-        rivals = {task.effects[i].name: p for i, p in cause.rivals.items()}
-        alike = sorted({*rivals, *(task.effects[i].name for i in cause.alike)})
-        found.append(
+        rivals = {problem.effects[i].name: p for i, p in cause.rivals.items()}
+        alike = sorted({*rivals, *(problem.effects[i].name for i in cause.alike)})
+        selection.append(
             NamedEffect(effect.name, cause.probability, cause.p_value, parameters, cause.invariance, alike, rivals)
         )
-    return tuple(found)
+    return tuple(selection)
 
 
-def causes(task: Problem, found: Selection) -> list[Cause]:
-    """Every named effect with its interval, its probability and its rivals."""
-    columns = task.columns(found.members)
+def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
+    """Return every named effect with its interval, probability and rivals."""
+    columns = problem.columns(selection.selected)
     if not len(columns):
         return []
-    constant, widths = invariance(task, found), half_widths(task, found.scores, found.members)
+    constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
     each = []
-    for member in found.members:
-        own = task.columns((member,))
+    for member in selection.selected:
+        own = problem.columns((member,))
         at = np.searchsorted(columns, own)
-        probability, rivals, p_value = odds(task, found, member)
-        alike, theta = confusable(task, found, member), found.fit.theta[own]
+        probability, rivals, p_value = effect_probability(problem, selection, member)
+        alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
         each.append(Cause(member, theta, widths[at], probability, rivals, alike, constant[member], p_value))
     return each
 
 
-def half_widths(task: Problem, last: Scores, members: tuple[int, ...]) -> np.ndarray:
-    """Half-widths (k,) of the 95 % intervals of the parameters of `members`, in typical sizes."""
-    return half_widths_of(last.H, last.blocks, task.columns(members))
+def half_widths(problem: Problem, last: Scores, selected: tuple[int, ...]) -> np.ndarray:
+    """Return the half-widths (k,) of the 95 % intervals of the parameters of `selected`, in typical sizes."""
+    return half_widths_from(last.H, last.blocks, problem.columns(selected))
 
 
-def invariance(task: Problem, found: Selection) -> dict[int, float]:
-    """Probability that chance alone makes runs ask for a parameter as differently as they do, the least per member.
+def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
+    """Return per effect the smallest p-value of the hypothesis that its parameters are the same in all runs.
 
     A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016). Scores of each run, all other
     members taken out, over their information make Cochran's Q (1954), in units of what blocks vary by.
     """
-    columns, runs = task.columns(found.members), np.unique(task.data.run)
+    columns, runs = problem.columns(selection.selected), np.unique(problem.data.run)
     if len(runs) < 2:
-        return dict.fromkeys(found.members, 1.0)
-    e, J = np.asarray(found.at.e), np.asarray(found.at.J)[..., columns]
-    H = np.array([information(J[task.data.run == run]) for run in runs])
-    U = np.array([np.einsum("ptij,pti->j", J[task.data.run == run], e[task.data.run == run]) for run in runs])
-    total, blocks = H.sum(axis=0), found.scores.blocks[:, columns]
-    least = dict.fromkeys(found.members, 1.0)
+        return dict.fromkeys(selection.selected, 1.0)
+    e, J = np.asarray(selection.linearisation.e), np.asarray(selection.linearisation.J)[..., columns]
+    H = np.array([information(J[problem.data.run == run]) for run in runs])
+    U = np.array([np.einsum("ptij,pti->j", J[problem.data.run == run], e[problem.data.run == run]) for run in runs])
+    total, blocks = H.sum(axis=0), selection.scores.blocks[:, columns]
+    least = dict.fromkeys(selection.selected, 1.0)
     for k, column in enumerate(columns):
         other = np.arange(len(columns)) != k
         w = np.zeros(len(columns))
         w[k], w[other] = 1.0, -np.linalg.solve(total[np.ix_(other, other)], total[other, k])
         size, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
         excess = max(np.sum((blocks @ w) ** 2) / size.sum(), 1.0)
-        known = size > SHARE * size.sum()
+        known = size > MIN_SHARE * size.sum()
         Q = np.sum(score[known] ** 2 / size[known]) - score[known].sum() ** 2 / size[known].sum()
-        member = int(task.owner[column])
+        member = int(problem.owner[column])
         least[member] = min(least[member], float(chi2.sf(Q / excess, max(known.sum() - 1, 1))))
     return least
 
 
-def odds(task: Problem, found: Selection, member: int) -> tuple[float, dict[int, float], float]:
-    """Return the probability of `member` in its place among all effects, that of rivals above `RIVAL`, its p-value.
+def effect_probability(problem: Problem, selection: Selection, member: int) -> tuple[float, dict[int, float], float]:
+    """Return the probability of `member` against all other effects, its rivals above a threshold, and its p-value.
 
     A rival's cost is that of its best linear step, which flatters no one but hardly any rival either. The p-value is
     that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
     """
-    rest, base = without(task, found.fit, found.members, member, found.at)
-    base, at = settle(task, base, task.columns(rest))
-    left = scores(task, at, base.theta, rest, 0)
-    costs = np.where(left.gain > 0, base.cost - left.gain, np.inf)
-    costs[member] = found.fit.cost
-    share = weights(costs, np.bincount(task.owner), dispersion(task, found))
-    rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL}
-    return float(share[member]), rivals, left.p_value_of(member, task.columns((member,)))
+    rest, base = refit_without(problem, selection.fit, selection.selected, member, selection.linearisation)
+    base, at = refit_to_convergence(problem, base, problem.columns(rest))
+    remaining = scores(problem, at, base.theta, rest, 0)
+    costs = np.where(remaining.gain > 0, base.cost - remaining.gain, np.inf)
+    costs[member] = selection.fit.cost
+    share = hypothesis_probabilities(costs, np.bincount(problem.owner), fit_dispersion(problem, selection))
+    rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
+    return float(share[member]), rivals, remaining.p_value_of(member, problem.columns((member,)))
 
 
-def dispersion(task: Problem, found: Selection) -> float:
-    """Return how many times what noise explains the fit varies by: the `overdispersion` of its members."""
-    return overdispersion(found.scores.H, found.scores.blocks, task.columns(found.members))
+def fit_dispersion(problem: Problem, selection: Selection) -> float:
+    """Return the `overdispersion` of the selected effects at the fit."""
+    return overdispersion(selection.scores.H, selection.scores.blocks, problem.columns(selection.selected))
 
 
-def weights(costs: np.ndarray, sizes: np.ndarray, excess: float) -> np.ndarray:
+def hypothesis_probabilities(costs: np.ndarray, sizes: np.ndarray, excess: float) -> np.ndarray:
     """Return the probabilities (n,) of hypotheses with the `costs` (n,) and numbers of parameters `sizes` (n,).
 
     Each weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978), where costs count in units of
     the `excess` of their dispersion over that of noise (QAIC; Burnham and Anderson 2002, Sec. 2.5): innovations that
     depend on each other would else count as more data than they are.
     """
-    prices = costs / excess + WORTH * sizes
+    prices = costs / excess + PARAMETER_PENALTY * sizes
     weight = np.exp(-0.5 * (prices - prices.min()))
     return weight / weight.sum()
 
 
-def confusable(task: Problem, found: Selection, member: int) -> tuple[int, ...]:
-    """Return the effects that can nearly imitate what `member` does in these data, all other members apart.
+def confusable_effects(problem: Problem, selection: Selection, member: int) -> tuple[int, ...]:
+    """Return the effects that nearly reproduce the signature of `member` in these data, other selected ones removed.
 
     Measured by the canonical correlation, in the metric of the information, of the fitted signature of `member` with
     those of all parameters of the other effect (Hotelling 1936); of two single parameters that is their cosine.
     """
-    H = found.scores.H
-    P = partial_out(H, task.columns(tuple(i for i in found.members if i != member)))
-    own, apart = task.columns((member,)), P.T @ H @ P
+    H = selection.scores.H
+    P = partial_out(H, problem.columns(tuple(i for i in selection.selected if i != member)))
+    own, apart = problem.columns((member,)), P.T @ H @ P
     free = np.diag(apart) > CONDITION * np.diag(H)  # others are but rounding
-    moved = (found.fit.theta - task.start)[own]
+    moved = (selection.fit.theta - problem.start)[own]
     power = moved @ apart[np.ix_(own, own)] @ moved
     alike = []
-    for i in range(len(task.effects)):
-        columns = task.columns((i,))
+    for i in range(len(problem.effects)):
+        columns = problem.columns((i,))
         columns = columns[free[columns]]
-        if i in found.members or not len(columns) or power <= 0:
+        if i in selection.selected or not len(columns) or power <= 0:
             continue
         b = apart[np.ix_(columns, own)] @ moved
-        if b @ np.linalg.pinv(apart[np.ix_(columns, columns)], CONDITION, hermitian=True) @ b > ALIKE**2 * power:
+        if (
+            b @ np.linalg.pinv(apart[np.ix_(columns, columns)], CONDITION, hermitian=True) @ b
+            > CONFUSABLE_COSINE**2 * power
+        ):
             alike.append(i)
     return tuple(alike)

@@ -1,4 +1,4 @@
-"""Hypotheses fitted: Gauss-Newton on the parameters of the effects in question, through the observer's innovations."""
+"""Fit hypotheses: Gauss-Newton on the active parameters, through the observer's innovations."""
 
 from typing import NamedTuple
 
@@ -6,18 +6,18 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.noise import CORRELATION, FIRST, PRIOR, Noise, estimate, measurement_noise
+from driftjax.diagnosis.noise import CORRELATION, FIRST_DISTURBANCE, PRIOR, Noise, estimate_noise, measurement_noise
 from driftjax.diagnosis.observer import Gains
 from driftjax.diagnosis.runs import (
-    Followed,
+    Linearisation,
     Pieces,
-    derivatives,
     differentiate,
-    follow,
-    gains,
-    held,
-    pick,
+    fixed_gain,
+    observer_gains,
     pieces,
+    run_observer,
+    step_derivatives,
+    take,
     whiten,
 )
 from driftjax.logs import Run
@@ -26,14 +26,14 @@ from driftjax.vehicle.effect import Effect
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal_car
 
-LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
+STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
-STABLE = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
-SLOW = 0.3  # fall of the cost, over that of the step before, from which derivatives are had anew
+STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
+REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
 class Problem(NamedTuple):
-    """Data and model of one diagnosis, with the noise and the observer's gains."""
+    """Data and model of one diagnosis, with the noise and the observer gains."""
 
     model: Universal
     data: Pieces
@@ -41,46 +41,46 @@ class Problem(NamedTuple):
     upper: np.ndarray
     start: np.ndarray  # (K,) theta of the nominal car, 0 but for the effects that its file names already
     owner: np.ndarray  # (K,) index of the effect that a parameter belongs to
-    has: frozenset[str]  # further columns that every run has
-    asked: np.ndarray  # (K,) whether the parameter is in question: others stay where they start
+    extra_columns: frozenset[str]  # further columns that every run has
+    active: np.ndarray  # (K,) whether the parameter is in question: others stay where they start
     noise: Noise
     gains: Gains
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The catalogue, in the order of `owner`."""
+        """Return the catalogue, in the order of `owner`."""
         return self.model.effects
 
-    def columns(self, members: tuple[int, ...]) -> np.ndarray:
-        """Parameters of the effects `members`."""
-        return np.flatnonzero(np.isin(self.owner, members))
+    def columns(self, selected: tuple[int, ...]) -> np.ndarray:
+        """Return the parameter indices of the effects `selected`."""
+        return np.flatnonzero(np.isin(self.owner, selected))
 
-    def part(self, runs: np.ndarray) -> "Problem":
-        """The same problem over the runs with these numbers only."""
+    def subset(self, runs: np.ndarray) -> "Problem":
+        """Return the problem restricted to the runs with these numbers."""
         keep = np.flatnonzero(np.isin(self.data.run, runs))
-        return self._replace(data=self.data.part(keep), gains=pick(self.gains, keep))
+        return self._replace(data=self.data.subset(keep), gains=take(self.gains, keep))
 
 
 class Fit(NamedTuple):
-    """One hypothesis at its best."""
+    """One fitted hypothesis."""
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
     e: np.ndarray  # (P, T, 3) whitened innovations
 
 
-def problem(
+def build_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Everything that questions need, the noise estimated from the data: what no effect in question explains."""
-    task = posed(vehicle, effects, runs, without)
-    return tuned(task, task.start, task.asked)
+    """Build the problem, with the noise estimated from the data as what no active effect explains."""
+    problem = initial_problem(vehicle, effects, runs, without)
+    return with_estimated_noise(problem, problem.start, problem.active)
 
 
-def posed(
+def initial_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Everything but the noise, which is a first guess, and gains, which hold any car to the data.
+    """Build the problem with an initial guess of the noise and fixed observer gains.
 
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
     """
@@ -88,25 +88,25 @@ def posed(
     model = universal_car(vehicle, effects, substeps(vehicle, runs))
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
-    asked = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
+    active = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner, fixed, start = np.array([i for i, _ in parameters]), held(data), named_already(vehicle, model)
-    return Problem(model, data, lower, upper, start, owner, has, asked, first_guess(data), fixed)
+    owner, fixed, start = np.array([i for i, _ in parameters]), fixed_gain(data), initial_theta(vehicle, model)
+    return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), fixed)
 
 
 def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
-    """In how many parts a step between samples is to be integrated, at nearly the slowest speed of `runs`.
+    """Return the number of integration steps per sample, for stability at nearly the slowest speed of `runs`.
 
     On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates.
     """
     V = np.nanquantile(np.concatenate([run.V for run in runs]), 0.05)
     stiffness = vehicle.mu * vehicle.B * vehicle.C * G / max(V, 0.1 * np.sqrt(G * (vehicle.a + vehicle.b)))
     fastest = stiffness * max(1.0, vehicle.m * vehicle.a * vehicle.b / vehicle.Iz)
-    return max(int(np.ceil(runs[0].dt * fastest / STABLE)), 1)
+    return max(int(np.ceil(runs[0].dt * fastest / STABILITY_LIMIT)), 1)
 
 
-def named_already(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
-    """Theta (K,) of the effects in the file of `vehicle`."""
+def initial_theta(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
+    """Return theta (K,) of the effects in the file of `vehicle`."""
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
     each = [(effect.name, p.name) for effect in model.effects for p in effect.parameters]
     lost = sorted({effect for effect, _ in values} - {effect for effect, _ in each})
@@ -115,62 +115,64 @@ def named_already(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
     return np.array([values.get(key, 0.0) for key in each]) / np.asarray(model.scale)
 
 
-def first_guess(data: Pieces) -> Noise:
-    """Noise before any model is asked."""
-    sigma = measurement_noise(np.asarray(data.track.y), np.asarray(data.track.seen))
-    return Noise(sigma, FIRST * sigma, CORRELATION)
+def initial_noise(data: Pieces) -> Noise:
+    """Return the noise assumed before any model is fitted."""
+    sigma = measurement_noise(np.asarray(data.padded.y), np.asarray(data.padded.valid))
+    return Noise(sigma, FIRST_DISTURBANCE * sigma, CORRELATION)
 
 
-def tuned(task: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
-    """The problem with the noise that the car `theta` needs, and gains along its path.
+def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:
+    """Return the problem with the noise estimated for the car `theta`, and gains along its path.
 
     What parameters that are `profiled` (K,) out could explain is not taken for noise.
     """
-    model, data, fixed = task.model, task.data, held(task.data)
-    path = follow(model, data, theta, fixed)
-    steps = derivatives(model, data, theta, path, profiled)
-    noise = estimate(steps, path.e, fixed, first_guess(data), data.dt)
-    return observed(task, theta, noise)
+    model, data, fixed = problem.model, problem.data, fixed_gain(problem.data)
+    path = run_observer(model, data, theta, fixed)
+    steps = step_derivatives(model, data, theta, path, profiled)
+    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt)
+    return with_noise(problem, theta, noise)
 
 
-def observed(task: Problem, theta: np.ndarray, noise: Noise) -> Problem:
-    """The problem with this noise, and gains along the path of the car `theta`."""
-    data = task.data
-    return task._replace(noise=noise, gains=gains(task.model, data, theta, noise.row(), held(data)))
+def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
+    """Return the problem with this noise, and gains along the path of the car `theta`."""
+    data = problem.data
+    return problem._replace(
+        noise=noise, gains=observer_gains(problem.model, data, theta, noise.as_vector(), fixed_gain(data))
+    )
 
 
-def around(task: Problem, fit: Fit) -> Followed:
-    """Whitened innovations and their derivatives at `fit`."""
-    return differentiate(task.model, task.data, fit.theta, task.gains, task.asked)
+def linearise(problem: Problem, fit: Fit) -> Linearisation:
+    """Return whitened innovations and their derivatives at `fit`."""
+    return differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
 
 
-def priced(task: Problem, theta: np.ndarray) -> Fit:
-    """The hypothesis `theta` with its cost, infinite where the observer loses the car.
+def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
+    """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
     Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
     costs: otherwise a delay would pay by itself.
     """
-    path = follow(task.model, task.data, theta, task.gains)
-    e = np.asarray(whiten(task.gains, path.e))
-    used = path.seen * np.any(task.gains.white, axis=-1)
-    cost = float(np.sum(e**2)) + float(np.sum(task.data.track.seen - used))
-    cost += float(np.sum((theta - task.start) ** 2)) / PRIOR**2
+    path = run_observer(problem.model, problem.data, theta, problem.gains)
+    e = np.asarray(whiten(problem.gains, path.e))
+    used = path.valid * np.any(problem.gains.whitening, axis=-1)
+    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid - used))
+    cost += float(np.sum((theta - problem.start) ** 2)) / PRIOR**2
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 
 def information(J: ArrayLike) -> np.ndarray:
-    """Information (K, K) of derivatives (P, T, 3, K)."""
+    """Return the information matrix (K, K) of derivatives (P, T, 3, K)."""
     J = np.asarray(J)
     return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
-def normal(at: Followed) -> tuple[np.ndarray, np.ndarray]:
-    """Information (K, K) and score (K,)."""
+def information_and_score(at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
+    """Return the information matrix (K, K) and the score (K,)."""
     return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
 
 
-def refine(task: Problem, fit: Fit, columns: np.ndarray, near: Followed, num: int = 6) -> Fit:
-    """`fit` improved over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
+def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation, num: int = 6) -> Fit:
+    """Improve `fit` over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
 
     Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
     1995, Sec. 5.4.1), for they take several times as long as the innovations.
@@ -180,36 +182,36 @@ def refine(task: Problem, fit: Fit, columns: np.ndarray, near: Followed, num: in
     last, J = np.inf, np.asarray(near.J)[..., columns]
     for _ in range(num):
         H = information(J) + np.eye(len(columns)) / PRIOR**2
-        score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - task.start)[columns] / PRIOR**2
+        score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - problem.start)[columns] / PRIOR**2
         step = np.zeros_like(fit.theta)
         step[columns] = np.linalg.solve(H, score)
         if not score @ step[columns] > TOLERANCE:  # what the step promises
             break
-        before, fit = fit.cost, _shorten(task, fit, step)
+        before, fit = fit.cost, _shorten(problem, fit, step)
         fall = before - fit.cost
         if not fall > TOLERANCE:
             break
-        if fall > SLOW * last:
-            J = np.asarray(around(task, fit).J)[..., columns]
+        if fall > REUSE_RATIO * last:
+            J = np.asarray(linearise(problem, fit).J)[..., columns]
         last = fall
     return fit
 
 
-def settle(task: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Followed]:
-    """The best fit over the parameters `columns`, and its derivatives: refined until its own ask for no more."""
-    at = around(task, fit)
+def refit_to_convergence(problem: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Linearisation]:
+    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation."""
+    at = linearise(problem, fit)
     for _ in range(num):
-        better = refine(task, fit, columns, at)
+        better = refine(problem, fit, columns, at)
         if better is fit:
             break
-        fit, at = better, around(task, better)
+        fit, at = better, linearise(problem, better)
     return fit, at
 
 
-def _shorten(task: Problem, fit: Fit, step: np.ndarray) -> Fit:
-    """The first of ever shorter steps that lowers the cost, else `fit`."""
-    for length in LENGTHS:
-        trial = priced(task, np.clip(fit.theta + length * step, task.lower, task.upper))
+def _shorten(problem: Problem, fit: Fit, step: np.ndarray) -> Fit:
+    """Return the first of successively shorter steps that lowers the cost, else `fit`."""
+    for length in STEP_LENGTHS:
+        trial = evaluate(problem, np.clip(fit.theta + length * step, problem.lower, problem.upper))
         if trial.cost < fit.cost:
             return trial
     return fit

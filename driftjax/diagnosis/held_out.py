@@ -1,17 +1,17 @@
-"""The gain on runs held out: what is named and fitted without them predicts them better."""
+"""Gain on held-out runs: prediction errors of effects named and fitted without them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from driftjax.core import require
-from driftjax.diagnosis.fit import Problem, observed, posed, settle, tuned
+from driftjax.diagnosis.findings import Comparison
+from driftjax.diagnosis.fit import Problem, initial_problem, refit_to_convergence, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
-from driftjax.diagnosis.multistart import approach
-from driftjax.diagnosis.noise_floor import floor
-from driftjax.diagnosis.residual_gp import learnt
-from driftjax.diagnosis.select import MOST, Selection
-from driftjax.diagnosis.show import Judged
+from driftjax.diagnosis.multistart import search_multistart
+from driftjax.diagnosis.noise_floor import noise_floor
+from driftjax.diagnosis.residual_gp import fit_residual_gp
+from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
@@ -20,7 +20,7 @@ RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person wou
 
 
 def check_held_out(every: int) -> None:
-    """Raise `BadInput` where not every so-many-th run can be held out."""
+    """Raise `BadInput` unless `every` is 0 or at least 2."""
     require(every == 0 or every >= 2, f"key 'held_out' is {every}; give 0, or 2 or more.")
 
 
@@ -33,7 +33,7 @@ class DiagnoseConfig:
     0: none is, and no gain is measured."""
     without: tuple[str, ...] = ()
     """Effects left out of the catalogue."""
-    most: int = MOST
+    most: int = MAX_EFFECTS
     """Effects named at most. Each further one takes longer; a real car that nobody calibrated may need more."""
     gp: bool = True
     """Whether the gain is also measured of a GP, alone and beside the named effects."""
@@ -50,78 +50,81 @@ class DiagnoseConfig:
 
 @dataclass(frozen=True)
 class Gain:
-    """What the extension gains on runs held out, when named and fitted without them."""
+    """Gain of the extended car on held-out runs, named and fitted without them."""
 
-    held: tuple[str, ...]  # names of the runs held out
+    held_out: tuple[str, ...]  # names of the runs held out
     named: tuple[str, ...]  # effects named without them
-    judged: Judged  # models compared on them
+    comparison: Comparison  # models compared on them
     errors: dict[str, Errors]  # of each
-    floor: Errors  # what noise alone makes
+    noise_floor: Errors  # what noise alone makes
     skills: dict[str, tuple[float, tuple[float, float]]]
     ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
 
 
-def split(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the runs to name from, and of those held out; of fewer than `every` runs none is held out."""
+def split_runs(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of the training runs and of the held-out runs (none for fewer than `every` runs)."""
     runs = np.arange(num)
     held = runs % every == every - 1 if every else np.zeros(num, bool)
     return runs[~held], runs[held]
 
 
-def measured(
+def measure_from_runs(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
 ) -> Gain | None:
-    """`measure` from the start: a worker poses the problem as soon as its parent, whose programs it must load too."""
-    return measure(posed(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config)
+    """Build the problem and call `measure_gain`: a worker process builds it itself."""
+    return measure_gain(
+        initial_problem(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config
+    )
 
 
-def parted(task: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:
-    """Return the problems over the runs `use` and over those `held` out, both with the noise estimated from `use`."""
-    train = tuned(task.part(use), task.start, task.asked)
-    return train, observed(task.part(held), task.start, train.noise)
+def split_problem(problem: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:
+    """Return the problems over the runs `use` and over the runs `held`, both with the noise estimated from `use`."""
+    train = with_estimated_noise(problem.subset(use), problem.start, problem.active)
+    return train, with_noise(problem.subset(held), problem.start, train.noise)
 
 
-def measure(task: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
-    """Open-loop errors on the runs held out of the nominal car, the re-tuned one, the extended one, and both ends with
-    a GP on what they lack; with skills. None where no run is held out.
+def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
+    """Measure open-loop errors and skills on the held-out runs; None where no run is held out.
+
+    Models are the nominal, the re-tuned and the extended car, and the first and last with a GP on their residuals.
 
     Noise, and with it the observer that predictions start from and the floor, is estimated without the runs held out:
-    that of `task` is not used.
+    that of `problem` is not used.
     """
-    use, held = split(len(names), config.held_out)
+    use, held = split_runs(len(names), config.held_out)
     if not len(held):
         return None
-    train, test = parted(task, use, held)
-    near, found = approach(train, config.seed, config.most)
+    train, test = split_problem(problem, use, held)
+    near, selection = search_multistart(train, config.seed, config.most)
     followed = test
     if near is not train:
-        followed = observed(test, found.nominal.theta, found.base.noise)
-        test = observed(test, found.fit.theta, near.noise)
-    effects = [effect.name for effect in task.effects]
-    columns = task.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    retuned = settle(found.base, found.nominal, columns[task.asked[columns]])[0]
-    thetas = {"nominal": found.nominal.theta, "retuned": retuned.theta, "extended": found.fit.theta}
+        followed = with_noise(test, selection.nominal.theta, selection.base.noise)
+        test = with_noise(test, selection.fit.theta, near.noise)
+    effects = [effect.name for effect in problem.effects]
+    columns = problem.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
+    retuned = refit_to_convergence(selection.base, selection.nominal, columns[problem.active[columns]])[0]
+    thetas = {"nominal": selection.nominal.theta, "retuned": retuned.theta, "extended": selection.fit.theta}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
     ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
-        ahead[name] = predict(tests[base], thetas[base], learnt(train, thetas[base], config.seed))
-    noise = floor(test, found.fit.theta, ahead["extended"], config.seed)
-    return compared(Judged(test, ahead, noise), tuple(names[i] for i in held), found.members, config.seed)
+        ahead[name] = predict(tests[base], thetas[base], fit_residual_gp(train, thetas[base], config.seed))
+    noise = noise_floor(test, selection.fit.theta, ahead["extended"], config.seed)
+    return compare(Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed)
 
 
-def compared(judged: Judged, held: tuple[str, ...], members: tuple[int, ...], seed: int) -> Gain:
-    """Errors and skills of the models `judged` on the runs `held` out; `members` were fitted without them."""
-    task = judged.task
-    errors = {name: at_horizons(task, one.error**2) for name, one in judged.ahead.items()}
-    least = at_horizons(task, judged.least)
+def compare(comparison: Comparison, held: tuple[str, ...], selected: tuple[int, ...], seed: int) -> Gain:
+    """Compare the models of `comparison` on the runs `held`: errors and skills; `selected` were fitted without them."""
+    problem = comparison.problem
+    errors = {name: at_horizons(problem, one.error**2) for name, one in comparison.predictions.items()}
+    least = at_horizons(problem, comparison.least)
     others = {name: one for name, one in errors.items() if name != "nominal"}
     skills = {name: skill(errors["nominal"], one, least, seed) for name, one in others.items()}
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
-    return Gain(held, tuple(task.effects[i].name for i in members), judged, errors, least, skills, relative)
+    return Gain(held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, skills, relative)
 
 
-def on_all(task: Problem, found: Selection, seed: int) -> Judged:
-    """Nominal and extended car on the runs that the extension was named from, where none is held out."""
-    thetas = {"nominal": found.nominal.theta, "extended": found.fit.theta}
-    ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", found.base), ("extended", task))}
-    return Judged(task, ahead, floor(task, found.fit.theta, ahead["extended"], seed))
+def compare_on_all_runs(problem: Problem, selection: Selection, seed: int) -> Comparison:
+    """Compare the nominal and the extended car on all runs, where none is held out."""
+    thetas = {"nominal": selection.nominal.theta, "extended": selection.fit.theta}
+    ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", selection.base), ("extended", problem))}
+    return Comparison(problem, ahead, noise_floor(problem, selection.fit.theta, ahead["extended"], seed))

@@ -1,61 +1,62 @@
-"""A search that begins far from the truth: with an observer that follows whatever acts on the nominal car."""
+"""Search from far: with an observer whose disturbances absorb the errors of the nominal car."""
 
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, priced, settle, tuned
-from driftjax.diagnosis.select import MOST, Selection, prune, search
+from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence, with_estimated_noise
+from driftjax.diagnosis.select import MAX_EFFECTS, Selection, prune, search
 
-LOST = 200.0  # cost per measurement from which the observer of the nominal car has lost it: 14 standard deviations
-FAR = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
-
-
-def nominal(task: Problem) -> Fit:
-    """The car before anything is named."""
-    return priced(task, task.start)
+LOST_MISFIT = (
+    200.0  # cost per measurement from which the observer of the nominal car has lost it: 14 standard deviations
+)
+POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
 
 
-def misfit(task: Problem, fit: Fit) -> float:
-    """Cost per measurement: 1 for a right model."""
-    return fit.cost / float(np.sum(np.asarray(task.data.track.seen)))
+def nominal_fit(problem: Problem) -> Fit:
+    """Return the fit of the nominal car, with no effect named."""
+    return evaluate(problem, problem.start)
 
 
-def kept(fit: Fit) -> Fit:
-    """`fit`, if its observer has not lost the car."""
+def misfit(problem: Problem, fit: Fit) -> float:
+    """Return the cost per measurement: 1 for a right model."""
+    return fit.cost / float(np.sum(np.asarray(problem.data.padded.valid)))
+
+
+def require_finite(fit: Fit) -> Fit:
+    """Return `fit` if its cost is finite; raise `BadInput` where its observer diverged."""
     if not np.isfinite(fit.cost):
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
     return fit
 
 
-def approach(task: Problem, seed: int = 0, most: int = MOST) -> tuple[Problem, Selection]:
-    """What is found in `task`, with the problem that it was found in: the same one but where that leads nowhere.
+def search_multistart(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
+    """Search for effects, from far where that fails; return the problem searched in and the selection.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about.
     """
-    start = nominal(task)
-    close = search(task, start, seed, most=most) if misfit(task, start) < LOST else None
-    if close and misfit(task, close.fit) < FAR:
-        return task, close
-    anew, found = round_about(task, seed, most)
-    if close and misfit(task, close.fit) <= misfit(anew, found.fit):
-        return task, close
-    return anew, found
+    start = nominal_fit(problem)
+    close = search(problem, start, seed, most=most) if misfit(problem, start) < LOST_MISFIT else None
+    if close and misfit(problem, close.fit) < POOR_MISFIT:
+        return problem, close
+    anew, selection = search_from_far(problem, seed, most)
+    if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
+        return problem, close
+    return anew, selection
 
 
-def loosened(task: Problem) -> Problem:
-    """The problem with the noise that the nominal car needs for itself: nothing is explained away."""
-    return tuned(task, task.start, np.zeros_like(task.asked))
+def with_nominal_noise(problem: Problem) -> Problem:
+    """Return the problem with the noise estimated for the nominal car alone, no parameter profiled out."""
+    return with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
 
 
-def round_about(task: Problem, seed: int = 0, most: int = MOST) -> tuple[Problem, Selection]:
-    """What is found with the disturbances that the nominal car needs for itself, weighed once more with noise and
-    observer of the car found."""
-    loose = loosened(task)
-    start = kept(nominal(loose))
+def search_from_far(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
+    """Search with the noise of the nominal car, then prune and search again with that of the fitted car."""
+    loose = with_nominal_noise(problem)
+    start = require_finite(nominal_fit(loose))
     rough = search(loose, start, seed, most=most)
-    anew = tuned(task, rough.fit.theta, task.asked)
-    fit = settle(anew, priced(anew, rough.fit.theta), anew.columns(rough.members))[0]
-    members, fit = prune(anew, rough.members, kept(fit))
-    found = search(anew, fit, seed, members, most)
-    return anew, found._replace(base=loose, nominal=start, first=rough.first)
+    anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
+    fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
+    selected, fit = prune(anew, rough.selected, require_finite(fit))
+    selection = search(anew, fit, seed, selected, most)
+    return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores)

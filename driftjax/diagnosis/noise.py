@@ -1,4 +1,4 @@
-"""Measurement and process noise from the data, by the restricted likelihood of the observer's innovations.
+"""Estimate measurement and process noise from the data, by the restricted likelihood of the innovations.
 
 The noise is what no effect of the catalogue explains: the parameters of all of them are profiled out to first order,
 so that missing physics is not mistaken for noise (Harville 1977, Eq. 3.1; Kristensen, Madsen and Jorgensen 2004 for
@@ -15,15 +15,17 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core.bounded import Minimum, minimise_within
-from driftjax.diagnosis.observer import Gains, Steps, chain, deviate, riccati
+from driftjax.diagnosis.observer import Gains, Steps, innovations_with_gains, kalman_gains, propagate_derivatives
 from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
-FIRST = 0.5  # disturbance assumed before any is known, in measurement noise per second
+FIRST_DISTURBANCE = 0.5  # disturbance assumed before any is known, in measurement noise per second
 CORRELATION = 0.3  # and its correlation time [s]
 ITERATIONS = 40  # of the search, at most
-STIFF = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2])  # how sharply data fix each log noise: nearly halves the search
-SETTLED = 1e-4  # largest projected gradient left per measurement
+LOG_SCALES = np.array(
+    [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2]
+)  # how sharply data fix each log noise: nearly halves the search
+GRADIENT_TOLERANCE = 1e-4  # largest projected gradient left per measurement
 
 
 class Noise(NamedTuple):
@@ -33,32 +35,36 @@ class Noise(NamedTuple):
     disturbance: np.ndarray  # (3,) standard deviation of the rates of V, beta, r
     correlation: float  # correlation time of the disturbances [s]
 
-    def row(self) -> np.ndarray:
-        """All of it (7,)."""
+    def as_vector(self) -> np.ndarray:
+        """Return all parameters as one vector (7,)."""
         return np.concatenate([self.sigma, self.disturbance, [self.correlation]])
 
 
-def measurement_noise(y: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """First guess (c,) from third differences of y (P, T, c), robustly: motion hardly bends between four samples."""
+def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return an initial guess (c,) from third differences of y (P, T, c), robust to outliers."""
     d = np.diff(y, n=3, axis=1)
-    whole = np.min([seen[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
+    whole = np.min([valid[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
     spread = [np.median(np.abs(d[..., i][whole[..., i]])) if whole[..., i].any() else 0.0 for i in range(y.shape[2])]
     return np.maximum(1.4826 * np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
 
 
-def restricted(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float) -> Float[Array, ""]:
-    """Return minus twice the restricted log-likelihood for the logarithms of `Noise.row`; leading axis of pieces.
+def restricted_likelihood(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float) -> Float[Array, ""]:
+    """Return minus twice the restricted log-likelihood for the logarithms of `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order.
     """
     noise = jnp.exp(logs)
-    left = jnp.exp(-dt / noise[6])
+    decay = jnp.exp(-dt / noise[6])
 
     def piece(steps, e, L):
-        gains = riccati(steps.A[:, :3, :3], steps.seen, noise[:3], noise[3:6], left, dt)
-        J = chain(steps, gains, dt)
-        e = deviate(steps, e, L, gains, dt)
-        return gains.log_det, jnp.einsum("tij,tj->ti", gains.white, e), jnp.einsum("tij,tjk->tik", gains.white, J)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt)
+        J = propagate_derivatives(steps, gains, dt)
+        e = innovations_with_gains(steps, e, L, gains, dt)
+        return (
+            gains.log_det,
+            jnp.einsum("tij,tj->ti", gains.whitening, e),
+            jnp.einsum("tij,tjk->tik", gains.whitening, J),
+        )
 
     log_det, e_w, J_w = jax.vmap(piece)(steps, e, L)
     K = J_w.shape[-1]
@@ -70,22 +76,22 @@ def restricted(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: fl
 
 
 def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float) -> Minimum:
-    """Minimum of `restricted` per measurement within bounds, in units of the change that data resolve."""
-    rows, stiff = jnp.maximum(jnp.sum(steps.seen), 1.0), jnp.asarray(STIFF)
-    value = lambda x, first, steps, e, L: restricted(first + x / stiff, steps, e, L, dt) / rows
+    """Minimise `restricted_likelihood` per measurement within bounds, in scaled logarithms."""
+    rows, stiff = jnp.maximum(jnp.sum(steps.valid), 1.0), jnp.asarray(LOG_SCALES)
+    value = lambda x, first, steps, e, L: restricted_likelihood(first + x / stiff, steps, e, L, dt) / rows
     lower, upper, options = (
         (low - first) * stiff,
         (high - first) * stiff,
-        {"tolerance": SETTLED, "max_steps": ITERATIONS},
+        {"tolerance": GRADIENT_TOLERANCE, "max_steps": ITERATIONS},
     )
     found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, **options)
     return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 
-def estimate(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
-    """Noise from innovations `e` (P, T, 3) under `gains`, searched from `start`."""
+def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
+    """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`."""
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
-    first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.row(), low, high))
+    first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
     best = np.exp(call(_search, first, lower, upper, steps, e, gains.L, dt).x)
     return Noise(best[:3], best[3:6], float(best[6]))

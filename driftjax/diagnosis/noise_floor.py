@@ -1,4 +1,4 @@
-"""What a right model would still get wrong: its predictions beside drives of the same car with the noise of the data.
+"""Noise floor of predictions: errors of the right model, from disturbed roll-outs of the same car with sensor noise.
 
 Each drive starts where the car may have been when the prediction was made, and its rates are disturbed at random.
 """
@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import Ahead
-from driftjax.diagnosis.observer import Track, put
-from driftjax.diagnosis.runs import each_piece
+from driftjax.diagnosis.gain import Predictions
+from driftjax.diagnosis.observer import PaddedRun, set_state
+from driftjax.diagnosis.runs import map_pieces
 from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, sensor_reading
 from driftjax.vehicle.universal import Universal
@@ -23,36 +23,36 @@ DRAWS = 16  # drives from each start
 ROUNDING = 1e-9  # added to correlations, so that they have a root
 
 
-def root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """A matrix that makes white noise noise of covariance `M`."""
+def covariance_root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Return a matrix root of the covariance `M`, which maps white noise to noise of covariance `M`."""
     size = jnp.sqrt(jnp.diagonal(M))
     return size[:, None] * jnp.linalg.cholesky(M / (size[:, None] * size) + ROUNDING * jnp.eye(len(M)))
 
 
-def strays(
-    model: Universal, theta: Array, run: Track, z: Float[Array, "T 6"], P: Float[Array, "T 6 6"],
+def disturbed_rollouts(
+    model: Universal, theta: Array, run: PaddedRun, z: Float[Array, "T 6"], P: Float[Array, "T 6 6"],
     ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], noise: Float[Array, "7"], dt: float,
     seed: Array,
 ) -> Float[Array, "S N 3"]:  # fmt: skip
-    """Mean squares by which what is told of disturbed drives differs from the predictions `ahead`.
+    """Return the mean squared difference between sensor readings of disturbed roll-outs and the predictions `ahead`.
 
     Drives start at samples `starts` about the states `z` with the covariances `P`; predictions know no disturbance.
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
-    left = jnp.exp(-dt / noise[6])
-    kick = jnp.sqrt(1 - left**2) * noise[3:6]
+    decay = jnp.exp(-dt / noise[6])
+    kick = jnp.sqrt(1 - decay**2) * noise[3:6]
 
     def drive(k, ahead, key):
         first, later = jax.random.split(key)
-        w = root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
-        start = put(model, z[k], z[k, :3] + w[:3], u[k])
+        w = covariance_root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
+        start = set_state(model, z[k], z[k, :3] + w[:3], u[k])
 
         def on(carry, row):
             (z, d), (j, kicked) = carry, row
             at = jnp.minimum(k + j, len(run.y) - 1)
             after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
-            return (after.z, left * d + kick * kicked), sensor_reading(model, after.z[:3], after.rates, step)
+            return (after.z, decay * d + kick * kicked), sensor_reading(model, after.z[:3], after.rates, step)
 
         rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
         off = jax.lax.scan(on, (start, w[3:]), rows)[1] - ahead
@@ -62,14 +62,16 @@ def strays(
     return jax.vmap(jax.vmap(drive), (None, None, 0))(starts, ahead, keys).mean(axis=0) + noise[:3] ** 2
 
 
-def _strays(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
+def _batched_rollouts(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
     axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None)
-    return eqx.filter_vmap(strays, in_axes=axes)(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed)
+    return eqx.filter_vmap(disturbed_rollouts, in_axes=axes)(
+        model, theta, runs, z, P, ahead, number, starts, noise, dt, seed
+    )
 
 
-def floor(task: Problem, theta: np.ndarray, ahead: Ahead, seed: int) -> np.ndarray:
-    """Mean squares (P, S, N, 3) of the errors of the predictions `ahead`, if the car `theta` behind them is right."""
-    data, where, starts = task.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
-    noise, number = jnp.asarray(task.noise.row()), np.arange(len(data.run))
-    one = lambda *rows: call(_strays, task.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
-    return np.asarray(each_piece(one, len(data.run), data.track, ahead.z, task.gains.P, ahead.told, number))
+def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int) -> np.ndarray:
+    """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
+    data, where, starts = problem.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
+    noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
+    one = lambda *rows: call(_batched_rollouts, problem.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
+    return np.asarray(map_pieces(one, len(data.run), data.padded, ahead.z, problem.gains.P, ahead.readings, number))

@@ -1,4 +1,4 @@
-"""An observer that follows every run: its innovations, and their derivatives by every parameter of the catalogue.
+"""Kalman observer of every run: its innovations, and their derivatives by every parameter of the catalogue.
 
 A Kalman filter of the car and of slowly varying disturbances of its rates predicts each sample from all samples and
 commands before it. Its innovations are white if the model is right, whatever feedback made the commands, and they do
@@ -21,157 +21,161 @@ from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
-START = 4.0  # variance of the first state, over that of one measurement
+START_VARIANCE = 4.0  # variance of the first state, over that of one measurement
 
 
-class Track(NamedTuple):
-    """One run, padded: T samples, with the w commands before them."""
+class PaddedRun(NamedTuple):
+    """One padded run: T samples, preceded by w commands."""
 
     commands: Float[Array, "w+T 2"]
     V: Float[Array, " w+T"]
     place: Place  # fields (T,)
     y: Float[Array, "T 3"]  # measured V, beta, r; zero where missing
-    seen: Float[Array, "T 3"]  # 1 where measured, 0 where not
+    valid: Float[Array, "T 3"]  # 1 where measured, 0 where not
     start: Float[Array, "3"]  # V, beta, r at first, as measured
 
 
 class Gains(NamedTuple):
-    """How the observer uses an innovation, and how large innovations are; per sample."""
+    """Observer gains and the scale of the innovations, per sample."""
 
     L: Float[Array, "T 6 3"]  # update of state and disturbances
-    white: Float[Array, "T 3 3"]  # what makes innovations white and of unit variance, rows of missing channels zero
-    left: Array  # share of a disturbance left after one step
+    whitening: Float[Array, "T 3 3"]  # whitens innovations to unit variance; rows of missing channels zero
+    decay: Array  # factor of a disturbance over one step
     P: Float[Array, "T 6 6"]  # covariance of state and disturbances after the update
     log_det: Array  # sum of the logarithms of the innovations' determinants
 
 
 class Path(NamedTuple):
-    """Where the observer went; per sample."""
+    """Estimates of the observer along a run, per sample."""
 
     e: Float[Array, "T 3"]  # innovations, zero where missing
-    z: Float[Array, "T 6"]  # state and what is felt after the update
-    before: Float[Array, "T 6"]  # and before it
+    z: Float[Array, "T 6"]  # augmented state after the update
+    predicted: Float[Array, "T 6"]  # and before it
     rates: Float[Array, "T 3 3"]  # of the state over the step before the sample, as `rollout.Moved` has them
     u: Float[Array, "T 4"]  # commands acting: means and tilts
     d: Float[Array, "T 3"]  # disturbances of the rates after the update
-    y: Float[Array, "T 3"]  # what was measured of that sample, whenever it was told; zero where missing
-    seen: Float[Array, "T 3"]  # 1 where that was measured, 0 where not
+    y: Float[Array, "T 3"]  # measurements of that sample, delays removed; zero where missing
+    valid: Float[Array, "T 3"]  # 1 where that was measured, 0 where not
 
 
-def driven(seen: Float[Array, "T 3"]) -> Array:
-    """Whether a sample (T,) is one of the run: what follows its last measurement is padding, where nothing moves."""
-    return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(seen, axis=1)))) > 0
+def in_run(valid: Float[Array, "T 3"]) -> Array:
+    """Return whether each sample (T,) is within the run: those after its last measurement are padding."""
+    return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(valid, axis=1)))) > 0
 
 
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:
-    """Geometric slip angles of front and rear [rad]."""
+    """Return the geometric slip angles of front and rear [rad]."""
     return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))
 
 
-def put(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "6"]:
-    """State and what is felt with the state `x`: tyres feel it at once; what lags in them stays as far behind."""
+def set_state(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "6"]:
+    """Return the augmented state with the car's state set to `x`; lagged slip angles keep their lag."""
     return jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
 
 
-def aligned(model: Universal, run: Track, dt: float) -> Track:
-    """The run with every measurement at the sample that it tells of: whole steps of delay are taken off its time.
+def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun:
+    """Shift every measurement back by whole steps of the sensors' delay, to the sample that it belongs to.
 
     Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
     """
     T, whole = len(run.y), model.split_delays(dt)[0].astype(int)
     at = jnp.arange(T)[:, None] + whole
     of = lambda column: jnp.where(at < T, jnp.take_along_axis(column, jnp.minimum(at, T - 1), axis=0), 0.0)
-    y, seen = of(run.y), of(run.seen)
-    known = (whole > 0) & (jnp.min(seen[:3], axis=0) > 0)
-    return run._replace(y=y, seen=seen, start=jnp.where(known, jnp.median(y[:3], axis=0), run.start))
+    y, valid = of(run.y), of(run.valid)
+    known = (whole > 0) & (jnp.min(valid[:3], axis=0) > 0)
+    return run._replace(y=y, valid=valid, start=jnp.where(known, jnp.median(y[:3], axis=0), run.start))
 
 
-def started(model: Universal, run: Track, dt: float) -> tuple[Array, Array]:
-    """Commands acting (T, 4), and state with what is felt (6,) at the first sample."""
+def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
+    """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
     u = acting(model, run.commands, run.V, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
-def follow_run(model: Universal, theta: Array, run: Track, gains: Gains, dt: float) -> Path:
-    """The observer along one run."""
+def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float) -> Path:
+    """Run the observer along one run."""
     model, step = model.with_parameters(theta), jnp.asarray(dt)
-    run = aligned(model, run, dt)
-    u, z = started(model, run, dt)
+    run = align_measurements(model, run, dt)
+    u, z = initial_state(model, run, dt)
 
     def on(carry, row):
         z, d, rates = carry
-        u, place, y, seen, L, alive = row
-        e = seen * (y - sensor_reading(model, z[:3], rates, step))
+        u, place, y, valid, L, alive = row
+        e = valid * (y - sensor_reading(model, z[:3], rates, step))
         update = L @ e
         d = d + update[3:]
-        after = put(model, z, z[:3] + update[:3], u)
+        after = set_state(model, z, z[:3] + update[:3], u)
         ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
-        next_one = ahead.z, gains.left * d, ahead.rates
+        next_one = ahead.z, gains.decay * d, ahead.rates
         next_one = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_one, carry)
         return next_one, (e, jnp.where(alive, after, z), z, rates, d)
 
     first = z, jnp.zeros(3), jnp.zeros((3, 3))
-    rows = (u, run.place, run.y, run.seen, gains.L, driven(run.seen))
+    rows = (u, run.place, run.y, run.valid, gains.L, in_run(run.valid))
     e, z, predicted, rates, d = jax.lax.scan(on, first, rows)[1]
-    return Path(e, z, predicted, rates, u, d, run.y, run.seen)
+    return Path(e, z, predicted, rates, u, d, run.y, run.valid)
 
 
-def riccati(A: Float[Array, "T 3 3"], seen: Array, sigma: Array, disturbance: Array, left: Array, dt: float) -> Gains:
-    """Gains of one run from the state's transitions `A`, for white measurement noise and disturbances of the rates."""
+def kalman_gains(
+    A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float
+) -> Gains:
+    """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates."""
     R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
-    start = jnp.block([[START * R, zero], [zero, grown]])
-    Q = kicks(disturbance, left)
+    start = jnp.block([[START_VARIANCE * R, zero], [zero, grown]])
+    Q = disturbance_covariance(disturbance, decay)
 
     def on(P, row):
-        A, seen, alive = row
-        H = jnp.concatenate([jnp.diag(seen), zero], axis=1)
-        S = H @ P @ H.T + R * seen[:, None] * seen[None, :] + jnp.diag(1 - seen)
+        A, valid, alive = row
+        H = jnp.concatenate([jnp.diag(valid), zero], axis=1)
+        S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
         factor = jnp.linalg.cholesky(S)
-        white = jax.scipy.linalg.solve_triangular(factor, jnp.diag(seen), lower=True)
+        whitening = jax.scipy.linalg.solve_triangular(factor, jnp.diag(valid), lower=True)
         L = jnp.linalg.solve(S, H @ P).T
         known = P - L @ S @ L.T
-        F = transition(A, left, dt)
+        F = transition(A, decay, dt)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
-        return (P + P.T) / 2, (L, white, known, jnp.sum(jnp.log(jnp.diagonal(factor))))
+        return (P + P.T) / 2, (L, whitening, known, jnp.sum(jnp.log(jnp.diagonal(factor))))
 
-    L, white, known, log_det = jax.lax.scan(on, start, (A, seen, driven(seen)))[1]
-    return Gains(L, white, left, known, jnp.sum(log_det))
-
-
-def kicks(disturbance: Float[Array, "3"], left: Array) -> Float[Array, "6 6"]:
-    """Covariance that one step adds to that of state and disturbances, which keeps the disturbances' own."""
-    return jnp.zeros((6, 6)).at[3:, 3:].set((1 - left**2) * jnp.diag(disturbance**2))
+    L, whitening, known, log_det = jax.lax.scan(on, start, (A, valid, in_run(valid)))[1]
+    return Gains(L, whitening, decay, known, jnp.sum(log_det))
 
 
-def transition(A: Float[Array, "3 3"], left: Array, dt: float) -> Float[Array, "6 6"]:
-    """State and disturbances one step later by the same, for the state's own transition `A`."""
+def disturbance_covariance(disturbance: Float[Array, "3"], decay: Array) -> Float[Array, "6 6"]:
+    """Return the process covariance of one step for state and disturbances; the disturbances stay stationary."""
+    return jnp.zeros((6, 6)).at[3:, 3:].set((1 - decay**2) * jnp.diag(disturbance**2))
+
+
+def transition(A: Float[Array, "3 3"], decay: Array, dt: float) -> Float[Array, "6 6"]:
+    """Return the one-step transition matrix of state and disturbances, for the state transition `A`."""
     zero, eye = jnp.zeros((3, 3)), jnp.eye(3)
-    return jnp.block([[A, dt * (eye + A) / 2], [zero, left * eye]])
+    return jnp.block([[A, dt * (eye + A) / 2], [zero, decay * eye]])
 
 
 class Steps(NamedTuple):
-    """Derivatives along a run: of every step by itself, and of the start."""
+    """Derivatives along a run: of every single step, and of the start."""
 
-    A: Float[Array, "T 6 6"]  # next state and what is felt, by the same
+    A: Float[Array, "T 6 6"]  # next augmented state, by the augmented state
     C: Float[Array, "T 6 K"]  # by theta, through the car and through the commands
-    D: Float[Array, "T 3 3"]  # what is told, by the state
+    D: Float[Array, "T 3 3"]  # sensor readings, by the state
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
-    push: Float[Array, "T 6 3"]  # next state and what is felt, by a push of the rates during the step
+    push: Float[Array, "T 6 3"]  # next augmented state, by additional rates during the step
     late: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
-    seen: Float[Array, "T 3"]  # as in `Path`
-    first: Float[Array, "6 K"]  # state and what is felt at the first sample, by theta
+    valid: Float[Array, "T 3"]  # as in `Path`
+    first: Float[Array, "6 K"]  # augmented state at the first sample, by theta
 
 
-def felt(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n"]:
-    """State and what is felt, by a change `x` of the state alone: tyres feel it at once."""
+def augmented_change(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float[Array, "6 n"]:
+    """Return the change of the augmented state by a change `x` of the state alone, without lag of the tyres."""
     return jnp.concatenate([x, slip @ x, jnp.zeros_like(x[:1])])
 
 
-def chain(steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] | None = None) -> Float[Array, "T 3 K"]:
-    """Derivatives of the innovations by theta: those of state and disturbances run along with the observer.
+def propagate_derivatives(
+    steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] | None = None
+) -> Float[Array, "T 3 K"]:
+    """Propagate the derivatives of the innovations by theta along the observer.
 
     `extra` is added to the update of state and disturbances.
     """
@@ -179,27 +183,27 @@ def chain(steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] |
 
     def on(carry, row):
         S, d, moved = carry
-        A, C, D, F, slip, push, late, seen, L, extra, alive = row
-        e = -seen[:, None] * (D @ (S[:3] - late[:, None] * moved) + F)
+        A, C, D, F, slip, push, late, valid, L, extra, alive = row
+        e = -valid[:, None] * (D @ (S[:3] - late[:, None] * moved) + F)
         update = L @ e + extra
-        S, d = S + felt(slip, update[:3]), d + update[3:]
+        S, d = S + augmented_change(slip, update[:3]), d + update[3:]
         ahead = jnp.where(alive, A @ S + C + push @ d, S)
-        return (ahead, gains.left * d, ahead[:3] - S[:3]), e
+        return (ahead, gains.decay * d, ahead[:3] - S[:3]), e
 
-    rows, still = (*steps[:8], gains.L, extra, driven(steps.seen)), jnp.zeros_like(steps.first[:3])
+    rows, still = (*steps[:8], gains.L, extra, in_run(steps.valid)), jnp.zeros_like(steps.first[:3])
     return jax.lax.scan(on, (steps.first, still, still), rows)[1]
 
 
-def deviate(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
-    """Innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
+def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
+    """Return the innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
     still = jnp.zeros((6, 1))
     old = jnp.einsum("tij,tj->ti", L, e)
     steps = steps._replace(C=jnp.broadcast_to(still, (len(e), 6, 1)), F=-e[:, :, None], first=still)
-    return chain(steps, gains, dt, -old[:, :, None])[:, :, 0]
+    return propagate_derivatives(steps, gains, dt, -old[:, :, None])[:, :, 0]
 
 
-class Local(NamedTuple):
-    """Derivatives at single samples, as in `Steps`, with those by the commands and by theta at given commands."""
+class SampleDerivatives(NamedTuple):
+    """Derivatives at single samples, as in `Steps`, separately by the commands and by theta at fixed commands."""
 
     A: Float[Array, "n 6 6"]
     by_u: Float[Array, "n 6 4"]
@@ -211,8 +215,8 @@ class Local(NamedTuple):
     late: Float[Array, "n 3"]
 
 
-def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> Local:
-    """Derivatives at single samples of `path` (leading axis)."""
+def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> SampleDerivatives:
+    """Compute the derivatives at single samples of `path` (leading axis)."""
     car, step = model.with_parameters(theta), jnp.asarray(dt)
     late_by = car.split_delays(step)[1].sensor_delays() / step
 
@@ -220,19 +224,19 @@ def local(model: Universal, theta: Array, path: Path, place: Place, dt: float) -
         by = move_with_derivatives(car, path.z, path.u, place, step, path.d).by
         A, by_u, push, by_theta = jnp.split(by, (6, 10, 13), axis=1)
         sensed = lambda x, p: sensor_reading(model.with_parameters(p), x, path.rates, step)
-        D, F = jax.jacrev(sensed, (0, 1))(path.before[:3], theta)
+        D, F = jax.jacrev(sensed, (0, 1))(path.predicted[:3], theta)
         slip = jax.jacrev(lambda x: slip_angles(car, x, path.u))(path.z[:3])
-        return Local(A, by_u, by_theta, D, F, slip, push, late_by)
+        return SampleDerivatives(A, by_u, by_theta, D, F, slip, push, late_by)
 
     return jax.vmap(one)(path, place)
 
 
-def by_commands(model: Universal, theta: Array, run: Track, dt: float) -> tuple[Array, Array]:
-    """Derivatives by theta of the commands acting (T, 4, K), and of state and what is felt at the start (6, K)."""
+def command_derivatives(model: Universal, theta: Array, run: PaddedRun, dt: float) -> tuple[Array, Array]:
+    """Return the derivatives by theta of the acting commands (T, 4, K) and of the initial augmented state (6, K)."""
     stations = [effect.station for effect in model.effects for _ in effect.parameters]
     columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
-    run = aligned(model.with_parameters(theta), run, dt)
-    value = lambda p: started(model.with_parameters(p), run, dt)
+    run = align_measurements(model.with_parameters(theta), run, dt)
+    value = lambda p: initial_state(model.with_parameters(p), run, dt)
     each = jax.vmap(lambda d: jax.jvp(lambda p: value(p)[0], (theta,), (d,))[1])(jnp.eye(len(theta))[columns])
     by_u = jnp.zeros((len(run.y), 4, len(theta))).at[:, :, columns].set(jnp.moveaxis(each, 0, -1))
     return by_u, jax.jacrev(lambda p: value(p)[1])(theta)

@@ -1,4 +1,4 @@
-"""Kinematic parity: whether the measured accelerations and the measured motion agree, whatever the car.
+"""Check kinematic parity: whether measured accelerations and motion agree, independent of the car model.
 
 dV/dt = ax cos beta + ay sin beta and dbeta/dt = (ay cos beta - ax sin beta) / V - r hold without any parameter of the
 car (Ryu and Gerdes 2004). Where they fail, a sensor or the road is at fault, not the model of the car. Nothing is
@@ -13,21 +13,21 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from driftjax.diagnosis.noise import measurement_noise
-from driftjax.diagnosis.runs import SPAN
+from driftjax.diagnosis.runs import ERROR_BLOCK
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
 WINDOW = 0.3  # over which changes are compared [s]
-SLOW = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
-CHANCE = 1e-4  # with which noise alone is told to be more, per channel and test
+MIN_SPEED = 0.1  # speed, over sqrt(g L), below which the sideslip's rate says nothing [-]
+CHANCE = 1e-4  # false-alarm probability per channel and test
 MARGIN = 1.1  # RMS of blocks over what noise gives, from how well the noise is known
 CHANNELS = ("V", "beta")
 UNITS = ("m/s^2", "rad/s")
 
 
 class Windows(NamedTuple):
-    """What is measured less what the accelerations say, as mean rates of windows (n) that were measured throughout."""
+    """Measured minus integrated motion, as mean rates over n windows without missing samples."""
 
     rest: np.ndarray  # (n, 2) of V [m/s^2] and beta [rad/s]
     ends: np.ndarray  # (n, 2) variance from the noise of the first and the last sample, the same for all
@@ -37,7 +37,7 @@ class Windows(NamedTuple):
 
 
 class Parity(NamedTuple):
-    """How far motion and accelerations agree; per channel V [m/s^2], beta [rad/s]."""
+    """Agreement of motion and accelerations, per channel V [m/s^2], beta [rad/s]."""
 
     mean: np.ndarray  # (2,)
     z: np.ndarray  # (2,) the mean over its standard error, robust to dependence within blocks
@@ -49,13 +49,13 @@ class Parity(NamedTuple):
 
 
 def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Parity | None:
-    """Parity of all `runs` for the measurement noise `sigma` (3,) of V, beta, r.
+    """Test the parity of all `runs` for the measurement noise `sigma` (3,) of V, beta, r.
 
     None where a run lacks ax or ay, or too little was measured in a row to compare anything.
     """
     if not all({"ax", "ay"} <= set(run.extra) for run in runs):
         return None
-    slowest = SLOW * np.sqrt(G * (vehicle.a + vehicle.b))
+    slowest = MIN_SPEED * np.sqrt(G * (vehicle.a + vehicle.b))
     noise = acceleration_noise(runs)
     parts = [windows(run, np.asarray(sigma), noise, slowest) for run in runs]
     shift = np.cumsum([0, *(part.block.max(initial=-1) + 1 for part in parts)])
@@ -64,7 +64,7 @@ def parity(vehicle: VehicleConfig, runs: Sequence[Run], sigma: np.ndarray) -> Pa
 
 
 def summary(all_of: Windows) -> Parity | None:
-    """Mean, errors and statement; None for fewer than three blocks."""
+    """Return mean, errors and statement; None for fewer than three blocks."""
     rest, ends, within, block, opens = all_of
     names, block = np.unique(block, return_inverse=True)
     if (C := len(names)) < 3:
@@ -80,17 +80,17 @@ def summary(all_of: Windows) -> Parity | None:
 
 
 def acceleration_noise(runs: Sequence[Run]) -> np.ndarray:
-    """Standard deviation (2,) of the measured ax, ay [m/s^2], the median over runs."""
+    """Return the standard deviation (2,) of the measured ax, ay [m/s^2], the median over runs."""
     each = []
     for run in runs:
         a = np.stack([run.extra["ax"], run.extra["ay"]], axis=1)[None]
-        seen = np.isfinite(a)
-        each.append(measurement_noise(np.where(seen, a, 0.0), seen))
+        valid = np.isfinite(a)
+        each.append(measurement_noise(np.where(valid, a, 0.0), valid))
     return np.median(each, axis=0)
 
 
 def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> Windows:
-    """Windows of one run one after the other; those with a gap or below the speed `slowest` are left out."""
+    """Return consecutive windows of one run; those with a gap or below the speed `slowest` are omitted."""
     W, (ax, ay) = max(round(WINDOW / run.dt), 2), (run.extra["ax"], run.extra["ay"])
     cos, sin, V = np.cos(run.beta), np.sin(run.beta), np.maximum(run.V, slowest)
     across = ay * cos - ax * sin
@@ -111,13 +111,13 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
     of_beta = (a + along * sigma[1] ** 2 + side * (sigma[0] / speed) ** 2) / speed**2 + sigma[2] ** 2
     ends = np.broadcast_to(2 * sigma[:2] ** 2 / T**2, rest.shape)
     within = np.stack([of_V, of_beta], axis=1) * (weight**2).sum()
-    block = (starts * run.dt // SPAN).astype(int)
+    block = (starts * run.dt // ERROR_BLOCK).astype(int)
     opens = (np.diff(starts, prepend=-2 * W) > W) | (np.diff(block, prepend=-1) > 0)
     return Windows(rest, ends, within, block, opens)
 
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:
-    """What parity over `num` blocks says of where the fault lies."""
+    """Describe in words what parity over `num` blocks says about the location of the fault."""
     clear, parts = student.isf(CHANCE / 2, num - 1), []
     most = MARGIN * np.sqrt(chi2.isf(CHANCE, num) / num)
     for name, unit, m, one, ratio in zip(("V'", "beta'"), UNITS, mean, z, excess, strict=True):

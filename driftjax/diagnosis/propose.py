@@ -1,4 +1,4 @@
-"""The next manoeuvre: what to drive so that rival explanations come apart.
+"""Propose the next manoeuvre: the one that best separates rival explanations.
 
 The paper explores cornering speeds by the variance of its model; here every manoeuvre of the library is driven on the
 extended car, and the one whose data would tell the rivals apart best is proposed (Hunter and Reiner 1965; Box and
@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.evidence import Cause, dispersion
+from driftjax.diagnosis.evidence import Cause, fit_dispersion
 from driftjax.diagnosis.fit import Problem, information
-from driftjax.diagnosis.runs import differentiate, gains, held, pieces
+from driftjax.diagnosis.runs import differentiate, fixed_gain, observer_gains, pieces
 from driftjax.diagnosis.score import partial_out
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.verdict import Judgement, Verdict, shown
+from driftjax.diagnosis.verdict import Judgement, Verdict, detectable_share
 from driftjax.manoeuvres.campaign import Campaign, record_runs
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.vehicle import VehicleConfig
@@ -24,7 +24,7 @@ DURATION = 10.0  # of a proposed run [s]
 
 
 class Proposal(NamedTuple):
-    """What to drive next, and what it should bring."""
+    """A proposed manoeuvre and its expected benefit."""
 
     manoeuvre: str
     duration: float  # [s]
@@ -35,22 +35,24 @@ class Proposal(NamedTuple):
 
 
 def propose(
-    vehicle: VehicleConfig, task: Problem, found: Selection, named: list[Cause], judgement: Judgement, seed: int
+    vehicle: VehicleConfig, problem: Problem, selection: Selection, named: list[Cause], judgement: Judgement, seed: int
 ) -> Proposal | None:
-    """The manoeuvre that should settle a SET or show what insufficient data hide; None for other verdicts.
+    """Propose the manoeuvre that should resolve a SET or insufficient data; None for other verdicts.
 
     None too where the car survives no manoeuvre of the library.
     """
     if judgement.verdict not in (Verdict.SET, Verdict.DATA_INSUFFICIENT):
         return None
-    rate = round(1 / task.data.dt)
+    rate = round(1 / problem.data.dt)
     campaign = Campaign(tuple(MANOEUVRES), DURATION, rate, seed=seed)
-    runs, _ = record_runs(vehicle, in_catalogue(task, found.fit.theta), campaign)
+    runs, _ = record_runs(vehicle, in_full_catalogue(problem, selection.fit.theta), campaign)
     if not runs:
         return None
-    value = lambda H: _least_sure(task, found, named, H) if named else shown(task, found.scores.H + H)
-    added = added_by(vehicle, task, found, runs)
-    zero = np.zeros_like(found.scores.H)
+    value = lambda H: (
+        _least_sure(problem, selection, named, H) if named else detectable_share(problem, selection.scores.H + H)
+    )
+    added = added_information(vehicle, problem, selection, runs)
+    zero = np.zeros_like(selection.scores.H)
     now, each = value(zero), {run.name.rsplit("-", 1)[0]: value(H) for run, H in zip(runs, added, strict=True)}
     best = max(each, key=lambda name: each[name])
     what = "the least sure name's probability" if named else "the share of effects that would show"
@@ -58,37 +60,37 @@ def propose(
     return Proposal(best, DURATION, now, each[best], each, text)
 
 
-def in_catalogue(task: Problem, theta: np.ndarray) -> np.ndarray:
-    """`theta` of the problem's effects as parameters of the whole catalogue, others neutral."""
-    own = {effect.name: theta[task.columns((i,))] for i, effect in enumerate(task.effects)}
+def in_full_catalogue(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return `theta` of the problem's effects as parameters of the whole catalogue, others neutral."""
+    own = {effect.name: theta[problem.columns((i,))] for i, effect in enumerate(problem.effects)}
     return np.concatenate([own.get(name, np.zeros(len(e.parameters))) for name, e in EFFECTS.items()])
 
 
-def added_by(vehicle: VehicleConfig, task: Problem, found: Selection, runs) -> list[np.ndarray]:
-    """Information (K, K) that each of `runs` would add, around the fit."""
+def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selection, runs) -> list[np.ndarray]:
+    """Return the information (K, K) that each of `runs` would add, linearised at the fit."""
     data = pieces(vehicle, runs)
-    own = gains(task.model, data, task.start, task.noise.row(), held(data))
-    at = differentiate(task.model, data, found.fit.theta, own, task.asked)
+    own = observer_gains(problem.model, data, problem.start, problem.noise.as_vector(), fixed_gain(data))
+    at = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
     return [information(at.J[data.run == i]) for i in range(len(runs))]
 
 
-def _least_sure(task: Problem, found: Selection, named: list[Cause], added: np.ndarray) -> float:
-    """Expected probability of the least sure cause with the information `added` (K, K) to that of the data."""
-    least, excess = 1.0, dispersion(task, found)
+def _least_sure(problem: Problem, selection: Selection, named: list[Cause], added: np.ndarray) -> float:
+    """Return the expected probability of the least certain cause with the information `added` (K, K)."""
+    least, excess = 1.0, fit_dispersion(problem, selection)
     for cause in named:
-        others = task.columns(tuple(i for i in found.members if i != cause.effect))
-        against = 0.0
+        others = problem.columns(tuple(i for i in selection.selected if i != cause.effect))
+        compare_hidden = 0.0
         for rival, probability in cause.rivals.items():
-            more = _apart(task, found, cause.effect, rival, others, found.scores.H + added)
-            more -= _apart(task, found, cause.effect, rival, others, found.scores.H)
-            against += probability / max(cause.probability, 1e-12) * np.exp(-0.5 * more / excess)
-        least = min(least, 1 / (1 + against))
+            more = _apart(problem, selection, cause.effect, rival, others, selection.scores.H + added)
+            more -= _apart(problem, selection, cause.effect, rival, others, selection.scores.H)
+            compare_hidden += probability / max(cause.probability, 1e-12) * np.exp(-0.5 * more / excess)
+        least = min(least, 1 / (1 + compare_hidden))
     return least
 
 
-def _apart(task: Problem, found: Selection, one: int, rival: int, others: np.ndarray, H: np.ndarray) -> float:
-    """Cost that the effect `one` at its size leaves when the `rival` takes its place; refitted, with all `others`."""
-    columns, given = task.columns((one,)), np.concatenate([others, task.columns((rival,))])
+def _apart(problem: Problem, selection: Selection, one: int, rival: int, others: np.ndarray, H: np.ndarray) -> float:
+    """Return the cost that remains of the effect `one` when the `rival` replaces it, refitted with all `others`."""
+    columns, given = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
     P = partial_out(H, given)[:, columns]
-    theta = found.fit.theta[columns]
+    theta = selection.fit.theta[columns]
     return float(theta @ P.T @ H @ P @ theta)

@@ -1,4 +1,4 @@
-"""Residual forces: what each axle does beyond the model, and with what that goes.
+"""Residual forces: forces of each axle beyond the model, and the variables they depend on.
 
 A disturbance of the rates is a force along the car, one to the left and a moment, and these are, whatever the car, a
 drive force and a lateral force of each axle. A cause that sits at one axle therefore shows at that axle only.
@@ -12,28 +12,28 @@ import numpy as np
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.noise import Noise, estimate
+from driftjax.diagnosis.noise import Noise, estimate_noise
 from driftjax.diagnosis.observer import Path, Steps
-from driftjax.diagnosis.runs import derivatives, follow, lap_length, spans
-from driftjax.diagnosis.smooth import inside, smooth
+from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, step_derivatives
+from driftjax.diagnosis.smooth import samples_in_run, smooth
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
 FORCES = ("Fx", "Fyf", "Fyr")
-SETTLE = 0.5  # time after a run's start that is left out: commands before it are not known [s]
+SKIPPED_START = 0.5  # time after a run's start that is left out: commands before it are not known [s]
 
 
 class Residuals(NamedTuple):
-    """Samples (n,) of one model's residual forces, and what they may go with."""
+    """Residual forces of one model at n samples, with explanatory variables."""
 
     forces: np.ndarray  # (n, 3) drive force, lateral force of front and of rear axle [N], left positive
-    over: dict[str, np.ndarray]  # (n,) each, SI
+    variables: dict[str, np.ndarray]  # (n,) each, SI
     block: np.ndarray  # (n,) number of the block of time
 
 
 def axle_forces(vehicle: VehicleConfig, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Forces (..., 3) [N] that give the car in the state `x` (..., 3) the further rates `push` (..., 3).
+    """Return the forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
     dY = dFyf cos delta + dFyr, dN = a dFyf cos delta - b dFyr, dX = dFx - dFyf sin delta.
@@ -48,42 +48,44 @@ def axle_forces(vehicle: VehicleConfig, x: np.ndarray, delta: np.ndarray, push: 
     return np.stack([X + Fyf * np.sin(delta), Fyf, Fyr], axis=-1)
 
 
-def limits(vehicle: VehicleConfig) -> np.ndarray:
-    """What residual forces (3,) are measured by: friction times static load, of the rear axle for the drive [N]."""
+def force_limits(vehicle: VehicleConfig) -> np.ndarray:
+    """Return the reference sizes (3,) of residual forces: friction times static load, of the rear axle for Fx [N]."""
     front, rear = (vehicle.mu * vehicle.m * G * arm / (vehicle.a + vehicle.b) for arm in (vehicle.b, vehicle.a))
     return np.array([rear, front, rear])
 
 
-def linearised(task: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
-    """The observer's path under `theta`, and the derivatives of its steps."""
-    path = follow(task.model, task.data, theta, task.gains)
-    return path, derivatives(task.model, task.data, theta, path, task.asked)
+def observer_path(problem: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
+    """Return the observer's path under `theta`, and the derivatives of its steps."""
+    path = run_observer(problem.model, problem.data, theta, problem.gains)
+    return path, step_derivatives(problem.model, problem.data, theta, path, problem.active)
 
 
-def needed(task: Problem, path: Path, steps: Steps) -> Noise:
-    """Noise that the nominal car needs on `path` when nothing else explains its errors: its defect as disturbances."""
+def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
+    """Estimate the noise that the nominal car needs on `path` when no effect explains its errors."""
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
-    return estimate(bare, path.e, task.gains, task.noise, task.data.dt)
+    return estimate_noise(bare, path.e, problem.gains, problem.noise, problem.data.dt)
 
 
-def residuals(
-    vehicle: VehicleConfig, task: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
+def residual_forces(
+    vehicle: VehicleConfig, problem: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
 ) -> Residuals:
-    """What the model that went along `path` leaves over on `runs`, those of `task`, as forces of the nominal car."""
-    seen = np.asarray(path.seen)
-    x, push = smooth(path, steps, seen, noise, task.data.dt)
+    """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`."""
+    valid = np.asarray(path.valid)
+    x, push = smooth(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
     forces = axle_forces(vehicle, x, u[..., 0], push)
-    keep = inside(seen) & (np.arange(seen.shape[1]) >= round(SETTLE / task.data.dt))
-    over = drivers(vehicle, task, x, u, runs)
-    return Residuals(forces[keep], {name: values[keep] for name, values in over.items()}, spans(task.data)[keep])
+    keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
+    over = explanatory_variables(vehicle, problem, x, u, runs)
+    return Residuals(
+        forces[keep], {name: values[keep] for name, values in over.items()}, error_blocks(problem.data)[keep]
+    )
 
 
-def drivers(
-    vehicle: VehicleConfig, task: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
+def explanatory_variables(
+    vehicle: VehicleConfig, problem: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
 ) -> dict[str, np.ndarray]:
-    """What residual forces may go with (P, T): heading and position where every run measured them."""
-    nominal, place = vehicle.build(), task.data.track.place
+    """Return the explanatory variables (P, T); heading and position only where every run measured them."""
+    nominal, place = vehicle.build(), problem.data.padded.place
     front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
     found = {
         "slip_front": np.asarray(front), "slip_rear": np.asarray(rear), "drive": u[..., 1], "speed": x[..., 0],
@@ -92,5 +94,5 @@ def drivers(
     if all("psi" in run.extra for run in runs):
         found["heading"] = np.angle(np.exp(1j * np.asarray(place.psi)))
     if all("s" in run.extra for run in runs):
-        found["position"] = np.array(lap_length(tuple(runs)))[task.data.run, None] * np.asarray(place.s)
+        found["position"] = np.array(lap_lengths(tuple(runs)))[problem.data.run, None] * np.asarray(place.s)
     return found

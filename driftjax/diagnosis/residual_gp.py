@@ -1,4 +1,4 @@
-"""A GP on what a model leaves unexplained: the rival of a named cause, and its complement."""
+"""Fit a GP to the rates that a model lacks: an alternative or a complement to named causes."""
 
 import jax
 import jax.numpy as jnp
@@ -7,37 +7,39 @@ from jax import Array
 
 from driftjax.core import Control, State, features
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import ahead
-from driftjax.diagnosis.runs import each_piece, follow, held
+from driftjax.diagnosis.gain import predict_pieces
+from driftjax.diagnosis.runs import fixed_gain, map_pieces, run_observer
 from driftjax.gp import GP, fit, select_dictionary
 
 WINDOW = 0.2  # time over which a residual rate is measured: shorter drowns in noise, longer blurs [s]
-SIZE = 300  # rows that the GP is conditioned on
+DICTIONARY_SIZE = 300  # rows that the GP is conditioned on
 
 
-def residual_rates(task: Problem, theta: np.ndarray) -> tuple[Array, Array, Array]:
+def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, Array]:
     """Return the states and inputs (n, 5) as `features`, the mean rates (n, 3) that the model lacks, which rows count.
 
     States come from an observer of fixed gain, which believes the data more than any model; a rate [SI] is the change
     of the state that the model `theta` misses over one window, over its length. Sensor effects take no part: the GP
     is added to the rates of the state, not to what sensors read.
     """
-    data, num = task.data, max(round(WINDOW / task.data.dt), 1)
+    data, num = problem.data, max(round(WINDOW / problem.data.dt), 1)
     starts = np.arange(num, data.size - num, num)
-    path = follow(task.model, data, theta, held(data))
-    one = lambda run, z: ahead(task.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None)
-    predicted = each_piece(one, len(data.run), data.track, path.z)[0][:, :, -1]
+    path = run_observer(problem.model, data, theta, fixed_gain(data))
+    one = lambda run, z: predict_pieces(
+        problem.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None
+    )
+    predicted = map_pieces(one, len(data.run), data.padded, path.z)[0][:, :, -1]
     missed = np.array(path.z[:, starts + num, :3] - predicted)
     missed[..., 1] = np.angle(np.exp(1j * missed[..., 1]))  # the car may spin round
     lacking = missed / (num * data.dt)  # a window is a whole number of steps, not WINDOW
     middle = starts + num // 2
     x, u = path.z[:, middle, :3], path.u[:, middle]
     Z = jax.vmap(jax.vmap(lambda x, u: features(State(*x), Control(u[0], u[1]))))(x, u)
-    measured = np.asarray(path.seen)[:, starts + num].all(axis=-1)
+    measured = np.asarray(path.valid)[:, starts + num].all(axis=-1)
     return Z.reshape(-1, 5), jnp.asarray(lacking.reshape(-1, 3)), jnp.asarray(measured.reshape(-1))
 
 
-def learnt(task: Problem, theta: np.ndarray, seed: int) -> GP:
-    """The GP on what the model `theta` lacks in these data, outputs in SI rates."""
-    kept = select_dictionary(*residual_rates(task, theta), SIZE)
+def fit_residual_gp(problem: Problem, theta: np.ndarray, seed: int) -> GP:
+    """Fit a GP to the rates [SI] that the model `theta` lacks in these data."""
+    kept = select_dictionary(*residual_rates(problem, theta), DICTIONARY_SIZE)
     return fit(*kept, key=jax.random.key(seed)).gp

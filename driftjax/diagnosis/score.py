@@ -1,4 +1,4 @@
-"""Which effects the residuals ask for: scores, their test at a family-wise rate, and what they would be worth.
+"""Score tests of effects: scores, their test at a family-wise rate, and the fall of the cost they promise.
 
 Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
@@ -14,25 +14,25 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from driftjax.diagnosis.fit import Problem, information
-from driftjax.diagnosis.runs import Followed
+from driftjax.diagnosis.runs import Linearisation
 
 DRAWS = 1999  # of the random signs
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
 
 
 class Scores(NamedTuple):
-    """Tests of everything that is not in the hypothesis yet."""
+    """Score tests of all effects that are not selected."""
 
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
-    chance: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
+    null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
 
     @property
     def p_value(self) -> float:
-        """Probability that chance gives the largest score."""
+        """Return the probability that chance gives the largest score."""
         return self._rarity(max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0)))
 
     def p_value_of(self, effect: int, columns: np.ndarray) -> float:
@@ -44,24 +44,24 @@ class Scores(NamedTuple):
         return self._rarity(max(np.abs(self.T[columns]).max(), self.joint[effect]))
 
     def _rarity(self, size: float) -> float:
-        return float((1 + np.sum(self.chance >= size)) / (DRAWS + 1))
+        return float((1 + np.sum(self.null_max >= size)) / (DRAWS + 1))
 
     @property
     def threshold(self) -> float:
-        """Of scores, which chance passes in one data set of twenty."""
-        return float(np.quantile(self.chance, 0.95))
+        """Return the score that chance exceeds in 5 % of data sets."""
+        return float(np.quantile(self.null_max, 0.95))
 
 
-def sums_by_block(task: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Information (K, K) and scores by block (C, K) of innovations (P, T, 3) and derivatives (P, T, 3, K)."""
+def sums_by_block(problem: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return information (K, K) and scores by block (C, K) of innovations (P, T, 3), derivatives (P, T, 3, K)."""
     e, J = np.asarray(e), np.asarray(J)
-    blocks = np.zeros((task.data.num_blocks, J.shape[-1]))
-    np.add.at(blocks, task.data.block, np.einsum("ptik,pti->ptk", J, e))
+    blocks = np.zeros((problem.data.num_blocks, J.shape[-1]))
+    np.add.at(blocks, problem.data.block, np.einsum("ptik,pti->ptk", J, e))
     return information(J), blocks
 
 
 def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Matrix (K, K) that takes the members `columns` out of scores: effective score = blocks @ it."""
+    """Return the matrix (K, K) that projects the parameters `columns` out of scores: effective score = blocks @ it."""
     P = np.eye(len(H))
     if len(columns):
         HS = H[np.ix_(columns, columns)]
@@ -69,36 +69,36 @@ def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return P
 
 
-def scores(task: Problem, at: Followed, theta: np.ndarray, members: tuple[int, ...], seed: int) -> Scores:
-    """Tests of all effects outside `members` at the fit that `at` belongs to."""
-    H, blocks = sums_by_block(task, at.e, at.J)
-    columns = task.columns(members)
+def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tuple[int, ...], seed: int) -> Scores:
+    """Test all effects outside `selected` at the fit that the linearisation `at` belongs to."""
+    H, blocks = sums_by_block(problem, at.e, at.J)
+    columns = problem.columns(selected)
     P = partial_out(H, columns)
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
     own[columns] = False
     U = effective.sum(axis=0)
-    allowed = ((U >= 0) | (task.lower < theta)) & ((U <= 0) | (task.upper > theta))
+    allowed = ((U >= 0) | (problem.lower < theta)) & ((U <= 0) | (problem.upper > theta))
     T = np.where(allowed, studentised(effective, own), 0.0)
-    one_sided = task.lower >= theta
-    each = {i: task.columns((i,)) for i in range(len(task.effects)) if i not in members}
+    one_sided = problem.lower >= theta
+    each = {i: problem.columns((i,)) for i in range(len(problem.effects)) if i not in selected}
     together = {i: c for i, c in each.items() if len(c) > 1 and own[c].all() and not one_sided[c].any()}
-    joint = np.zeros(len(task.effects))
+    joint = np.zeros(len(problem.effects))
     for i, c in together.items():
-        joint[i] = joint_size(effective[:, c], U[None, c])[0]
-    chance = largest_by_chance(effective, own, one_sided, seed, list(together.values()))
-    gains = np.array([_gain(task, information, U, T, i, members) for i in range(len(task.effects))])
+        joint[i] = joint_score(effective[:, c], U[None, c])[0]
+    chance = null_max_scores(effective, own, one_sided, seed, list(together.values()))
+    gains = np.array([_gain(problem, information, U, T, i, selected) for i in range(len(problem.effects))])
     return Scores(H, blocks, T, joint, gains, chance)
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Sum of the scores (C, K) over the root of their sum of squares; 0 but for those that are their `own`."""
+    """Return the sum of the scores (C, K) over the root of their sum of squares; 0 where not `own`."""
     spread = np.sqrt((effective**2).sum(axis=0))
     return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 
 
-def joint_size(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
-    """How far sums `U` (n, k) of k scores (C, k) are from zero together: the |T| of one parameter that is as rare.
+def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """Return the joint score of sums `U` (n, k) of k scores (C, k), as the |T| of one parameter of equal p-value.
 
     Hotelling's statistic with the sum of squares of the blocks, which random signs leave as it is.
     """
@@ -106,30 +106,34 @@ def joint_size(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
     return norm.isf(chi2.sf(squares, U.shape[1]) / 2)
 
 
-def largest_by_chance(
+def null_max_scores(
     effective: np.ndarray, own: np.ndarray, one_sided: np.ndarray, seed: int, together: Sequence[np.ndarray] = ()
 ) -> np.ndarray:
-    """Largest score (DRAWS,) when blocks have random signs, ascending: of |T|, where `one_sided` ones count if they are
-    positive, and of the parameters `together`."""
+    """Return the largest score (DRAWS,) under random signs of the blocks, ascending.
+
+    It is that of |T|, where `one_sided` scores count only if positive, and of the joint scores of `together`.
+    """
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
     drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
     drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
-    joint = [joint_size(effective[:, c], signs @ effective[:, c]) for c in together]
+    joint = [joint_score(effective[:, c], signs @ effective[:, c]) for c in together]
     return np.sort(np.max([drawn.max(axis=1, initial=0.0), *joint], axis=0))
 
 
-def _gain(task: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, members: tuple[int, ...]) -> float:
-    """Fall of the sum of squares by the best linear step in the parameters of one effect whose sign is allowed."""
-    columns = task.columns((effect,))
+def _gain(
+    problem: Problem, H: np.ndarray, U: np.ndarray, T: np.ndarray, effect: int, selected: tuple[int, ...]
+) -> float:
+    """Return the fall of the cost by the best linear step in the parameters of one effect with allowed sign."""
+    columns = problem.columns((effect,))
     columns = columns[T[columns] != 0]
-    if effect in members or not len(columns):
+    if effect in selected or not len(columns):
         return 0.0
     part = H[np.ix_(columns, columns)]
     return float(U[columns] @ np.linalg.solve(part + 1e-9 * np.trace(part) * np.eye(len(part)), U[columns]))
 
 
 def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
+    """Return the covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
 
     It is robust to dependence within blocks, never below the model's own: sandwich with the correction C / (C - k) of
     few clusters (Cameron and Miller 2015, Eq. 12).
@@ -142,7 +146,7 @@ def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.nda
     return inverse * np.outer(scale, scale)
 
 
-def half_widths_of(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def half_widths_from(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the half-widths (k,) of the 95 % intervals of the parameters `columns`, from the robust `covariance`."""
     spread = np.sqrt(np.diag(covariance(H, blocks, columns)))
     return student.ppf(0.975, max(len(blocks) - len(columns), 1)) * spread

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from driftjax.diagnosis.evidence import half_widths
+from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.held_out import Gain
 from driftjax.diagnosis.score import Scores, covariance
-from driftjax.diagnosis.show import Show, show_json
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle import EffectParameterValue, VehicleConfig
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from driftjax.diagnosis.diagnose import Diagnosis
 
 
-def diagnosis_json(diagnosis: "Diagnosis", shown: Show | None) -> dict[str, Any]:
+def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[str, Any]:
     """Return `diagnosis.json`, schema version 1."""
     log, evidence = diagnosis.log, diagnosis.evidence
     content = {
@@ -35,7 +35,7 @@ def diagnosis_json(diagnosis: "Diagnosis", shown: Show | None) -> dict[str, Any]
         return content
     noise = evidence.problem.noise
     content["unexplained"] = unexplained_json(evidence.unexplained)
-    content["show"] = None if shown is None else show_json(shown, noise)
+    content["show"] = None if findings is None else findings_json(findings, noise)
     content["data"] |= {
         "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
         "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
@@ -44,20 +44,27 @@ def diagnosis_json(diagnosis: "Diagnosis", shown: Show | None) -> dict[str, Any]
     return content
 
 
-def unexplained_json(left: Unexplained) -> dict[str, Any]:
-    """What is left, or what effects only imitate; neither channel nor drivers where that is nothing.
+def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
+    """Return what remains unexplained, or what effects only imitate; channel None where nothing does.
 
     `at_first` are the variables that drive all that the nominal car gets wrong.
     """
-    told = {"p_value": left.p_value, "channel": None, "drivers": [], "at_first": list(left.at_first)[:2]}
-    term, worth = (left.term, left.drivers) if left.found else (left.simpler, left.at_first)
+    told = {
+        "p_value": remaining.p_value,
+        "channel": None,
+        "drivers": [],
+        "at_first": list(remaining.nominal_drivers)[:2],
+    }
+    term, worth = (
+        (remaining.term, remaining.drivers) if remaining.significant else (remaining.simpler, remaining.nominal_drivers)
+    )
     if term is None:
         return told
     return told | {"channel": term.channel, "drivers": list(worth)[:2], "worth": worth, "term": term._asdict()}
 
 
 def gain_json(gain: Gain | None) -> dict[str, Any]:
-    """The gain on the runs held out, per model, horizon and channel."""
+    """Return the gain on the held-out runs, per model, horizon and channel."""
     if gain is None:
         return {
             "held_out_runs": [],
@@ -70,12 +77,12 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
         }
     table = {
         name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
-        for name, one in (gain.errors | {"noise_floor": gain.floor}).items()
+        for name, one in (gain.errors | {"noise_floor": gain.noise_floor}).items()
     }
     return {
-        "held_out_runs": list(gain.held),
+        "held_out_runs": list(gain.held_out),
         "named_without_them": list(gain.named),
-        "horizons_s": list(gain.floor.horizons),
+        "horizons_s": list(gain.noise_floor.horizons),
         "rmse": table,
         "skill": {name: value for name, (value, _) in gain.skills.items()},
         "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
@@ -85,19 +92,19 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
 
 
 def extended_car(
-    vehicle: VehicleConfig, task: Problem, members: tuple[int, ...], theta: np.ndarray, last: Scores
+    vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, last: Scores
 ) -> VehicleConfig:
-    """Return the car with the effects `members` at `theta` (K,), in typical sizes, and the covariance of their values.
+    """Return the car with the effects `selected` at `theta` (K,), in typical sizes, and the covariance of their values.
 
     Effects that the car had before are kept; where there are such the covariance is left out, for these data do not
     tell it.
     """
-    scale, columns = np.asarray(task.model.scale), task.columns(members)
-    width = dict(zip(columns, half_widths(task, last, members), strict=True))
+    scale, columns = np.asarray(problem.model.scale), problem.columns(selected)
+    width = dict(zip(columns, half_widths(problem, last, selected), strict=True))
     found = [
-        EffectParameterValue(task.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
-        for i in sorted(members)
-        for p, k in zip(task.effects[i].parameters, task.columns((i,)), strict=True)
+        EffectParameterValue(problem.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
+        for i in sorted(selected)
+        for p, k in zip(problem.effects[i].parameters, problem.columns((i,)), strict=True)
     ]
     named = {one.effect for one in found}
     before = [one for one in vehicle.effects if one.effect not in named]

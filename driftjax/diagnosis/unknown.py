@@ -1,4 +1,4 @@
-"""What no effect of the catalogue explains: generic terms in every rate and sensor, and the variables that drive them.
+"""Detect errors that no effect of the catalogue explains: generic terms in every rate and sensor.
 
 After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
 the same test as effects. What they explain beside the effects named says which rate is wrong and what it depends on.
@@ -11,26 +11,26 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.diagnosis.fit import Problem, around, priced
+from driftjax.diagnosis.fit import Problem, evaluate, linearise
 from driftjax.diagnosis.observer import Path, Steps, slip_angles
-from driftjax.diagnosis.runs import Followed, chained
+from driftjax.diagnosis.runs import Linearisation, whitened_derivatives
 from driftjax.diagnosis.score import (
     CONDITION,
     Scores,
-    half_widths_of,
-    largest_by_chance,
+    half_widths_from,
+    null_max_scores,
     partial_out,
     studentised,
     sums_by_block,
 )
-from driftjax.diagnosis.select import LEVEL, WORTH, Selection, price
+from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, penalised_cost
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal
 
 UNITS = {"rate": ("m/s^2", "rad/s", "rad/s^2"), "sensor": ("m/s", "rad", "rad/s")}  # of V, beta, r
-LEFT = 16.0  # what a term must explain to count as left over: terms are many
-PER_TERM = 5.0  # what a term must explain to count when variables are compared
+MIN_TERM_GAIN = 16.0  # required fall of the cost of a remaining term: terms are many
+TERM_PENALTY = 5.0  # penalty per term when variables are compared
 
 
 class Term(NamedTuple):
@@ -45,45 +45,45 @@ class Term(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """What is left beside the effects named."""
+    """Errors that remain beside the named effects."""
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
     gain: float  # fall of the cost that the best single term promises
     drivers: dict[str, float]  # variables with the fall of the cost that their terms promise, the largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
-    at_first: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
+    nominal_drivers: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
 
     @property
-    def found(self) -> bool:
-        """Whether anything is left that chance hardly makes and that is worth a parameter."""
-        return self.p_value < LEVEL and self.gain > LEFT
+    def significant(self) -> bool:
+        """Return whether a significant error remains that is worth a parameter."""
+        return self.p_value < LEVEL and self.gain > MIN_TERM_GAIN
 
 
-class Generic(NamedTuple):
-    """Scores of the generic terms beside one hypothesis, whose effects are taken out of them."""
+class GenericTerms(NamedTuple):
+    """Scores of the generic terms beside one hypothesis, whose effects are projected out."""
 
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
-    own: np.ndarray  # (n,) whether a term can be told from the hypothesis
+    own: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
     e: np.ndarray  # (P, T, 3) whitened innovations
     J: np.ndarray  # (P, T, 3, K+n) their derivatives by all effects and terms
     P: np.ndarray  # (K+n, n) what takes the hypothesis out of those by the terms
     p_value: float  # that chance gives the largest score of terms and effects
 
 
-def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
-    """Functions (P, T) of every variable along `path`, of order one on any car; keys say how each is written."""
-    car, place = task.model.base, task.data.track.place
+def rate_functions(problem: Problem, path: Path) -> dict[str, dict[str, Array]]:
+    """Return functions (P, T) of every variable along `path`, scaled to order one; keys give their formulas."""
+    car, place = problem.model.base, problem.data.padded.place
     x, u = jnp.moveaxis(path.z[..., :3], -1, 0), jnp.moveaxis(path.u, -1, 0)
-    angles = jax.vmap(jax.vmap(lambda x, u: slip_angles(task.model, x, u)))
+    angles = jax.vmap(jax.vmap(lambda x, u: slip_angles(problem.model, x, u)))
     front, rear = jnp.moveaxis(angles(path.z, path.u), -1, 0)
     V, r, push = x[0] / car.unit_speed, x[2] * car.unit_time, u[1] / (car.m * G)
     both = lambda name, value: {name: value, f"|{name}|": jnp.abs(value)}
-    rate = lambda value: jnp.diff(value, axis=1, prepend=value[:, :1]) / task.data.dt * car.unit_time
+    rate = lambda value: jnp.diff(value, axis=1, prepend=value[:, :1]) / problem.data.dt * car.unit_time
     turns = [(k, 2 * np.pi * k * place.s) for k in (1, 2)]
-    found = {
+    selection = {
         "1": {"1": jnp.ones_like(V)},
         "V": {"V/sqrt(gL)": V, "V^2/(gL)": V**2},
         "beta": both("beta", x[1]),
@@ -100,87 +100,95 @@ def basis(task: Problem, path: Path) -> dict[str, dict[str, Array]]:
         "psi": {"cos(psi)": jnp.cos(place.psi), "sin(psi)": jnp.sin(place.psi)},
         "s": {f"{f.__name__}({2 * k} pi s/lap)": f(angle) for k, angle in turns for f in (jnp.cos, jnp.sin)},
     }
-    return {name: terms for name, terms in found.items() if name not in ("psi", "s") or name in task.has}
+    return {
+        name: terms for name, terms in selection.items() if name not in ("psi", "s") or name in problem.extra_columns
+    }
 
 
-def sensed(task: Problem, path: Path) -> dict[str, tuple[str, Array]]:
-    """Functions (P, T) that errors of the sensors may go with; before the sample, of whose noise they are free."""
-    V, beta, r = jnp.moveaxis(path.before[..., :3], -1, 0)
-    size = sizes(task.model)["sensor"]
+def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array]]:
+    """Return functions (P, T) for sensor errors, of the predicted state, which is independent of the sample's noise."""
+    V, beta, r = jnp.moveaxis(path.predicted[..., :3], -1, 0)
+    size = term_scales(problem.model)["sensor"]
     return {"1": ("1", jnp.ones_like(V)), "V": ("V/sqrt(gL)", V / size[0]), "beta": ("beta", beta),
             "r": ("r sqrt(L/g)", r / size[2])}  # fmt: skip
 
 
-def unexplained(task: Problem, found: Selection, seed: int) -> Unexplained:
-    """The test of all that the effects named leave, and what drives it.
+def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
+    """Test what remains beside the named effects, and rank the variables that explain it.
 
     Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
     """
-    left = generic(task, found.at, found.scores, found.members, seed)
-    base = found.base
-    whole = generic(base, around(base, found.nominal), found.first, (), seed) if found.members else left
-    gain, term = best(task, left)
-    most, force = best(task, whole)
+    remaining = generic_terms(problem, selection.linearisation, selection.scores, selection.selected, seed)
+    base = selection.base
+    whole = (
+        generic_terms(base, linearise(base, selection.nominal), selection.nominal_scores, (), seed)
+        if selection.selected
+        else remaining
+    )
+    gain, term = best_term(problem, remaining)
+    most, force = best_term(problem, whole)
     simpler = None
-    if len(found.members) > 1:
-        earned = found.nominal.cost - price(base, priced(base, found.fit.theta), found.members)
-        simpler = force if most - WORTH >= earned else None
-    return Unexplained(left.p_value, gain, drivers(left), term, simpler, drivers(whole))
+    if len(selection.selected) > 1:
+        earned = selection.nominal.cost - penalised_cost(base, evaluate(base, selection.fit.theta), selection.selected)
+        simpler = force if most - PARAMETER_PENALTY >= earned else None
+    return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(whole))
 
 
-def generic(task: Problem, at: Followed, tested: Scores, members: tuple[int, ...], seed: int) -> Generic:
-    """Generic terms at the hypothesis of `members`, which `at` and `tested` belong to."""
-    rates = [(v, *one) for v, terms in basis(task, at.path).items() for one in terms.items()]
-    sensors = [(v, *one) for v, one in sensed(task, at.path).items()]
+def generic_terms(
+    problem: Problem, at: Linearisation, tested: Scores, selected: tuple[int, ...], seed: int
+) -> GenericTerms:
+    """Score the generic terms at the hypothesis `selected`, which `at` and `tested` belong to."""
+    rates = [(v, *one) for v, terms in rate_functions(problem, at.path).items() for one in terms.items()]
+    sensors = [(v, *one) for v, one in sensor_functions(problem, at.path).items()]
     kinds = [
         (v, name, where, channel) for where, of in (("rate", rates), ("sensor", sensors))
         for v, name, _ in of for channel in range(len(MEASURED))
     ]  # fmt: skip
-    J = _sensitivities(task, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
-    K = len(task.lower)
+    J = _sensitivities(problem, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
+    K = len(problem.lower)
     J = np.concatenate([np.asarray(at.J), J], axis=-1)
-    H, blocks = sums_by_block(task, at.e, J)
-    P = partial_out(H, task.columns(members))
+    H, blocks = sums_by_block(problem, at.e, J)
+    P = partial_out(H, problem.columns(selected))
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
     own[:K] &= tested.T != 0
     T = studentised(effective, own)
-    chance = largest_by_chance(effective, own, np.zeros(len(T), bool), seed)
+    chance = null_max_scores(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
     U, e = effective.sum(axis=0)[K:], np.asarray(at.e)
-    return Generic(kinds, U, information[K:, K:], own[K:], e, J, P[:, K:], float(p_value))
+    return GenericTerms(kinds, U, information[K:, K:], own[K:], e, J, P[:, K:], float(p_value))
 
 
-def drivers(terms: Generic) -> dict[str, float]:
-    """Variables with the fall of the cost that their terms promise, the largest first."""
+def rank_variables(terms: GenericTerms) -> dict[str, float]:
+    """Rank the variables by the fall of the cost that their terms promise, the largest first."""
     names = list(dict.fromkeys(variable for variable, *_ in terms.kinds))
-    each = {name: _worth(terms.U, terms.F, np.array([k[0] in ("1", name) for k in terms.kinds]) & terms.own)
+    each = {name: _penalised_gain(terms.U, terms.F, np.array([k[0] in ("1", name) for k in terms.kinds]) & terms.own)
             for name in names}  # fmt: skip
     return dict(sorted(each.items(), key=lambda item: -item[1]))
 
 
-def best(task: Problem, terms: Generic) -> tuple[float, Term]:
-    """Fall of the cost that the best single term promises, and that term."""
+def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
+    """Return the fall of the cost that the best single term promises, and that term."""
     information = np.diag(terms.F)
     gain = np.where(terms.own, terms.U**2 / np.where(terms.own, information, 1.0), 0.0)
     at = int(np.argmax(gain))
     _, function, where, channel = terms.kinds[at]
-    size, unit = sizes(task.model)[where][channel], UNITS[where][channel]
+    size, unit = term_scales(problem.model)[where][channel], UNITS[where][channel]
     value, j = terms.U[at] / information[at], terms.J @ terms.P[:, at]
-    H, blocks = sums_by_block(task, terms.e - value * j, j[..., None])  # the scores of what the term itself leaves
-    width = half_widths_of(H, blocks, np.array([0]))[0]
+    H, blocks = sums_by_block(problem, terms.e - value * j, j[..., None])  # the scores of what the term itself leaves
+    width = half_widths_from(H, blocks, np.array([0]))[0]
     return float(gain[at]), Term(MEASURED[channel], where, function, float(value * size), float(width * size), unit)
 
 
-def sizes(model: Universal) -> dict[str, np.ndarray]:
-    """Size of the rates of V, beta, r and of V, beta, r themselves, SI: g, sqrt(g/L), g/L; sqrt(gL), 1, sqrt(g/L)."""
+def term_scales(model: Universal) -> dict[str, np.ndarray]:
+    """Return the scale of rates (g, sqrt(g/L), g/L) and of V, beta, r themselves (sqrt(gL), 1, sqrt(g/L)), SI."""
     time, speed = float(model.base.unit_time), float(model.base.unit_speed)
     return {"rate": np.array([G, 1 / time, 1 / time**2]), "sensor": np.array([speed, 1.0, 1 / time])}
 
 
-def _sensitivities(task: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
-    """Whitened derivatives (P, T, 3, terms) of the predictions by terms, three of each function (P, T)."""
-    size = {where: jnp.asarray(value) for where, value in sizes(task.model).items()}
+def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
+    """Return whitened derivatives (P, T, 3, terms) of the predictions by terms, three per function (P, T)."""
+    size = {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
     push = steps.push * size["rate"]
     moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
     told = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
@@ -188,14 +196,14 @@ def _sensitivities(task: Problem, steps: Steps, rates: list[Array], sensors: lis
     C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
     F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
     terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
-    return np.asarray(chained(terms, task.gains, task.data))
+    return np.asarray(whitened_derivatives(terms, problem.gains, problem.data))
 
 
-def _worth(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:
-    """Fall of the cost that the terms `which` promise together, less what their number costs."""
+def _penalised_gain(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:
+    """Return the fall of the cost that the terms `which` promise together, less a penalty per term."""
     if not which.any():
         return 0.0
     part, U = F[np.ix_(which, which)], U[which]
     size = np.sqrt(np.diag(part))
     part = part / np.outer(size, size) + 1e-6 * np.eye(len(U))
-    return float(U / size @ np.linalg.solve(part, U / size) - PER_TERM * len(U))
+    return float(U / size @ np.linalg.solve(part, U / size) - TERM_PENALTY * len(U))

@@ -6,10 +6,10 @@ import numpy as np
 from diagnosis.recorded import EFFECTS, nominal_car, recorded
 
 from driftjax.logs import Run
-from driftjax.studies.hidden_effects import judged
+from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.case import Case, Hidden
 from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle
-from driftjax.studies.hidden_effects.trial import examine
+from driftjax.studies.hidden_effects.trial import diagnose_case
 
 
 class Fixed(NamedTuple):
@@ -30,20 +30,20 @@ class Fixed(NamedTuple):
         """Six runs of 6 s, less those in which the car spins."""
         return recorded(self.case().theta(EFFECTS), self.number, self.number, car=self.car)
 
-    def result(self, held_out: int = 0) -> judged.Result:
+    def result(self, held_out: int = 0) -> criteria.Result:
         """What the diagnosis makes of it; its gain is measured on every `held_out`-th run."""
         return examined(self.case(), self.runs(), held_out)
 
 
-def examined(case: Case, runs: tuple[Run, ...], held_out: int = 0) -> judged.Result:
+def examined(case: Case, runs: tuple[Run, ...], held_out: int = 0) -> criteria.Result:
     """What the diagnosis with the small catalogue makes of `runs`."""
-    return examine(case, nominal_car(case.car), runs, EFFECTS, held_out)
+    return diagnose_case(case, nominal_car(case.car), runs, EFFECTS, held_out)
 
 
-def foreign(number: int, car: str = "std", runs: int = 4) -> judged.Result:
+def foreign(number: int, car: str = "std", runs: int = 4) -> criteria.Result:
     """The same of a drive of CommonRoad's model `car`."""
     case = Case("foreign", car, number)
-    return examine(case, foreign_vehicle(), foreign_runs(car, number, 1.0, runs), EFFECTS, 0)
+    return diagnose_case(case, foreign_vehicle(), foreign_runs(car, number, 1.0, runs), EFFECTS, 0)
 
 
 def whole(case: Case, attempts: int = 10) -> tuple[Run, ...]:

@@ -8,13 +8,13 @@ from diagnosis.cases import Fixed
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
 from driftjax.diagnosis.diagnose import diagnose
-from driftjax.diagnosis.fit import observed, posed, problem
+from driftjax.diagnosis.fit import build_problem, initial_problem, with_noise
 from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
-from driftjax.diagnosis.held_out import DiagnoseConfig, parted, split
-from driftjax.diagnosis.noise_floor import floor
+from driftjax.diagnosis.held_out import DiagnoseConfig, split_problem, split_runs
+from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import Log
-from driftjax.studies.hidden_effects import judged
+from driftjax.studies.hidden_effects import criteria
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4, np.arange(200) // 40)
@@ -66,32 +66,32 @@ def test_errors_are_told_over_those_of_the_nominal_car_also_where_noise_explains
 
 
 def test_every_third_run_is_held_out_and_none_of_too_few():
-    use, held = split(7, 3)
+    use, held = split_runs(7, 3)
     assert list(held) == [2, 5] and list(use) == [0, 1, 3, 4, 6]
     for num, every in ((2, 3), (7, 0)):
-        use, held = split(num, every)
+        use, held = split_runs(num, every)
         assert list(use) == list(range(num)) and not len(held)
 
 
 def test_runs_held_out_have_no_part_in_the_noise():
     runs, rng = recorded(hidden(), seed=1, noise_seed=11), np.random.default_rng(3)
-    use, held = split(len(runs), 3)
+    use, held = split_runs(len(runs), 3)
     loud = [replace(run, V=run.V + 0.5 * rng.standard_normal(len(run.t))) if i in held else run
             for i, run in enumerate(runs)]  # fmt: skip
-    train, test = parted(posed(sedan(), EFFECTS, tuple(loud)), use, held)
+    train, test = split_problem(initial_problem(sedan(), EFFECTS, tuple(loud)), use, held)
     np.testing.assert_allclose(train.noise.sigma, truth().sigma, rtol=0.2)
-    np.testing.assert_array_equal(test.noise.row(), train.noise.row())
+    np.testing.assert_array_equal(test.noise.as_vector(), train.noise.as_vector())
 
 
 def test_the_floor_is_what_the_true_car_gets_wrong():
     """Predictions by the car that was driven, with its own noise: their errors are as large as the floor says."""
     runs = [run for seed in (1, 2) for run in recorded(hidden(), seed=seed, noise_seed=seed + 10)]
-    task = problem(sedan(), EFFECTS, tuple(runs))
+    problem = build_problem(sedan(), EFFECTS, tuple(runs))
     neutral = np.zeros(len(ORDER))
-    task = observed(task, neutral, truth())
-    ahead = predict(task, neutral)
-    least = at_horizons(task, floor(task, neutral, ahead, seed=3))
-    made = at_horizons(task, ahead.error**2)
+    problem = with_noise(problem, neutral, truth())
+    ahead = predict(problem, neutral)
+    least = at_horizons(problem, noise_floor(problem, neutral, ahead, seed=3))
+    made = at_horizons(problem, ahead.error**2)
     ratio = np.nanmean(made.squares / least.squares.mean(axis=0), axis=0)[:3]
     assert (0.8 < ratio).all() and (ratio < 1.3).all(), ratio
     value, _ = skill(made, made, least)
@@ -103,7 +103,7 @@ def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
     whole, runs = case.result(held_out=3), case.runs()
     assert set(whole["named"]) == set(case.truth) and whole["skill"]["extended"][1] > 0.5
-    (share,) = judged.shares([whole])
+    (share,) = criteria.removed_shares([whole])
     assert share > 0.8
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)

@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import sedan
 
 from driftjax.core import State
-from driftjax.diagnosis.fit import posed
+from driftjax.diagnosis.fit import initial_problem
 from driftjax.diagnosis.residual_gp import residual_rates
 from driftjax.logs import Run
 from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
@@ -40,8 +40,8 @@ def noise_free(theta, x0, delta, Fxr, dt: float, push=(0.0, 0.0, 0.0)) -> Run:
 
 def lacking(run: Run, theta) -> np.ndarray:
     """Rates (n, 3) that the model `theta` lacks in `run`, where the observer has settled."""
-    task = posed(sedan(), EFFECTS, (run,))
-    _, rates, counted = residual_rates(task, np.asarray(theta))
+    problem = initial_problem(sedan(), EFFECTS, (run,))
+    _, rates, counted = residual_rates(problem, np.asarray(theta))
     return np.asarray(rates)[np.asarray(counted)][max(FIRST // round(0.2 / run.dt), 1) :]
 
 

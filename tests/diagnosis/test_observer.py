@@ -11,19 +11,19 @@ import pytest
 from diagnosis.recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, sedan, truth
 from scipy.optimize import minimize
 
-from driftjax.diagnosis.fit import first_guess, problem
-from driftjax.diagnosis.noise import CORRELATION, STIFF, estimate, restricted
+from driftjax.diagnosis.fit import build_problem, initial_noise
+from driftjax.diagnosis.noise import CORRELATION, LOG_SCALES, estimate_noise, restricted_likelihood
 from driftjax.diagnosis.runs import (
     BLOCK,
-    PIECE,
-    SPAN,
-    derivatives,
+    ERROR_BLOCK,
+    PIECE_LENGTH,
     differentiate,
-    follow,
-    gains,
-    held,
+    error_blocks,
+    fixed_gain,
+    observer_gains,
     pieces,
-    spans,
+    run_observer,
+    step_derivatives,
     whiten,
 )
 from driftjax.vehicle.effect import effects_by_name
@@ -46,8 +46,8 @@ def nominal_runs():
 def watched():
     """Data, gains for the true noise, and whitened innovations (P, T, 3)."""
     data = pieces(sedan(), nominal_runs())
-    known = gains(catalogue(), data, NEUTRAL, truth().row(), held(data))
-    path = follow(catalogue(), data, NEUTRAL, known)
+    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector(), fixed_gain(data))
+    path = run_observer(catalogue(), data, NEUTRAL, known)
     return data, known, np.asarray(whiten(known, path.e))
 
 
@@ -64,7 +64,7 @@ def test_innovations_are_white_and_of_unit_variance():
 def test_what_was_not_measured_has_no_innovation():
     data, known, e = watched()
     assert not e[:, ROWS:].any()
-    assert not np.asarray(known.white)[:, ROWS:].any() and not np.asarray(known.L)[:, ROWS:].any()
+    assert not np.asarray(known.whitening)[:, ROWS:].any() and not np.asarray(known.L)[:, ROWS:].any()
 
 
 @pytest.mark.parametrize("channels", [("beta",), ("V", "beta", "r")], ids=["one", "all"])
@@ -75,10 +75,10 @@ def test_missing_samples_leave_no_trace(channels):
     for one in values.values():
         one[GAP] = np.nan
     gappy = pieces(sedan(), (*nominal_runs()[:RUN], replace(run, **values), *nominal_runs()[RUN + 1 :]))
-    part = jax.tree.map(lambda a: a[RUN : RUN + 1], gappy.track)
-    alone = gappy._replace(track=part, run=gappy.run[RUN : RUN + 1])
-    filling = gains(catalogue(), alone, NEUTRAL, truth().row(), held(alone))
-    found = np.asarray(whiten(filling, follow(catalogue(), alone, NEUTRAL, filling).e))[0]
+    part = jax.tree.map(lambda a: a[RUN : RUN + 1], gappy.padded)
+    alone = gappy._replace(padded=part, run=gappy.run[RUN : RUN + 1])
+    filling = observer_gains(catalogue(), alone, NEUTRAL, truth().as_vector(), fixed_gain(alone))
+    found = np.asarray(whiten(filling, run_observer(catalogue(), alone, NEUTRAL, filling).e))[0]
     columns = [index.index(name) for name in channels]
     assert np.isfinite(found).all() and not found[GAP][:, columns].any()
     np.testing.assert_allclose(found[: GAP.start], e[RUN, : GAP.start], atol=1e-6)  # the past knows no gap
@@ -94,7 +94,7 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
     theta, step = np.full(len(ORDER), 0.4), 1e-3  # no lag at its bound, but for the relaxation
     theta[ORDER.index("relaxation_length")] = relaxation
     found = differentiate(catalogue(), data, theta, known, EVERY)
-    value = lambda at: np.asarray(whiten(known, follow(catalogue(), data, at, known).e))
+    value = lambda at: np.asarray(whiten(known, run_observer(catalogue(), data, at, known).e))
     np.testing.assert_allclose(found.e, value(theta), atol=1e-9)
     off = {}
     for name in VARIED:
@@ -111,7 +111,7 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
 def with_late_sensors():
     """A model whose sensors may be late, nominal data and gains for it."""
     model, data = universal_car(sedan(), effects_by_name(("gyro_bias", "channel_delay"))), watched()[0]
-    return model, gains(model, data, np.zeros(4), truth().row(), held(data))
+    return model, observer_gains(model, data, np.zeros(4), truth().as_vector(), fixed_gain(data))
 
 
 def test_whole_samples_of_delay_are_a_shift_of_the_data():
@@ -119,17 +119,17 @@ def test_whole_samples_of_delay_are_a_shift_of_the_data():
     told = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
     theta = np.array([0.0, 0.0, 0.0, (late + 1e-9) * DT]) / np.asarray(model.scale)
     data = pieces(sedan(), tuple(told))
-    found, path = follow(model, data, theta, known), follow(model, watched()[0], np.zeros(4), known)
-    np.testing.assert_array_equal(found.seen[:, : ROWS - late], path.seen[:, : ROWS - late])
+    found, path = run_observer(model, data, theta, known), run_observer(model, watched()[0], np.zeros(4), known)
+    np.testing.assert_array_equal(found.valid[:, : ROWS - late], path.valid[:, : ROWS - late])
     np.testing.assert_allclose(found.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)
-    assert not found.seen[:, ROWS - late :, 2].any()
+    assert not found.valid[:, ROWS - late :, 2].any()
 
 
 def test_derivatives_where_sensors_are_late():
     model, known = with_late_sensors()
     theta, step = np.array([0.5, *np.array([0.004, 0.017, 0.035]) / np.asarray(model.scale)[1:]]), 1e-3
     data = watched()[0]
-    value = lambda at: np.asarray(whiten(known, follow(model, data, at, known).e))
+    value = lambda at: np.asarray(whiten(known, run_observer(model, data, at, known).e))
     J = np.asarray(differentiate(model, data, theta, known, np.ones(4, bool)).J)
     for k, change in enumerate(step * np.eye(4)):
         expected = -(value(theta + change) - value(theta - change)) / (2 * step)
@@ -142,14 +142,14 @@ def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     braking = np.where(V > 0.3, -7000.0, 0.0)
     run = replace(nominal_runs()[0], V=V, beta=still, r=still, delta=still, Fxr=braking, extra={})
     data = pieces(sedan(), (run,))
-    known = gains(catalogue(), data, NEUTRAL, truth().row(), held(data))
+    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector(), fixed_gain(data))
     found = differentiate(catalogue(), data, NEUTRAL, known, EVERY)
     assert np.isfinite(known.L).all() and np.isfinite(found.e).all() and np.isfinite(found.J).all()
     assert not np.asarray(found.e)[:, ROWS:].any() and not np.asarray(found.J)[:, ROWS:].any()
 
 
 def test_noise_is_found_from_the_data():
-    found = problem(sedan(), EFFECTS, nominal_runs()).noise
+    found = build_problem(sedan(), EFFECTS, nominal_runs()).noise
     np.testing.assert_allclose(found.sigma, truth().sigma, rtol=0.15)
     np.testing.assert_allclose(found.disturbance, truth().disturbance, rtol=0.5)
     assert 0.5 < found.correlation / truth().correlation < 2
@@ -157,18 +157,20 @@ def test_noise_is_found_from_the_data():
 
 def test_noise_has_the_likelihood_that_scipy_finds():
     data = pieces(sedan(), nominal_runs())
-    fixed, start = held(data), first_guess(data)
-    path = follow(catalogue(), data, NEUTRAL, fixed)
-    steps = derivatives(catalogue(), data, NEUTRAL, path, EVERY)
-    ours = estimate(steps, path.e, fixed, start, data.dt)
-    first = np.log(start.row())
-    cost = lambda x: restricted(first + x / STIFF, steps, path.e, fixed.L, data.dt)
+    fixed, start = fixed_gain(data), initial_noise(data)
+    path = run_observer(catalogue(), data, NEUTRAL, fixed)
+    steps = step_derivatives(catalogue(), data, NEUTRAL, path, EVERY)
+    ours = estimate_noise(steps, path.e, fixed, start, data.dt)
+    first = np.log(start.as_vector())
+    cost = lambda x: restricted_likelihood(first + x / LOG_SCALES, steps, path.e, fixed.L, data.dt)
     slope = jax.jit(jax.value_and_grad(cost))
     scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
     box = np.log([[0.2, 5.0]] * 3 + [[1e-3, 1e3]] * 3 + [[2 * data.dt / CORRELATION, 5.0 / CORRELATION]])
     options = {"ftol": 1e-12, "gtol": 1e-2}
-    other = minimize(scaled, np.zeros(7), jac=True, method="L-BFGS-B", bounds=box * STIFF[:, None], options=options)
-    at = (np.log(ours.row()) - first) * STIFF
+    other = minimize(
+        scaled, np.zeros(7), jac=True, method="L-BFGS-B", bounds=box * LOG_SCALES[:, None], options=options
+    )
+    at = (np.log(ours.as_vector()) - first) * LOG_SCALES
     assert abs(scaled(at)[0] - other.fun) < 0.01  # twice the log-likelihood, of 18000 measurements
     np.testing.assert_allclose(at, other.x, atol=1e-2)
 
@@ -179,23 +181,23 @@ def test_long_runs_are_cut_and_the_rest_is_padding():
     long = replace(run, t=np.arange(n) * DT, delta=rng.normal(size=n), Fxr=rng.normal(size=n),
                    V=10 + rng.normal(size=n), beta=rng.normal(size=n), r=rng.normal(size=n), extra={})  # fmt: skip
     data = pieces(sedan(), (long, run))
-    assert list(data.run) == [0, 0, 1] and data.block.shape == (3, PIECE)
-    seen, lead = np.asarray(data.track.seen), data.track.commands.shape[1] - PIECE
+    assert list(data.run) == [0, 0, 1] and data.block.shape == (3, PIECE_LENGTH)
+    valid, lead = np.asarray(data.padded.valid), data.padded.commands.shape[1] - PIECE_LENGTH
     assert lead == round(1.0 / DT)
-    assert seen[0].all() and seen[1, :700].all() and not seen[1, 700:].any()
-    assert seen[2, :ROWS].all() and not seen[2, ROWS:].any()
-    np.testing.assert_array_equal(data.track.y[1][:700, 1], long.beta[PIECE:])
-    assert not np.asarray(data.track.y[1])[700:].any()
-    np.testing.assert_array_equal(data.track.commands[1][: lead + 700, 0], long.delta[PIECE - lead :])
-    np.testing.assert_array_equal(data.track.commands[0][:lead, 0], np.full(lead, long.delta[0]))
-    np.testing.assert_allclose(data.track.place.t[1][:700], long.t[PIECE:])
+    assert valid[0].all() and valid[1, :700].all() and not valid[1, 700:].any()
+    assert valid[2, :ROWS].all() and not valid[2, ROWS:].any()
+    np.testing.assert_array_equal(data.padded.y[1][:700, 1], long.beta[PIECE_LENGTH:])
+    assert not np.asarray(data.padded.y[1])[700:].any()
+    np.testing.assert_array_equal(data.padded.commands[1][: lead + 700, 0], long.delta[PIECE_LENGTH - lead :])
+    np.testing.assert_array_equal(data.padded.commands[0][:lead, 0], np.full(lead, long.delta[0]))
+    np.testing.assert_allclose(data.padded.place.t[1][:700], long.t[PIECE_LENGTH:])
 
 
 def test_many_short_runs_are_followed_in_short_pieces():
     run = nominal_runs()[0]
     cut = lambda n: replace(run, **{k: getattr(run, k)[:n] for k in ("t", "V", "beta", "r", "delta", "Fxr")}, extra={})
     assert pieces(sedan(), (cut(120), cut(240), cut(600))).block.shape == (5, 250)
-    assert pieces(sedan(), (cut(600), cut(500))).block.shape == (2, PIECE)
+    assert pieces(sedan(), (cut(600), cut(500))).block.shape == (2, PIECE_LENGTH)
 
 
 def test_blocks_go_on_from_piece_to_piece_and_not_from_run_to_run():
@@ -204,9 +206,9 @@ def test_blocks_go_on_from_piece_to_piece_and_not_from_run_to_run():
     grow = lambda values: np.resize(values, n)
     columns = {name: grow(getattr(run, name)) for name in ("V", "beta", "r", "delta", "Fxr")}
     data = pieces(sedan(), (replace(run, t=np.arange(n) * DT, extra={}, **columns), run))
-    seconds = np.arange(PIECE) * DT
+    seconds = np.arange(PIECE_LENGTH) * DT
     assert data.num_blocks == data.block.max() + 1
-    for block, length in ((data.block, BLOCK), (spans(data), SPAN)):
+    for block, length in ((data.block, BLOCK), (error_blocks(data), ERROR_BLOCK)):
         for row, since in ((0, 0), (1, 10)):
             expected = (np.minimum(seconds + since + 1e-9, (n - 1) * DT) // length).astype(int)  # no padding alone
             assert (block[row] != expected).mean() < 0.02  # rounding may move a border by a sample

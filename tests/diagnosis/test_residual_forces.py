@@ -8,12 +8,20 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.core import Control, State
-from driftjax.diagnosis.binned import BINS, binned, driver, look, worst
-from driftjax.diagnosis.fit import problem
+from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
+from driftjax.diagnosis.fit import build_problem
 from driftjax.diagnosis.noise import Noise
 from driftjax.diagnosis.observer import Path, Steps
-from driftjax.diagnosis.residual import FORCES, Residuals, axle_forces, limits, linearised, needed, residuals
-from driftjax.diagnosis.smooth import forwards, growth, inside, linear, smooth
+from driftjax.diagnosis.residual import (
+    FORCES,
+    Residuals,
+    axle_forces,
+    force_limits,
+    nominal_noise,
+    observer_path,
+    residual_forces,
+)
+from driftjax.diagnosis.smooth import disturbance_step, kalman_filter, linear_model, samples_in_run, smooth
 
 DT = 0.02
 NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4)
@@ -51,27 +59,27 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     """Measurements (1, num) of a linear car seen from a path at rest, some missing, the last ones padding."""
     rng = np.random.default_rng(seed)
     A = np.array([[0.99, 0.1, 0.0], [0.0, 0.97, -0.02], [0.01, 0.05, 0.98]])
-    seen = (rng.uniform(size=(1, num, 3)) > 0.2).astype(float)
-    seen[:, num - 8 :] = 0.0
-    seen[:, num - 9] = 1.0
-    e = seen * rng.normal(size=(1, num, 3)) * 3 * NOISE.sigma
+    valid = (rng.uniform(size=(1, num, 3)) > 0.2).astype(float)
+    valid[:, num - 8 :] = 0.0
+    valid[:, num - 9] = 1.0
+    e = valid * rng.normal(size=(1, num, 3)) * 3 * NOISE.sigma
     zero = np.zeros((1, num, 6))
     still = zero[..., :3]
-    path = Path(*map(jnp.asarray, (e, zero, zero, zero, zero[..., :4], still, e, seen)))
+    path = Path(*map(jnp.asarray, (e, zero, zero, zero, zero[..., :4], still, e, valid)))
     many = lambda a: jnp.asarray(np.broadcast_to(a, (1, num, *a.shape)))
     D, none = np.eye(3), np.zeros((3, 1))
     full = np.zeros((6, 6))
     full[:3, :3] = A
     first = jnp.zeros((1, 6, 1))
     C, slip, push = many(np.zeros((6, 1))), many(np.zeros((2, 3))), many(np.eye(6, 3) * DT)
-    return path, Steps(many(full), C, many(D), many(none), slip, push, jnp.asarray(still), path.seen, first), seen
+    return path, Steps(many(full), C, many(D), many(none), slip, push, jnp.asarray(still), path.valid, first), valid
 
 
 def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
-    path, steps, seen = made_up()
-    A, T = np.asarray(steps.A)[0, 0, :3, :3], int(inside(seen).sum())
-    left, Q = growth(NOISE, DT)
-    F = np.block([[A, DT * (np.eye(3) + A) / 2], [np.zeros((3, 3)), left * np.eye(3)]])
+    path, steps, valid = made_up()
+    A, T = np.asarray(steps.A)[0, 0, :3, :3], int(samples_in_run(valid).sum())
+    decay, Q = disturbance_step(NOISE, DT)
+    F = np.block([[A, DT * (np.eye(3) + A) / 2], [np.zeros((3, 3)), decay * np.eye(3)]])
     C = np.zeros((T, 6, T, 6))  # covariance of w at all times
     C[0, :, 0] = np.diag([*(4 * NOISE.sigma**2), *NOISE.disturbance**2])
     for k in range(1, T):
@@ -79,28 +87,30 @@ def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
             C[k, :, j] = F @ C[k - 1, :, j]
             C[j, :, k] = C[k, :, j].T
         C[k, :, k] = F @ C[k - 1, :, k - 1] @ F.T + Q
-    which = np.flatnonzero(seen[0, :T].ravel())
+    which = np.flatnonzero(valid[0, :T].ravel())
     rows = np.array([k * 6 + i for k in range(T) for i in range(3)])[which]
     C, y = C.reshape(6 * T, 6 * T), np.asarray(path.e)[0, :T].ravel()[which]
     S = C[np.ix_(rows, rows)] + np.diag(np.tile(NOISE.sigma**2, T)[which])
     expected = (C[:, rows] @ np.linalg.solve(S, y)).reshape(T, 6)
-    x, d = smooth(path, steps, seen, NOISE, DT)
+    x, d = smooth(path, steps, valid, NOISE, DT)
     np.testing.assert_allclose(x[0, :T], expected[:, :3], atol=1e-8)
     np.testing.assert_allclose(d[0, :T], expected[:, 3:], atol=1e-8)
     assert np.isfinite(x).all() and np.isfinite(d).all()
 
 
 def test_an_unstable_car_is_smoothed_over_a_long_run():
-    path, steps, seen = made_up(1000)
+    path, steps, valid = made_up(1000)
     A = np.asarray(steps.A).copy()
     A[..., :3, :3] = [[1.0, -1.0, 0.2], [0.0, 1.05, 0.1], [0.1, 3.0, 1.1]]
     assert np.abs(np.linalg.eigvals(A[0, 0, :3, :3])).max() > 1.15
     steps = steps._replace(A=jnp.asarray(A))
-    spread = forwards(linear(path, steps, seen, growth(NOISE, DT)[0], DT), NOISE, DT).filtered_spread
+    spread = kalman_filter(
+        linear_model(path, steps, valid, disturbance_step(NOISE, DT)[0], DT), NOISE, DT
+    ).filtered_covariance
     np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
-    driven = inside(seen)
+    driven = samples_in_run(valid)
     assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2
-    x, d = smooth(path, steps, seen, NOISE, DT)
+    x, d = smooth(path, steps, valid, NOISE, DT)
     assert np.abs(x[driven]).max() < 1 and np.abs(d[driven]).max() < 10
 
 
@@ -114,29 +124,29 @@ def test_bins_find_the_driver_and_how_much_it_explains():
     rng = np.random.default_rng(5)
     forces, (one, two), block = drawn(rng)
     forces[:, 2] += 2 * one
-    found = look(Residuals(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
-    assert found.p_value < 0.01 and driver(found, 2) == "slip_rear"
-    assert found.over["slip_rear"].explained[2] == pytest.approx(4 / 5, abs=0.1)
-    assert found.over["speed"].explained[2] < 0.2
+    found = summarise_forces(Residuals(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
+    assert found.p_value < 0.01 and best_variable(found, 2) == "slip_rear"
+    assert found.variables["slip_rear"].explained[2] == pytest.approx(4 / 5, abs=0.1)
+    assert found.variables["speed"].explained[2] < 0.2
     np.testing.assert_allclose(found.rms[2], 100 * np.sqrt(5), rtol=0.15)
-    words = worst(found, sedan())
+    words = describe_worst(found, sedan())
     assert "rear axle" in words and "rear slip angle" in words and " N RMS" in words
 
 
 def test_forces_that_go_with_nothing_are_rarely_told_to():
-    found = [look(Residuals(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
+    found = [summarise_forces(Residuals(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
              ((k, drawn(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
     assert sum(one.p_value < 0.05 for one in found) <= 6
-    assert np.mean([one.over["a"].explained for one in found]) < 0.05
+    assert np.mean([one.variables["a"].explained for one in found]) < 0.05
 
 
 def test_a_driver_that_hardly_varies_and_bins_of_one_block_are_left_out():
     rng = np.random.default_rng(6)
     forces, (one, _), block = drawn(rng)
     signs = np.ones((2, block.max() + 1))
-    assert binned(np.full(len(one), 3.0), forces, block, signs) is None
+    assert bin_forces(np.full(len(one), 3.0), forces, block, signs) is None
     once = np.where(block == 7, 50.0, one)  # one block far away
-    found = binned(once, forces, block, signs)
+    found = bin_forces(once, forces, block, signs)
     assert found is not None and len(found.value) <= BINS and (np.diff(found.value) > 0).all()
     assert np.isfinite(found.mean).all() and np.isfinite(found.error).all()
 
@@ -145,18 +155,18 @@ def test_a_driver_that_hardly_varies_and_bins_of_one_block_are_left_out():
 def left_over(name: str, size: float):
     """Residual forces of the nominal car on a recording of one with a hidden effect."""
     runs = recorded(hidden(**{name: size}), 3, 4)
-    task = problem(sedan(), EFFECTS, runs)
-    path, steps = linearised(task, np.zeros(len(ORDER)))
-    noise = needed(task, path, steps)
-    return look(residuals(sedan(), task, path, steps, noise, runs), 0), noise, task.noise
+    problem = build_problem(sedan(), EFFECTS, runs)
+    path, steps = observer_path(problem, np.zeros(len(ORDER)))
+    noise = nominal_noise(problem, path, steps)
+    return summarise_forces(residual_forces(sedan(), problem, path, steps, noise, runs), 0), noise, problem.noise
 
 
 def test_hidden_rear_friction_shows_at_the_rear_axle_and_as_disturbances():
     found, noise, given = left_over("friction_rear", -2.0)
-    size = np.max([one.systematic for one in found.over.values()], axis=0) / limits(sedan())
+    size = np.max([one.systematic for one in found.variables.values()], axis=0) / force_limits(sedan())
     assert found.p_value < 0.05 and FORCES[int(np.argmax(size))] == "Fyr"
     assert size[2] > 2 * size[1]
-    assert "rear axle" in worst(found, sedan())
+    assert "rear axle" in describe_worst(found, sedan())
     assert (noise.disturbance > 1.2 * given.disturbance).any()
     # rear friction is short by 2 typical sizes, and with it the saturated rear force
     assert 0.3 < size[2] / (2 * EFFECTS[ORDER.index("friction_rear")].parameters[0].typical) < 1.2

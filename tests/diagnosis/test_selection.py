@@ -9,10 +9,10 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.evidence import confusable, weights
-from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, information, normal, priced, problem
+from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
+from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, build_problem, evaluate, information, information_and_score
 from driftjax.diagnosis.noise import PRIOR
-from driftjax.diagnosis.runs import Followed, Pieces
+from driftjax.diagnosis.runs import Linearisation, Pieces
 from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
 from driftjax.diagnosis.select import Selection, search
 from driftjax.vehicle.parameters import EffectParameterValue
@@ -23,27 +23,30 @@ FREE, ONE_SIDED = np.full(SIZE, -4.0), np.zeros(SIZE)
 
 def diagnosed(theta, seed):
     """The search on a recording of a car with the parameters `theta`; all cases drive the same manoeuvres."""
-    task = problem(sedan(), EFFECTS, recorded(theta, 31, seed))
-    return task, search(task, priced(task, np.zeros(len(ORDER))))
+    problem = build_problem(sedan(), EFFECTS, recorded(theta, 31, seed))
+    return problem, search(problem, evaluate(problem, np.zeros(len(ORDER))))
 
 
 @pytest.mark.parametrize(("name", "size", "seed"), [("stiffness_front", -0.8, 1), ("steer_offset", 1.3, 2)])
 def test_a_hidden_effect_is_named_and_measured(name, size, seed):
-    task, found = diagnosed(hidden(**{name: size}), seed)
-    assert [ORDER[i] for i in found.members] == [name]
-    columns = task.columns(found.members)
+    problem, found = diagnosed(hidden(**{name: size}), seed)
+    assert [ORDER[i] for i in found.selected] == [name]
+    columns = problem.columns(found.selected)
     deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
     assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
     assert deviation < 0.1  # or the line above says little
     assert found.fit.cost < found.nominal.cost - 50
-    assert found.first.p_value < 0.05
-    H, score = (part[columns[0]] for part in (np.diag(information(found.at.J)), normal(found.at)[1]))
+    assert found.nominal_scores.p_value < 0.05
+    H, score = (
+        part[columns[0]]
+        for part in (np.diag(information(found.linearisation.J)), information_and_score(found.linearisation)[1])
+    )
     assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_nothing_is_named_where_nothing_is_hidden(seed):
-    assert diagnosed(hidden(), seed)[1].members == ()
+    assert diagnosed(hidden(), seed)[1].selected == ()
 
 
 def test_a_search_begins_where_the_file_of_the_car_does():
@@ -51,20 +54,20 @@ def test_a_search_begins_where_the_file_of_the_car_does():
     known = EffectParameterValue("drive_gain", "p", 0.06 * 1.2)
     vehicle = replace(sedan(), effects=(known,))
     for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
-        task = problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
-        found = search(task, priced(task, task.start))
-        assert [ORDER[i] for i in found.members] == names
+        problem = build_problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
+        found = search(problem, evaluate(problem, problem.start))
+        assert [ORDER[i] for i in found.selected] == names
         assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
     with pytest.raises(BadInput, match="lacks"):
-        problem(
+        build_problem(
             replace(vehicle, effects=(EffectParameterValue("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23)
         )
 
 
 def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
-    task = problem(sedan(), EFFECTS, recorded(hidden(drive_gain=1.2, steer_lag=1.0), 21, 22))
-    found = search(task, priced(task, task.start), most=1)
-    assert len(found.members) == 1 and ORDER[found.members[0]] in ("drive_gain", "steer_lag")
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(drive_gain=1.2, steer_lag=1.0), 21, 22))
+    found = search(problem, evaluate(problem, problem.start), most=1)
+    assert len(found.selected) == 1 and ORDER[found.selected[0]] in ("drive_gain", "steer_lag")
     assert found.scores.p_value < 0.05
 
 
@@ -78,7 +81,7 @@ def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
     return Problem(model, data, lower, np.full(SIZE, 4.0), *known, nothing, nothing)  # type: ignore[arg-type]
 
 
-def noise(rng, blocks=BLOCKS) -> Followed:
+def noise(rng, blocks=BLOCKS) -> Linearisation:
     """Innovations of a true model, and derivatives of which two look alike."""
     shape = (1, blocks * LENGTH, 3)
     J = rng.normal(size=(*shape, SIZE))
@@ -86,37 +89,37 @@ def noise(rng, blocks=BLOCKS) -> Followed:
     return followed(rng.normal(size=shape), J)
 
 
-def followed(e, J) -> Followed:
+def followed(e, J) -> Linearisation:
     """Innovations and derivatives that come from nowhere."""
     nothing: Any = None
-    return Followed(e, J, nothing, nothing)
+    return Linearisation(e, J, nothing, nothing)
 
 
 @pytest.mark.parametrize("lower", [FREE, ONE_SIDED], ids=["free", "one-sided"])
-@pytest.mark.parametrize("members", [(), (0,)], ids=["none", "one"])
-def test_chance_is_rejected_no_more_often_than_said(lower, members):
-    rng, task = np.random.default_rng(8), made_up(lower)
-    p = np.array([scores(task, noise(rng), np.zeros(SIZE), members, seed=i).p_value for i in range(200)])
+@pytest.mark.parametrize("selected", [(), (0,)], ids=["none", "one"])
+def test_chance_is_rejected_no_more_often_than_said(lower, selected):
+    rng, problem = np.random.default_rng(8), made_up(lower)
+    p = np.array([scores(problem, noise(rng), np.zeros(SIZE), selected, seed=i).p_value for i in range(200)])
     assert (p < 0.05).mean() < 0.10
     assert p.min() > 0 and p.max() <= 1
     assert 0.35 < p[p < 0.999].mean() < 0.65  # nor is it shy
 
 
 def test_dependence_within_blocks_is_not_taken_for_an_effect():
-    rng, task = np.random.default_rng(9), made_up()
+    rng, problem = np.random.default_rng(9), made_up()
     p = []
     for i in range(200):
         at = noise(rng)
         e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
-        p.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed=i).p_value)
+        p.append(scores(problem, followed(e, J), np.zeros(SIZE), (), seed=i).p_value)
     assert np.mean(np.array(p) < 0.05) < 0.10
 
 
 def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
-    rng, task = np.random.default_rng(10), made_up()
+    rng, problem = np.random.default_rng(10), made_up()
     at, size = noise(rng), 0.4
     e = np.asarray(at.e) + size * np.asarray(at.J)[..., 3]
-    found = scores(task, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    found = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
     assert found.p_value < 0.005 and np.argmax(np.abs(found.T)) == 3 == np.argmax(found.gain)
     explained = np.sum(e**2) - np.sum((e - size * np.asarray(at.J)[..., 3]) ** 2)
     assert found.gain[3] == pytest.approx(explained, rel=0.2)
@@ -124,7 +127,7 @@ def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
 
 def test_several_parameters_of_an_effect_are_tested_together():
     """Four that act in six blocks each, so that no |T| can pass the root of six; together they do."""
-    task = made_up()._replace(owner=np.array([0, 0, 0, 0, 1]))
+    problem = made_up()._replace(owner=np.array([0, 0, 0, 0, 1]))
     rng, J, shape = np.random.default_rng(13), np.zeros((1, BLOCKS * LENGTH, 3, SIZE)), (1, BLOCKS * LENGTH, 3)
     for k in range(4):
         J[:, k * 6 * LENGTH : (k + 1) * 6 * LENGTH, :, k] = 1.0
@@ -132,8 +135,8 @@ def test_several_parameters_of_an_effect_are_tested_together():
     for seed in range(100):
         e = rng.normal(size=shape)
         J[..., 4] = rng.normal(size=shape)
-        by_chance.append(scores(task, followed(e, J), np.zeros(SIZE), (), seed).p_value)
-        found.append(scores(task, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
+        by_chance.append(scores(problem, followed(e, J), np.zeros(SIZE), (), seed).p_value)
+        found.append(scores(problem, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
     assert np.mean(np.array(by_chance) < 0.05) < 0.12  # p < 1e-3 at a rate of 5 %
     assert max(np.abs(one.T[:4]).max() for one in found) < np.sqrt(6) + 1e-9
     assert np.median([one.joint[0] for one in found]) > np.sqrt(6) + 1
@@ -141,99 +144,101 @@ def test_several_parameters_of_an_effect_are_tested_together():
 
 
 def test_signs_that_an_effect_cannot_have_are_not_tested():
-    rng, task = np.random.default_rng(11), made_up(ONE_SIDED)
+    rng, problem = np.random.default_rng(11), made_up(ONE_SIDED)
     at = noise(rng)
     e = np.asarray(at.e) - 0.6 * np.asarray(at.J)[..., 3]
-    found = scores(task, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    found = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
     assert found.T[3] == 0 == found.gain[3]
     free = scores(made_up(), at._replace(e=e), np.zeros(SIZE), (), seed=0)
     assert free.T[3] < -4
 
 
 def test_members_have_no_score_and_take_theirs_out_of_others():
-    rng, task = np.random.default_rng(12), made_up()
-    at, members = noise(rng), (0, 3)
-    columns, J = np.array(members), np.asarray(at.J)
+    rng, problem = np.random.default_rng(12), made_up()
+    at, selected = noise(rng), (0, 3)
+    columns, J = np.array(selected), np.asarray(at.J)
     flat = J.reshape(-1, SIZE)
     P = partial_out(flat.T @ flat, columns)
     effective = (flat * np.asarray(at.e).reshape(-1, 1)) @ P
     np.testing.assert_allclose(effective[:, columns], 0, atol=1e-10)
     left = flat[:, 1] - flat[:, columns] @ np.linalg.lstsq(flat[:, columns], flat[:, 1])[0]
     np.testing.assert_allclose((flat @ P)[:, 1], left, atol=1e-9)
-    one = scores(task, at, np.zeros(SIZE), members, seed=0)
+    one = scores(problem, at, np.zeros(SIZE), selected, seed=0)
     assert not one.T[columns].any() and not one.gain[columns].any()
     moved = np.asarray(at.e) + J[..., columns] @ np.array([0.7, -0.3])  # what members can explain
-    other = scores(task, at._replace(e=moved), np.zeros(SIZE), members, seed=0)
+    other = scores(problem, at._replace(e=moved), np.zeros(SIZE), selected, seed=0)
     np.testing.assert_allclose(other.gain, one.gain, rtol=1e-6, atol=1e-9)
 
 
 def test_covariance_of_independent_data_is_the_inverse_information():
-    rng, task = np.random.default_rng(13), made_up(blocks=300)
+    rng, problem = np.random.default_rng(13), made_up(blocks=300)
     at, columns = noise(rng, 300), np.array([0, 1, 2])
     J = np.asarray(at.J).reshape(-1, SIZE)[:, columns]
     expected = np.linalg.inv(J.T @ J)
-    found = covariance(*sums_by_block(task, at.e, at.J), columns)
+    found = covariance(*sums_by_block(problem, at.e, at.J), columns)
     np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=0.25)
     correlation = lambda c: c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
     np.testing.assert_allclose(correlation(found), correlation(expected), atol=1e-9)
 
 
 def test_covariance_grows_where_samples_of_a_block_say_the_same():
-    rng, task, columns = np.random.default_rng(14), made_up(blocks=300), np.array([0, 1])
+    rng, problem, columns = np.random.default_rng(14), made_up(blocks=300), np.array([0, 1])
     at = noise(rng, 300)
     e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
     flat = J.reshape(-1, SIZE)[:, columns]
-    found = covariance(*sums_by_block(task, e, J), columns)
+    found = covariance(*sums_by_block(problem, e, J), columns)
     np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)
 
 
-def repeated(at: Followed) -> Followed:
+def repeated(at: Linearisation) -> Linearisation:
     """The same data where all samples of a block say what its first one does."""
     return followed(*(np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J)))
 
 
-def rivals(at: Followed, task: Problem) -> tuple[np.ndarray, float]:
+def rivals(at: Linearisation, problem: Problem) -> tuple[np.ndarray, float]:
     """Costs of the effects 0 and 1 where effect 0 acts a little, and the overdispersion at the fit of effect 0."""
     J = np.asarray(at.J)
     e = np.asarray(at.e) + 0.04 * J[..., 0]
     left = lambda k: e - J[..., k] * (np.sum(J[..., k] * e) / np.sum(J[..., k] ** 2))
     return np.array([np.sum(left(k) ** 2) for k in (0, 1)]), overdispersion(
-        *sums_by_block(task, left(0), J), np.array([0])
+        *sums_by_block(problem, left(0), J), np.array([0])
     )
 
 
 def test_probabilities_are_no_surer_for_samples_that_say_the_same():
-    rng, task = np.random.default_rng(15), made_up(blocks=300)
+    rng, problem = np.random.default_rng(15), made_up(blocks=300)
     stated = {}
     for name, change in (("independent", lambda at: at), ("repeated", repeated)):
-        cases = [rivals(change(noise(rng, 300)), task) for _ in range(60)]
+        cases = [rivals(change(noise(rng, 300)), problem) for _ in range(60)]
         excess = np.array([excess for _, excess in cases])
         assert excess.min() >= 1
         assert excess.mean() == pytest.approx(1.0 if name == "independent" else LENGTH, rel=0.15)
-        stated[name] = np.array([[weights(costs, np.ones(2), by)[0] for by in (1.0, c)] for costs, c in cases])
+        stated[name] = np.array(
+            [[hypothesis_probabilities(costs, np.ones(2), by)[0] for by in (1.0, c)] for costs, c in cases]
+        )
     assert np.abs(np.diff(stated["independent"])).max() < 0.06
     sure = ((stated["repeated"] < 0.01) | (stated["repeated"] > 0.99)).mean(axis=0)
     assert sure[0] > 0.15 and sure[1] < 0.05  # wrongly sure, or not
 
 
 def test_the_p_value_of_an_effect_is_its_own():
-    rng, task = np.random.default_rng(16), made_up()
+    rng, problem = np.random.default_rng(16), made_up()
     at = noise(rng)
-    found = scores(task, at._replace(e=np.asarray(at.e) + 0.4 * np.asarray(at.J)[..., 3]), np.zeros(SIZE), (), 0)
+    found = scores(problem, at._replace(e=np.asarray(at.e) + 0.4 * np.asarray(at.J)[..., 3]), np.zeros(SIZE), (), 0)
     assert found.p_value_of(3, np.array([3])) == found.p_value < 0.005
     assert min(found.p_value_of(i, np.array([i])) for i in (0, 2, 4)) > 0.05
 
 
 def test_effects_of_several_parameters_can_be_taken_for_others():
     """Effect 0 is the sum of both parameters of effect 1, which look little like it one by one."""
-    task = made_up()._replace(owner=np.array([0, 1, 1, 2, 3]))
-    task = task._replace(model=SimpleNamespace(effects=EFFECTS[:4]))  # type: ignore[arg-type]
+    problem = made_up()._replace(owner=np.array([0, 1, 1, 2, 3]))
+    problem = problem._replace(model=SimpleNamespace(effects=EFFECTS[:4]))  # type: ignore[arg-type]
     rng, nothing = np.random.default_rng(17), None
     J = rng.normal(size=(1, BLOCKS * LENGTH, 3, SIZE))
     J[..., 0] = J[..., 1] + J[..., 2] + 0.1 * J[..., 0]
     at = followed(rng.normal(size=J.shape[:-1]), J)
     for member, theta, expected in ((0, [1, 0, 0, 0, 0], (1,)), (1, [0, 1, 1, 0, 0], (0,)), (1, [0, 1, -1, 0, 0], ())):
-        left = scores(task, at, np.array(theta, float), (member,), 0)
+        left = scores(problem, at, np.array(theta, float), (member,), 0)
         fit: Any = Fit(np.array(theta, float), 0.0, nothing)  # type: ignore[arg-type]
-        found = Selection((member,), fit, at, left, task, fit, left)
-        assert confusable(task, found, member) == expected
+        found = Selection((member,), fit, at, left, problem, fit, left)
+        assert confusable_effects(problem, found, member) == expected

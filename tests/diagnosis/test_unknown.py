@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
-from driftjax.diagnosis.evidence import Cause, odds
-from driftjax.diagnosis.fit import Problem, around, observed, priced, problem, settle
-from driftjax.diagnosis.propose import in_catalogue, propose
+from driftjax.diagnosis.evidence import Cause, effect_probability
+from driftjax.diagnosis.fit import Problem, build_problem, evaluate, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.propose import in_full_catalogue, propose
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.unknown import best, generic, unexplained
-from driftjax.diagnosis.verdict import Judgement, Verdict, judge
+from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms
+from driftjax.diagnosis.verdict import Judgement, Verdict, decide_verdict
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
 
@@ -21,89 +21,93 @@ from driftjax.vehicle.single_track import G
 def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     """Runs with an effect that the catalogue lacks, and a search that has named nothing."""
     theta = hidden(**{name: size}) if size else hidden()
-    task = problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
-    fit = priced(task, np.zeros(len(ORDER)))
-    at = around(task, fit)
-    left = scores(task, at, fit.theta, (), 0)
-    return task, Selection((), fit, at, left, task, fit, left)
+    problem = build_problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
+    fit = evaluate(problem, np.zeros(len(ORDER)))
+    at = linearise(problem, fit)
+    remaining = scores(problem, at, fit.theta, (), 0)
+    return problem, Selection((), fit, at, remaining, problem, fit, remaining)
 
 
 def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
-    task, found = nominal_only("drive_gain", 2.5)
-    left = unexplained(task, found, 0)
+    problem, found = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, found, 0)
     gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical
-    assert left.found and "Fxr" in list(left.drivers)[:4]  # in a drift, sideslip and drive go together
-    assert (left.term.channel, left.term.function, left.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
-    assert left.term.value == pytest.approx(gain * G, rel=0.35) and 0 < left.term.half_width < 0.3 * gain * G
-    told = judge(task, found, [], left, 36.0)
+    assert remaining.significant and "Fxr" in list(remaining.drivers)[:4]  # in a drift, sideslip and drive go together
+    assert (remaining.term.channel, remaining.term.function, remaining.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
+    assert remaining.term.value == pytest.approx(gain * G, rel=0.35) and 0 < remaining.term.half_width < 0.3 * gain * G
+    told = decide_verdict(problem, found, [], remaining, 36.0)
     assert told.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in told.sentence
 
 
 def test_a_missing_bias_of_the_gyro_is_told_as_an_error_of_the_sensor():
-    task, found = nominal_only("gyro_bias", 2.0)
-    left = unexplained(task, found, 0)
-    bias = 2.0 * float(task.model.scale[ORDER.index("gyro_bias")])
-    assert left.found and next(iter(left.drivers)) == "1" == next(iter(left.at_first))
-    assert left.term[:3] == ("r", "sensor", "1") and left.term.unit == "rad/s"
-    assert left.term.value == pytest.approx(bias, rel=0.35)
-    assert "in what is measured as r" in judge(task, found, [], left, 36.0).sentence
+    problem, found = nominal_only("gyro_bias", 2.0)
+    remaining = find_unexplained(problem, found, 0)
+    bias = 2.0 * float(problem.model.scale[ORDER.index("gyro_bias")])
+    assert remaining.significant and next(iter(remaining.drivers)) == "1" == next(iter(remaining.nominal_drivers))
+    assert remaining.term[:3] == ("r", "sensor", "1") and remaining.term.unit == "rad/s"
+    assert remaining.term.value == pytest.approx(bias, rel=0.35)
+    assert "in what is measured as r" in decide_verdict(problem, found, [], remaining, 36.0).sentence
 
 
 def test_effects_that_one_force_outdoes_only_imitate_it():
-    task, found = nominal_only("drive_gain", 2.5)
+    problem, found = nominal_only("drive_gain", 2.5)
     useless = tuple(ORDER.index(name) for name in ("yaw_inertia", "steer_offset"))
-    one, two = (unexplained(task, found._replace(members=useless[:num]), 0) for num in (1, 2))
+    one, two = (find_unexplained(problem, found._replace(selected=useless[:num]), 0) for num in (1, 2))
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
     named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001) for i in useless]
-    told = judge(task, found, named, two._replace(p_value=1.0), 36.0)
+    told = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0)
     assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
 
 
 def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
     """Errors that stay the same for a whole block: the term that suits them best is hardly beyond its interval."""
-    task, found = nominal_only("drive_gain", 0.0)
-    rng, block = np.random.default_rng(4), task.data.block
+    problem, found = nominal_only("drive_gain", 0.0)
+    rng, block = np.random.default_rng(4), problem.data.block
     for _ in range(3):
-        e = np.where(np.asarray(found.at.e) != 0, rng.standard_normal((task.data.num_blocks, 3))[block], 0.0)
-        _, term = best(task, generic(task, found.at._replace(e=e), found.scores, (), 0))
+        e = np.where(
+            np.asarray(found.linearisation.e) != 0, rng.standard_normal((problem.data.num_blocks, 3))[block], 0.0
+        )
+        _, term = best_term(problem, generic_terms(problem, found.linearisation._replace(e=e), found.scores, (), 0))
         assert 0 < abs(term.value) < 2.5 * term.half_width
 
 
 def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
     stated = []
-    task, found = nominal_only("drive_gain", 0.0)
+    problem, found = nominal_only("drive_gain", 0.0)
     member = int(np.argmax(found.scores.gain))
-    columns = task.columns((member,))
-    third = task.noise._replace(sigma=task.noise.sigma / 3, disturbance=task.noise.disturbance / 3)
-    for one in (task, observed(task, task.start, third)):
-        fit, at = settle(one, priced(one, task.start), columns)
-        left = scores(one, at, fit.theta, (member,), 0)
-        probability, _, p_value = odds(one, Selection((member,), fit, at, left, one, fit, left), member)
+    columns = problem.columns((member,))
+    third = problem.noise._replace(sigma=problem.noise.sigma / 3, disturbance=problem.noise.disturbance / 3)
+    for one in (problem, with_noise(problem, problem.start, third)):
+        fit, at = refit_to_convergence(one, evaluate(one, problem.start), columns)
+        remaining = scores(one, at, fit.theta, (member,), 0)
+        probability, _, p_value = effect_probability(
+            one, Selection((member,), fit, at, remaining, one, fit, remaining), member
+        )
         stated.append(probability)
         assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
     assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 
 
 def test_an_effect_that_is_left_out_takes_no_part():
-    task, found = nominal_only("drive_gain", 2.5)
+    problem, found = nominal_only("drive_gain", 2.5)
     column = ORDER.index("drive_gain")
-    assert not task.asked[column] and task.asked.sum() == len(ORDER) - 1
+    assert not problem.active[column] and problem.active.sum() == len(ORDER) - 1
     assert found.scores.T[column] == 0 == found.scores.gain[column] and not found.scores.H[column].any()
 
 
 def test_nothing_is_left_of_a_car_without_effects():
-    left = unexplained(*nominal_only("drive_gain", 0.0), 0)
-    assert not left.found and left.p_value > 0.05
+    remaining = find_unexplained(*nominal_only("drive_gain", 0.0), 0)
+    assert not remaining.significant and remaining.p_value > 0.05
 
 
 def test_the_next_manoeuvre_should_tell_rivals_apart():
-    task, found = nominal_only("drive_gain", 0.0)
+    problem, found = nominal_only("drive_gain", 0.0)
     own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
-    found = found._replace(members=(own,), fit=fit)
+    found = found._replace(selected=(own,), fit=fit)
     cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001)
-    ask = lambda verdict: propose(sedan(), task, found, [cause], Judgement(verdict, ""), 0)
+    ask = lambda verdict: propose(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     told = ask(Verdict.SET)
     assert told is not None and told.now == pytest.approx(0.6) and told.now < told.after <= 1
@@ -112,8 +116,8 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
 
 
 def test_parameters_keep_their_effects_in_the_whole_catalogue():
-    task, _ = nominal_only("drive_gain", 0.0)
-    theta = in_catalogue(task, np.arange(1.0, len(ORDER) + 1))
+    problem, _ = nominal_only("drive_gain", 0.0)
+    theta = in_full_catalogue(problem, np.arange(1.0, len(ORDER) + 1))
     at = 0
     for name, effect in CATALOGUE.items():
         expected = ORDER.index(name) + 1 if name in ORDER else 0

@@ -1,4 +1,4 @@
-"""The whole bench: draw, run, score, tell."""
+"""Run the whole bench: draw, run, score, report."""
 
 import json
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ from driftjax.core import BadInput, write_atomically
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import Case, read_case
 from driftjax.studies.hidden_effects.confusion import confusions
-from driftjax.studies.hidden_effects.draw import Numbers, plan
+from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.running import run_all
-from driftjax.studies.hidden_effects.score import as_json, as_text, score
+from driftjax.studies.hidden_effects.score import as_json, as_text, score_results
 from driftjax.studies.hidden_effects.trial import run_case
 
 CASES, RESULTS = "cases.jsonl", "results.jsonl"
@@ -43,17 +43,17 @@ class Config:
 
 
 def main(cfg: Config) -> dict[str, Any]:
-    """Run the bench; returns its scores, or the result of the one case asked for."""
+    """Run the bench; return its scores, or the result of the one case given."""
     if cfg.case is not None:
         result = run_case(read_case(cfg.case))
         print(json.dumps(result, indent=1))
         return result
     results = run_all(_cases(cfg), cfg.out / RESULTS, cfg.workers)
-    return tell(results, cfg.out)
+    return report_scores(results, cfg.out)
 
 
 def _cases(cfg: Config) -> list[Case]:
-    """New cases, written down first, or those of an interrupted bench."""
+    """Draw new cases and write them, or read those of an interrupted bench."""
     path = cfg.out / CASES
     if cfg.resume:
         if not path.is_file():
@@ -62,7 +62,7 @@ def _cases(cfg: Config) -> list[Case]:
     if path.exists():
         raise BadInput(f"{path}: exists already; give another --out, or --resume.")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if cfg.seed is None else cfg.seed
-    cases = plan(cfg.numbers, cfg.cars, seed, manoeuvres=cfg.manoeuvres)
+    cases = draw_cases(cfg.numbers, cfg.cars, seed, manoeuvres=cfg.manoeuvres)
     print(f"{len(cases)} cases of seed {seed}", flush=True)
     cfg.out.mkdir(parents=True, exist_ok=True)
     text = "".join(case.line() + "\n" for case in cases)
@@ -70,9 +70,9 @@ def _cases(cfg: Config) -> list[Case]:
     return cases
 
 
-def tell(results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Scores and wrong cases onto the screen, into score.json and figures."""
-    table = score(results)
+def report_scores(results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Print scores and wrong cases; write score.json and figures."""
+    table = score_results(results)
     wrong = confusions(results)
     scores = as_json(table)
     write_atomically(out / "score.json", lambda p: p.write_text(json.dumps(scores, indent=1), encoding="utf-8"))

@@ -60,7 +60,7 @@ class Case:
 
     @property
     def group(self) -> str:
-        """Cases that are counted together."""
+        """Return the group in which the case is counted."""
         words = [self.condition, self.car]
         words += [f"x{self.scale:g}"] if self.scale != 1 else []
         words += ["quiet"] if self.process_noise == 0 else []
@@ -69,22 +69,22 @@ class Case:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the hidden effects."""
+        """Return the names of the hidden effects."""
         return tuple(one.name for one in self.effects)
 
     def line(self) -> str:
-        """The case as one line of JSON."""
+        """Return the case as one line of JSON."""
         return json.dumps(to_dict(self))
 
     def theta(self, effects: tuple[Effect, ...]) -> np.ndarray:
-        """The truth in typical sizes, for the parameters of the catalogue `effects`."""
+        """Return the truth in typical sizes, for the parameters of the catalogue `effects`."""
         strengths = {one.name: one.strengths for one in self.effects}
         each = [strengths.get(e.name, (0.0,) * len(e.parameters)) for e in effects]
         return np.array([value for values in each for value in values])
 
 
 def read_case(line: str) -> Case:
-    """The case of a JSON line."""
+    """Read the case of a JSON line."""
     try:
         values = json.loads(line)
     except json.JSONDecodeError as error:
@@ -92,8 +92,8 @@ def read_case(line: str) -> Case:
     return from_dict(Case, values, "case")
 
 
-def hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
-    """An effect of random strength and, where it may have either, random sign."""
+def draw_hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
+    """Draw an effect of random strength and, where allowed, random sign."""
     strengths = []
     for parameter in EFFECTS[name].parameters:
         sign = rng.choice([-1.0, 1.0]) if parameter.lower < 0 else 1.0
@@ -102,8 +102,8 @@ def hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
     return Hidden(name, tuple(strengths))
 
 
-def names(num: int, choice: tuple[str, ...], rng: np.random.Generator) -> list[str]:
-    """`num` of `choice` in random order, each as often as any other."""
+def draw_names(num: int, choice: tuple[str, ...], rng: np.random.Generator) -> list[str]:
+    """Draw `num` of `choice` in random order, each equally often."""
     drawn: list[str] = []
     while len(drawn) < num:
         drawn += [choice[i] for i in rng.permutation(len(choice))]

@@ -1,16 +1,20 @@
-"""Cases that went wrong, each in a line that says what was named instead and how the truth looked."""
+"""List the cases that went wrong, each in one line with what was named and how the truth scored."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from driftjax.studies.hidden_effects.judged import Result, exactly, first, misled
+from driftjax.studies.hidden_effects.criteria import Result, misnamed, named_exactly, named_first
 
 
 def confusions(results: list[Result]) -> list[str]:
-    """One line for each case that went wrong: group, truth, what was named, and how the truth looked."""
+    """Return one line per wrong case: group, truth, what was named, and how the truth scored."""
     wrong: list[str] = []
-    tests: dict[str, Callable[[Result], bool]] = {"single": first, "pair": exactly, "poor": lambda r: not misled(r)}
+    tests: dict[str, Callable[[Result], bool]] = {
+        "single": named_first,
+        "pair": named_exactly,
+        "poor": lambda r: not misnamed(r),
+    }
     for r in results:
         condition = r["case"]["condition"]
         if "error" in r:

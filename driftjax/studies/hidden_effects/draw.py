@@ -1,4 +1,4 @@
-"""Which cases a bench runs: drawn at run time, in an order whose every beginning is a fair sample."""
+"""Draw the cases of a bench, in an order in which every prefix is a fair sample."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from driftjax.core import require
 from driftjax.manoeuvres.library import RICH
-from driftjax.studies.hidden_effects.case import POOR, Case, Hidden, hidden, names
+from driftjax.studies.hidden_effects.case import POOR, Case, Hidden, draw_hidden, draw_names
 from driftjax.vehicle.effect import EFFECTS
 
 
@@ -44,18 +44,18 @@ class Numbers:
 WEAK = 0.3  # of the typical size
 
 
-def plan(
+def draw_cases(
     numbers: Numbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
     manoeuvres: tuple[str, ...] = RICH,
 ) -> list[Case]:  # fmt: skip
-    """All cases of `seed`, effects from `choice`."""
+    """Draw all cases of `seed`, with effects from `choice`."""
     rng = np.random.default_rng(seed)
     drawn: list[Case] = []
     for car in cars:
         drawn += [Case("none", car, 0) for _ in range(numbers.none)]
         drawn += [Case("none", car, 0, noise=(0.5, 2.0)[i % 2]) for i in range(numbers.none_noise)]
-        of = lambda num: names(num, choice, rng)
-        one = lambda name, scale=1.0: (hidden(name, scale, rng),)
+        of = lambda num: draw_names(num, choice, rng)
+        one = lambda name, scale=1.0: (draw_hidden(name, scale, rng),)
         drawn += [Case("single", car, 0, one(n), process_noise=0.0) for n in of(numbers.quiet)]  # noqa: B023
         drawn += [Case("single", car, 0, one(n)) for n in of(numbers.single)]
         drawn += [Case("single", car, 0, one(n, WEAK), WEAK) for n in of(numbers.weak)]
@@ -70,4 +70,4 @@ def plan(
 
 def _two(choice: tuple[str, ...], rng: np.random.Generator) -> tuple[Hidden, ...]:
     first, second = rng.choice(len(choice), 2, replace=False)
-    return hidden(choice[first], 1.0, rng), hidden(choice[second], 1.0, rng)
+    return draw_hidden(choice[first], 1.0, rng), draw_hidden(choice[second], 1.0, rng)

@@ -1,4 +1,4 @@
-"""Figures of a bench: confusion matrix, reliability of probabilities, coverage, gain against the truth's."""
+"""Figures of a bench: confusion matrix, reliability of probabilities, coverage, gain."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from driftjax.studies.hidden_effects.judged import BINS, Result, hidden_in
+from driftjax.studies.hidden_effects.criteria import BINS, Result, hidden_in
 from driftjax.studies.hidden_effects.stats import wilson
 from driftjax.vehicle.effect import EFFECTS
 
@@ -17,7 +17,7 @@ NOTHING = "nothing"
 
 
 def write_figures(results: list[Result], out: Path) -> list[Path]:
-    """All figures into `out`; those for which nothing was measured are left out."""
+    """Write all figures for which there are data to `out`; return their paths."""
     good = [r for r in results if "error" not in r]
     of_one = [r for r in good if r["case"]["condition"] in ("none", "single")]
     found = {
@@ -36,7 +36,7 @@ def write_figures(results: list[Result], out: Path) -> list[Path]:
 
 
 def confusion(results: list[Result]) -> Figure | None:
-    """Hidden effect against the one named first."""
+    """Plot the hidden effect against the one named first."""
     if not results:
         return None
     labels = [*EFFECTS, NOTHING]
@@ -66,7 +66,7 @@ def confusion(results: list[Result]) -> Figure | None:
 
 
 def reliability(results: list[Result]) -> Figure | None:
-    """How often a name with a given probability is right."""
+    """Plot how often a name with a given probability is right."""
     pairs = np.array([(c["probability"], c["effect"] in hidden_in(r)) for r in results for c in r["causes"]], float)
     if not len(pairs):
         return None
@@ -86,7 +86,7 @@ def reliability(results: list[Result]) -> Figure | None:
 
 
 def coverage(results: list[Result]) -> Figure | None:
-    """Errors of the parameters of effects found, over the half-width of their 95 % interval."""
+    """Plot the errors of the parameters of named hidden effects, over the half-width of their 95 % interval."""
     errors: dict[str, list[float]] = {}
     for r in results:
         for one in (one for one in r.get("hidden", ()) if "theta" in one):

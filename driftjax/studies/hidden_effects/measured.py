@@ -1,4 +1,4 @@
-"""The measured logs of a case: a car with hidden effects, or a foreign simulator."""
+"""Measured logs of a case: a car with hidden effects, or a foreign simulator."""
 
 import dataclasses
 
@@ -13,15 +13,15 @@ ATTEMPTS = 4  # at runs in which the car does not spin
 APART = 2**32  # between the seeds of attempts
 
 
-def nominal(case: Case) -> VehicleConfig:
-    """The car that the simulation believes in; drifts are held on a friction circle."""
+def nominal_vehicle(case: Case) -> VehicleConfig:
+    """Return the nominal car of a case, with a friction circle for drifts."""
     if case.car in FOREIGN:
         return foreign_vehicle()
     return dataclasses.replace(load_vehicle(case.car), combined_slip=1.0)
 
 
-def measured(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
-    """The runs of a case; a run that spins is driven anew, and left out when it always does."""
+def measured_runs(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
+    """Return the runs of a case; a run that spins is driven again, and omitted when it always does."""
     if case.car in FOREIGN:
         return foreign_runs(case.car, case.seed, case.noise)
     theta, found = case.theta(tuple(EFFECTS.values())), dict[str, Run]()

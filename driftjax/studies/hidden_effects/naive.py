@@ -10,28 +10,28 @@ whatever is wrong.
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.diagnosis.fit import Problem, normal
-from driftjax.diagnosis.runs import differentiate, follow, held
+from driftjax.diagnosis.fit import Problem, information_and_score
+from driftjax.diagnosis.runs import differentiate, fixed_gain, run_observer
 
 RIDGE = 1e-9  # share of an effect's information that keeps its own parameters apart
 
 
-def naive(task: Problem) -> np.ndarray:
-    """Fall (E,) of the sum of squared one-step errors, in units of their spread, by the best of each effect alone."""
-    data, theta = task.data, task.start
-    believing = held(data, 1.0)
-    path = follow(task.model, data, theta, believing)
-    e, seen = np.asarray(path.e), np.asarray(path.seen)
-    spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(seen.sum(axis=(0, 1)), 1))
-    white = seen[..., None] * np.diag(1 / np.maximum(spread, 1e-12))
-    at = differentiate(task.model, data, theta, believing._replace(white=jnp.asarray(white)), task.asked)
-    H, b = normal(at)
-    return np.array([_fall(task, H, b, task.columns((i,))) for i in range(len(task.effects))])
+def naive_gains(problem: Problem) -> np.ndarray:
+    """Return the fall (E,) of the sum of squared one-step errors, scaled, by the best step in each effect alone."""
+    data, theta = problem.data, problem.start
+    believing = fixed_gain(data, 1.0)
+    path = run_observer(problem.model, data, theta, believing)
+    e, valid = np.asarray(path.e), np.asarray(path.valid)
+    spread = np.sqrt((e**2).sum(axis=(0, 1)) / np.maximum(valid.sum(axis=(0, 1)), 1))
+    white = valid[..., None] * np.diag(1 / np.maximum(spread, 1e-12))
+    at = differentiate(problem.model, data, theta, believing._replace(whitening=jnp.asarray(white)), problem.active)
+    H, b = information_and_score(at)
+    return np.array([_fall(problem, H, b, problem.columns((i,))) for i in range(len(problem.effects))])
 
 
-def _fall(task: Problem, H: np.ndarray, b: np.ndarray, columns: np.ndarray) -> float:
-    """Fall of the sum of squares by a linear step in `columns`, those of a sign that cannot be left out."""
-    columns = columns[((b > 0) | (task.lower < 0))[columns] & (np.diag(H) > 0)[columns]]
+def _fall(problem: Problem, H: np.ndarray, b: np.ndarray, columns: np.ndarray) -> float:
+    """Return the fall of the sum of squares by a linear step in those of `columns` with allowed sign."""
+    columns = columns[((b > 0) | (problem.lower < 0))[columns] & (np.diag(H) > 0)[columns]]
     if not len(columns):
         return 0.0
     part = H[np.ix_(columns, columns)]

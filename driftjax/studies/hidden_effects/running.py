@@ -1,4 +1,4 @@
-"""Cases run side by side, each result on disk as soon as it is there."""
+"""Run cases in parallel, writing each result to disk as soon as it is available."""
 
 import json
 import sys
@@ -15,22 +15,22 @@ from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.trial import run_case
 
 
-def attempt(case: Case) -> dict[str, Any]:
-    """The result of a case, or the error that it ended with, which counts as a failure."""
+def try_case(case: Case) -> dict[str, Any]:
+    """Return the result of a case, or its error, which counts as a failure."""
     try:
         return run_case(case)
     except Exception:
         return {"case": to_dict(case), "group": case.group, "error": traceback.format_exc()}
 
 
-def results_in(path: Path) -> list[dict[str, Any]]:
-    """Results so far."""
+def read_results(path: Path) -> list[dict[str, Any]]:
+    """Read the results so far."""
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.is_file() else []
 
 
 def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
     """Results of all `cases`: those in the file `path`, and the others, which are added to it; by `num` processes."""
-    known = results_in(path)
+    known = read_results(path)
     done = {json.dumps(result["case"]) for result in known}
     todo = [case for case in cases if case.line() not in done]
     start = time.monotonic()
@@ -40,21 +40,21 @@ def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
             file.flush()
             known.append(result)
             left = (time.monotonic() - start) / i * (len(todo) - i) / 60
-            print(f"{i}/{len(todo)}, {left:.0f} min left: {brief(result)}", file=sys.stderr, flush=True)
+            print(f"{i}/{len(todo)}, {left:.0f} min left: {format_result(result)}", file=sys.stderr, flush=True)
     return known
 
 
 def _each(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
     with process_executor(num if num > 1 else 0) as blocks:
         if blocks.pool is None:
-            yield from map(attempt, cases)
+            yield from map(try_case, cases)
             return
-        running = [blocks.pool.submit(attempt, case) for case in cases]
+        running = [blocks.pool.submit(try_case, case) for case in cases]
         yield from (future.result() for future in as_completed(running))
 
 
-def brief(result: dict[str, Any]) -> str:
-    """One line on a result."""
+def format_result(result: dict[str, Any]) -> str:
+    """Format a result in one line."""
     hidden = " + ".join(f"{e['name']} {e['strengths']}" for e in result["case"]["effects"]) or "nothing"
     if "error" in result:
         return f"{result['group']}: {hidden} -> failed: {result['error'].strip().splitlines()[-1]}"

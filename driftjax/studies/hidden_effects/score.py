@@ -1,4 +1,4 @@
-"""What a bench measures, beside its targets."""
+"""Measures of a bench, with their targets."""
 
 from dataclasses import asdict
 from typing import Any
@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import from_dict
-from driftjax.studies.hidden_effects import judged
+from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.case import Case
-from driftjax.studies.hidden_effects.judged import Result
+from driftjax.studies.hidden_effects.criteria import Result
 from driftjax.studies.hidden_effects.stats import Measure, mean, rate
 
 
-def score(results: list[Result]) -> dict[str, Measure]:
-    """All measures; results that failed are counted by themselves."""
+def score_results(results: list[Result]) -> dict[str, Measure]:
+    """Return all measures; failed results are counted separately."""
     good = [r for r in results if "error" not in r]
     table = {"failed": Measure(len(results) - len(good), len(results), target="0")}
     for car in sorted({r["case"]["car"] for r in good}):
@@ -26,16 +26,16 @@ def score(results: list[Result]) -> dict[str, Measure]:
 
 
 def foreign(own: list[Result]) -> dict[str, Measure]:
-    """Measures of a foreign simulator."""
+    """Return the measures of a foreign simulator."""
     return {
         "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in own if r["named"]), "1"),
         "held-out gain": mean((r["skill"]["extended"][0] for r in own), "> 0"),
-        "height within 15 % or in the set": rate(map(judged.near_height, own), "1"),
+        "height within 15 % or in the set": rate(map(criteria.height_within_tolerance, own), "1"),
     }
 
 
 def of_car(own: list[Result]) -> dict[str, Measure]:
-    """Measures of one car with hidden effects."""
+    """Return the measures of one car with hidden effects."""
     cases = [from_dict(Case, r["case"], "result") for r in own]
     pick = lambda f: [r for r, case in zip(own, cases, strict=True) if f(case)]
     none = pick(lambda c: c.condition == "none" and c.noise == 1)
@@ -48,43 +48,51 @@ def of_car(own: list[Result]) -> dict[str, Measure]:
     other = pick(lambda c: c.condition == "none" and c.noise != 1)
     present = [*single, *quiet, *weak, *pair]
     table = {
-        "nothing hidden: named something": rate(map(judged.named, none), "<= 0.05"),
+        "nothing hidden: named something": rate(map(criteria.named_any, none), "<= 0.05"),
         "nothing hidden: said UNKNOWN": rate(r["verdict"] == "UNKNOWN" for r in none),
-        "nothing hidden, noise x0.5 and x2: named": rate(map(judged.named, other), "<= 0.05"),
-        "one, measurement noise only: named first": rate(map(judged.first, quiet), ">= 0.98"),
-        "one: named first": rate(map(judged.first, single), ">= 0.93"),
-        "one at 0.3: named first": rate(map(judged.first, weak), ">= 0.80"),
-        "one (all of these): exactly that": rate(map(judged.exactly, [*quiet, *single, *weak])),
-        "one (all of these): named alone, verdict NAMED": rate(map(judged.alone, [*quiet, *single, *weak])),
+        "nothing hidden, noise x0.5 and x2: named": rate(map(criteria.named_any, other), "<= 0.05"),
+        "one, measurement noise only: named first": rate(map(criteria.named_first, quiet), ">= 0.98"),
+        "one: named first": rate(map(criteria.named_first, single), ">= 0.93"),
+        "one at 0.3: named first": rate(map(criteria.named_first, weak), ">= 0.80"),
+        "one (all of these): exactly that": rate(map(criteria.named_exactly, [*quiet, *single, *weak])),
+        "one (all of these): named alone, verdict NAMED": rate(map(criteria.named_alone, [*quiet, *single, *weak])),
         "one (all of these): said UNKNOWN beside": rate(r["verdict"] == "UNKNOWN" for r in [*quiet, *single, *weak]),
-        "one (typical size): the naive baseline": rate(map(judged.baseline, [*quiet, *single]), "seen to fail"),
-        "two: both found": rate(map(judged.both, pair), ">= 0.95"),
-        "two: exactly these": rate(map(judged.exactly, pair), ">= 0.85"),
-        "two: exactly these, verdict NAMED": rate(map(judged.alone, pair)),
+        "one (typical size): the naive baseline": rate(map(criteria.naive_right, [*quiet, *single]), "seen to fail"),
+        "two: both found": rate(map(criteria.named_all, pair), ">= 0.95"),
+        "two: exactly these": rate(map(criteria.named_exactly, pair), ">= 0.85"),
+        "two: exactly these, verdict NAMED": rate(map(criteria.named_alone, pair)),
         "absent from the catalogue: not NAMED": rate((r["verdict"] != "NAMED" for r in absent), ">= 0.85"),
-        "absent: named what fits as well as the truth": rate(map(judged.imitated, absent)),
-        "absent: driving variable in the first two": rate(map(judged.driven, absent), ">= 0.75"),
-        "poor log: named something else": rate(map(judged.misled, poor), "<= 0.05"),
-        "poor log, SET: resolved by the manoeuvre proposed": rate(map(judged.resolved, sets), ">= 0.90"),
-        "poor log, DATA_INSUFFICIENT: resolved by it": rate(map(judged.resolved, blind)),
-        "95 % intervals: coverage": rate((x for r in [*single, *weak, *pair] for x in judged.inside(r)), "0.90..0.98"),
-        "95 % intervals: coverage, measurement noise only": rate(x for r in quiet for x in judged.inside(r)),
-        "reported set: mean size": mean((len(judged.answer(c)) for r in present for c in r["causes"]), "<= 1.5"),
-        "share of the explainable removed": mean(judged.shares(present), ">= 0.9"),
-        "named, yet worse on runs held out": rate((judged.worse(r) for r in present if r["named"]), "0"),
-        "calibration error of the probability": Measure(judged.calibration(present), len(present), target="<= 0.05"),
-        "nothing hidden: p-values uniform (KS p)": Measure(judged.uniform(none), len(none), target="> 0.01"),
+        "absent: named what fits as well as the truth": rate(map(criteria.imitates_truth, absent)),
+        "absent: driving variable in the first two": rate(map(criteria.driver_found, absent), ">= 0.75"),
+        "poor log: named something else": rate(map(criteria.misnamed, poor), "<= 0.05"),
+        "poor log, SET: resolved by the manoeuvre proposed": rate(map(criteria.resolved_by_manoeuvre, sets), ">= 0.90"),
+        "poor log, DATA_INSUFFICIENT: resolved by it": rate(map(criteria.resolved_by_manoeuvre, blind)),
+        "95 % intervals: coverage": rate(
+            (x for r in [*single, *weak, *pair] for x in criteria.interval_hits(r)), "0.90..0.98"
+        ),
+        "95 % intervals: coverage, measurement noise only": rate(x for r in quiet for x in criteria.interval_hits(r)),
+        "reported set: mean size": mean(
+            (len(criteria.reported_set(c)) for r in present for c in r["causes"]), "<= 1.5"
+        ),
+        "share of the explainable removed": mean(criteria.removed_shares(present), ">= 0.9"),
+        "named, yet worse on runs held out": rate((criteria.worse_than_nominal(r) for r in present if r["named"]), "0"),
+        "calibration error of the probability": Measure(
+            criteria.calibration_error(present), len(present), target="<= 0.05"
+        ),
+        "nothing hidden: p-values uniform (KS p)": Measure(
+            criteria.uniformity_p_value(none), len(none), target="> 0.01"
+        ),
     }
     return {name: measure for name, measure in table.items() if measure.n}
 
 
 def as_json(table: dict[str, Measure]) -> dict[str, Any]:
-    """The table as plain values."""
+    """Return the table as plain values."""
     return {name: asdict(measure) for name, measure in table.items()}
 
 
 def as_text(table: dict[str, Measure]) -> str:
-    """The table beside its targets."""
+    """Format the table with its targets."""
     width = max(map(len, table))
     lines = [f"{'':{width}}  {'n':>5} {'value':>7}  {'95 % interval':16} target"]
     for name, m in table.items():

@@ -1,4 +1,4 @@
-"""Numbers of a bench with how sure they are."""
+"""Rates and means with their intervals."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ Z = 1.96  # of a 95 % interval
 
 @dataclass(frozen=True)
 class Measure:
-    """One number of the bench."""
+    """One measured number with its interval and target."""
 
     value: float  # NaN where nothing was measured
     n: int
@@ -20,7 +20,7 @@ class Measure:
 
 
 def wilson(hits: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate (Wilson 1927)."""
+    """Return the 95 % interval of a rate (Wilson 1927)."""
     if n == 0:
         return float("nan"), float("nan")
     rate, spread = hits / n, Z * np.sqrt(hits / n * (1 - hits / n) / n + Z**2 / (4 * n**2))
@@ -29,14 +29,14 @@ def wilson(hits: int, n: int) -> tuple[float, float]:
 
 
 def rate(found: Iterable[bool], target: str = "") -> Measure:
-    """Share that is true."""
+    """Return the share of true values with its interval."""
     values = list(found)
     hits, n = sum(values), len(values)
     return Measure(hits / n if n else float("nan"), n, *wilson(hits, n), target)
 
 
 def mean(values: Iterable[float], target: str = "") -> Measure:
-    """Mean with its 95 % interval."""
+    """Return the mean with its 95 % interval."""
     found = np.array(list(values), float)
     if len(found) == 0:
         return Measure(float("nan"), 0, target=target)

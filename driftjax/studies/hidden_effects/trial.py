@@ -1,4 +1,4 @@
-"""One case diagnosed and set beside its truth."""
+"""Diagnose one case and compare the result with its truth."""
 
 import dataclasses
 import time
@@ -8,41 +8,41 @@ import numpy as np
 
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import Diagnosis, Evidence, diagnose
-from driftjax.diagnosis.fit import priced, settle
-from driftjax.diagnosis.gain import open_loop, skill
+from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.gain import open_loop_errors, skill
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.score import CONDITION, partial_out
-from driftjax.diagnosis.select import price
+from driftjax.diagnosis.select import penalised_cost
 from driftjax.diagnosis.serialise import unexplained_json
 from driftjax.logs import Log, Run
 from driftjax.manoeuvres.campaign import LATER
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.foreign import height
-from driftjax.studies.hidden_effects.measured import measured, nominal
-from driftjax.studies.hidden_effects.naive import naive
+from driftjax.studies.hidden_effects.measured import measured_runs, nominal_vehicle
+from driftjax.studies.hidden_effects.naive import naive_gains
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
 
 
 def run_case(case: Case) -> dict[str, Any]:
-    """Drive, diagnose and compare one case; plain values for one line of JSON."""
+    """Drive, diagnose and compare one case; return plain values for one line of JSON."""
     start = time.perf_counter()
-    vehicle = nominal(case)
-    runs = measured(case, vehicle)
+    vehicle = nominal_vehicle(case)
+    runs = measured_runs(case, vehicle)
     seconds = time.perf_counter() - start
     effects, poor = tuple(EFFECTS.values()), case.condition == "poor"
-    told = examine(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
+    told = diagnose_case(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
     if poor and told["proposed"]:
         case = dataclasses.replace(case, manoeuvres=(told["proposed"],), seed=case.seed + LATER)
-        more = tuple(dataclasses.replace(run, name=f"next-{run.name}") for run in measured(case, vehicle))
-        told |= {"after": examine(case, vehicle, (*runs, *more), effects, 0)}
+        more = tuple(dataclasses.replace(run, name=f"next-{run.name}") for run in measured_runs(case, vehicle))
+        told |= {"after": diagnose_case(case, vehicle, (*runs, *more), effects, 0)}
     return told
 
 
-def examine(
+def diagnose_case(
     case: Case, vehicle: VehicleConfig, runs: tuple[Run, ...], effects: tuple[Effect, ...], held_out: int = 3
 ) -> dict[str, Any]:
-    """What the diagnosis with the catalogue `effects` makes of `runs`, beside the truth of `case`.
+    """Diagnose `runs` with the catalogue `effects` and compare the result with the truth of `case`.
 
     The gain is measured on every `held_out`-th run; 0: on none, which takes half the time.
     """
@@ -53,66 +53,66 @@ def examine(
     if evidence is None:
         raise RuntimeError(f"{len(runs)} runs are left: {found.sentence}")
     told = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
-    told |= outcome(found, evidence) | {"naive": effects[int(np.argmax(naive(evidence.problem)))].name}
-    told |= {"hidden": [against(evidence, case, name) for name in case.names if name not in case.without]}
+    told |= diagnosis_values(found, evidence) | {"naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name}
+    told |= {"hidden": [compare_hidden(evidence, case, name) for name in case.names if name not in case.without]}
     if case.condition == "foreign":
         return told | {"height": height(case.car)}
     if found.gain and case.effects:
         gain = found.gain
-        oracle = open_loop(gain.judged.task, case.theta(effects))
-        best = skill(gain.errors["nominal"], oracle, gain.floor, config.seed)
+        oracle = open_loop_errors(gain.comparison.problem, case.theta(effects))
+        best = skill(gain.errors["nominal"], oracle, gain.noise_floor, config.seed)
         told |= {"oracle": [best[0], *best[1]]}
     if set(told["named"]) != set(case.names):
-        told |= {"prices": prices(evidence, case)}
+        told |= {"prices": penalised_costs(evidence, case)}
     return told
 
 
-def outcome(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
-    """The diagnosis as plain values; parameters in typical sizes."""
-    task, name = evidence.problem, lambda i: evidence.problem.effects[i].name
+def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
+    """Return the diagnosis as plain values; parameters in typical sizes."""
+    problem, name = evidence.problem, lambda i: evidence.problem.effects[i].name
     causes = [
         {
             "effect": name(c.effect), "probability": c.probability, "p_value": c.p_value,
             "theta": c.theta.tolist(), "half_width": c.half_width.tolist(),
-            "scale": np.asarray(task.model.scale)[task.columns((c.effect,))].tolist(),
+            "scale": np.asarray(problem.model.scale)[problem.columns((c.effect,))].tolist(),
             "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
             "invariance": c.invariance,
         }
         for c in evidence.causes
     ]  # fmt: skip
     skills = found.gain.skills if found.gain else {}
-    noise = [*task.noise.sigma, *task.noise.disturbance, task.noise.correlation]
+    noise = [*problem.noise.sigma, *problem.noise.disturbance, problem.noise.correlation]
     return {
         "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.verdict),
         "sentence": found.sentence, "causes": causes,
-        "named": [c["effect"] for c in causes], "p_first": evidence.selection.first.p_value,
+        "named": [c["effect"] for c in causes], "p_first": evidence.selection.nominal_scores.p_value,
         "p_left": evidence.unexplained.p_value, "gain_left": evidence.unexplained.gain,
         "unexplained": unexplained_json(evidence.unexplained), "noise": [float(v) for v in noise],
         "skill": {model: [value, *interval] for model, (value, interval) in skills.items()},
     }  # fmt: skip
 
 
-def against(found: Evidence, case: Case, name: str) -> dict[str, Any]:
+def compare_hidden(found: Evidence, case: Case, name: str) -> dict[str, Any]:
     """How a hidden effect looked: its test and rank at the nominal car, its nearest double, its estimate if named."""
-    task = found.problem
-    effect = [e.name for e in task.effects].index(name)
-    columns = task.columns((effect,))
-    first = found.selection.first
+    problem = found.problem
+    effect = [e.name for e in problem.effects].index(name)
+    columns = problem.columns((effect,))
+    first = found.selection.nominal_scores
     info = np.diag(first.H)[columns]
     told: dict[str, Any] = {
         "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),
         "deviations": float(np.sqrt(info.max())), "T": float(np.abs(first.T[columns]).max()),
         "gain": float(first.gain[effect]), "rank": int(np.sum(first.gain > first.gain[effect])),
     }  # fmt: skip
-    others = tuple(i for i, e in enumerate(task.effects) if e.name in case.names and i != effect)
-    told["alike"] = alike(found, first.H, int(columns[np.argmax(info)]), task.columns(others))
+    others = tuple(i for i, e in enumerate(problem.effects) if e.name in case.names and i != effect)
+    told["alike"] = nearest_effects(found, first.H, int(columns[np.argmax(info)]), problem.columns(others))
     for cause in found.causes:
         if cause.effect == effect:
             told |= {"theta": cause.theta.tolist(), "half_width": cause.half_width.tolist()}
     return told
 
 
-def alike(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
+def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
     """Cosine between the signature of parameter `column` and those of its nearest double and of all that was named.
 
     Parameters `taken` are taken out of every signature.
@@ -129,10 +129,13 @@ def alike(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dic
     return {found.problem.effects[i].name: of[i] for i in told}
 
 
-def prices(found: Evidence, case: Case) -> dict[str, float]:
-    """Price of what was named and of the truth refitted: which of search and evidence went wrong."""
-    task = found.problem
-    members = tuple(i for i, effect in enumerate(task.effects) if effect.name in case.names)
-    true = priced(task, case.theta(task.effects))
-    true = settle(task, true, task.columns(members))[0]
-    return {"named": price(task, found.selection.fit, found.selection.members), "truth": price(task, true, members)}
+def penalised_costs(found: Evidence, case: Case) -> dict[str, float]:
+    """Return the penalised costs of what was named and of the truth refitted: was the search or the evidence wrong?"""
+    problem = found.problem
+    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
+    true = evaluate(problem, case.theta(problem.effects))
+    true = refit_to_convergence(problem, true, problem.columns(selected))[0]
+    return {
+        "named": penalised_cost(problem, found.selection.fit, found.selection.selected),
+        "truth": penalised_cost(problem, true, selected),
+    }

@@ -13,8 +13,8 @@ import pytest
 from diagnosis.cases import Fixed, foreign
 from diagnosis.recorded import EFFECTS, sedan
 
-from driftjax.studies.hidden_effects import judged
-from driftjax.studies.hidden_effects.trial import examine
+from driftjax.studies.hidden_effects import criteria
+from driftjax.studies.hidden_effects.trial import diagnose_case
 
 ERROR, HALF_WIDTH = 0.2, 0.35  # largest error, and largest 95 % interval, of a named parameter [typical sizes]
 CASES = (
@@ -33,7 +33,7 @@ SLOW = (10,)  # takes 52 s: it goes round about, and proposes a manoeuvre
 
 
 @functools.cache
-def result(number: int) -> judged.Result:
+def result(number: int) -> criteria.Result:
     """The diagnosis of a case."""
     return CASES[number - 1].result()
 
@@ -89,7 +89,7 @@ def test_the_height_of_the_simulator_that_is_not_ours_is_found_within_15_percent
 def test_the_naive_baseline_names_fewer():
     """It is kept to show its bias."""
     found = [result(case.number) for case in CASES if case.case().condition == "single"]
-    assert sum(map(judged.baseline, found)) < sum(map(judged.first, found)) == len(found)
+    assert sum(map(criteria.naive_right, found)) < sum(map(criteria.named_first, found)) == len(found)
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_units_of_mass_and_names_of_runs_change_nothing():
         sedan(), **{name: 1000 * getattr(sedan(), name) for name in ("m", "Iz", "Fxr_min", "Fxr_max", "Fxr_rate_max")}
     )
     other = tuple(dataclasses.replace(run, name=f"x{9 - i}", Fxr=1000 * run.Fxr) for i, run in enumerate(runs))
-    one, two = result(case.seed), examine(case, grams, other, EFFECTS, 0)
+    one, two = result(case.seed), diagnose_case(case, grams, other, EFFECTS, 0)
     assert one["named"] == two["named"] == ["friction_rear"] and one["verdict"] == two["verdict"]
     for a, b in zip(one["causes"], two["causes"], strict=True):
         np.testing.assert_allclose(a["theta"], b["theta"], atol=2e-3)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.studies.hidden_effects import judged, running
+from driftjax.studies.hidden_effects import criteria, running
 from driftjax.studies.hidden_effects.bench import CASES, Config, main
 from driftjax.studies.hidden_effects.case import Case, Hidden, read_case
-from driftjax.studies.hidden_effects.draw import Numbers, plan
+from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
 from driftjax.studies.hidden_effects.drivers import DRIVERS
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.foreign import drive_through, foreign_vehicle
-from driftjax.studies.hidden_effects.score import score
+from driftjax.studies.hidden_effects.score import score_results
 from driftjax.studies.hidden_effects.stats import wilson
 from driftjax.vehicle.effect import EFFECTS
 
 SOME = Numbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
 
 
-def result(truth=(), causes=(), verdict="NAMED", **more) -> judged.Result:
+def result(truth=(), causes=(), verdict="NAMED", **more) -> criteria.Result:
     """A result as a bench writes it: `truth` and `causes` are (effect, strength or estimate) with half-width 0.1."""
     effects = tuple(Hidden(name, (size,)) for name, size in truth)
     case = Case(("none", "single", "pair")[len(effects)], "sedan", 1, effects)
@@ -43,8 +43,8 @@ NOTHING = result(verdict="NOTHING")
 
 
 def test_a_plan_is_drawn_anew_and_can_be_repeated():
-    cases = plan(SOME, ("sedan", "rc"), 5)
-    assert cases == plan(SOME, ("sedan", "rc"), 5) != plan(SOME, ("sedan", "rc"), 6)
+    cases = draw_cases(SOME, ("sedan", "rc"), 5)
+    assert cases == draw_cases(SOME, ("sedan", "rc"), 5) != draw_cases(SOME, ("sedan", "rc"), 6)
     assert len(cases) == 2 * (25 + len(EFFECTS)) + 2 and len({case.seed for case in cases}) == len(cases)
     assert [case for case in map(read_case, map(Case.line, cases))] == cases
     full = [c for c in cases if c.condition == "single" and c.scale == 1 and c.process_noise and c.car == "rc"]
@@ -80,15 +80,17 @@ def test_wilsons_interval():
 
 
 def test_what_counts_as_found():
-    assert judged.first(FOUND) and judged.exactly(FOUND) and not judged.first(MISSED)
+    assert criteria.named_first(FOUND) and criteria.named_exactly(FOUND) and not criteria.named_first(MISSED)
     small, large = ({name: 0.1 for name in names} for names in (("mass", "cog_shift"), ("mass", "a", "b")))
     for rivals, verdict, right in ((small, "SET", True), (small, "NAMED", False), (large, "SET", False)):
         one = result([("mass", 1.0)], [("drive_gain", 1.0)], verdict)
         one["causes"][0]["rivals"] = rivals
-        assert judged.first(one) == right
+        assert criteria.named_first(one) == right
     two = result([("mass", 1.0), ("aero_drag", 1.0)], [("mass", 1.0), ("aero_drag", 1.0), ("road_bank", 0.1)])
-    assert judged.both(two) and not judged.exactly(two)
-    assert judged.inside(FOUND) == [True] and judged.inside(result([("mass", 1.0)], [("mass", 1.2)])) == [False]
+    assert criteria.named_all(two) and not criteria.named_exactly(two)
+    assert criteria.interval_hits(FOUND) == [True] and criteria.interval_hits(
+        result([("mass", 1.0)], [("mass", 1.2)])
+    ) == [False]
 
 
 def test_the_table_counts_what_it_says():
@@ -97,7 +99,7 @@ def test_the_table_counts_what_it_says():
     false = result((), [("road_bank", 0.1)])
     worse = result([("mass", 1.0)], [("mass", 1.3)], skill={"extended": [-0.1, -0.2, 0.1]})
     failed = {"case": FOUND["case"], "group": "single sedan", "error": "ValueError: no"}
-    table = score([FOUND, FOUND, MISSED, NOTHING, NOTHING, NOTHING, false, wrong, worse, failed])
+    table = score_results([FOUND, FOUND, MISSED, NOTHING, NOTHING, NOTHING, false, wrong, worse, failed])
     value = lambda name: (table[f"sedan: {name}"].value, table[f"sedan: {name}"].n)
     assert (table["failed"].value, table["failed"].n) == (1, 10)
     assert value("nothing hidden: named something") == (0.25, 4)
@@ -110,7 +112,7 @@ def test_the_table_counts_what_it_says():
     assert value("calibration error of the probability")[0] == pytest.approx(0.9 - 0.75)
     assert "sedan: two: both found" not in table
     unknown = result([("mass", 1.0)], [("mass", 1.0)], "UNKNOWN")
-    table = score([FOUND, MISSED, unknown])
+    table = score_results([FOUND, MISSED, unknown])
     assert value("one (all of these): exactly that") == (pytest.approx(2 / 3), 3)
     assert value("one (all of these): named alone, verdict NAMED") == (pytest.approx(1 / 3), 3)
     assert value("one (all of these): said UNKNOWN beside") == (pytest.approx(1 / 3), 3)
@@ -121,7 +123,7 @@ def test_a_manoeuvre_that_settles_a_set_and_an_exact_imitation_are_counted():
     unsure = of(result([("mass", 1.0)], [("mass", 1.0)], "SET"), "poor")
     rows = [unsure | {"after": after} for after in (FOUND, MISSED, FOUND | {"verdict": "SET"})]
     missing = [of(MISSED, "absent", prices={"named": cost, "truth": 200.0}) for cost in (209.0, 211.0)]
-    table = score([*rows, of(MISSED, "poor"), *missing])
+    table = score_results([*rows, of(MISSED, "poor"), *missing])
     value = lambda name: (table[f"sedan: {name}"].value, table[f"sedan: {name}"].n)
     assert value("poor log, SET: resolved by the manoeuvre proposed") == (pytest.approx(1 / 3), 3)
     assert value("poor log: named something else") == (0.25, 4)
@@ -132,7 +134,7 @@ def test_a_manoeuvre_that_settles_a_set_and_an_exact_imitation_are_counted():
 def test_a_stopped_bench_goes_on_and_a_case_that_fails_is_kept(monkeypatch, tmp_path, capsys):
     ran: list[int] = []
 
-    def fake(case: Case) -> judged.Result:
+    def fake(case: Case) -> criteria.Result:
         ran.append(case.seed)
         if case.condition == "absent":
             raise ValueError("no such luck")

@@ -19,9 +19,9 @@ from diagnosis.cases import examined, whole
 from diagnosis.recorded import NAMES
 from scipy.stats import binom
 
-from driftjax.studies.hidden_effects import judged
+from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.confusion import confusions
-from driftjax.studies.hidden_effects.draw import Numbers, plan
+from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
 
 pytestmark = pytest.mark.statistics
 
@@ -36,7 +36,7 @@ def drawn(seed: int):
     """Cases on both cars in random order."""
     half, few = CASES // 2, FEWER // 2
     numbers = Numbers(none=few, none_noise=0, quiet=0, single=half, weak=0, pair=few, absent=few, poor=0, std=0, mb=0)
-    return plan(numbers, ("sedan", "rc"), seed, tuple(NAMES))
+    return draw_cases(numbers, ("sedan", "rc"), seed, tuple(NAMES))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def sample():
     """Results by condition."""
     seed = int(os.environ.get("DRIFTJAX_SEED", np.random.default_rng().integers(2**31)))
     print(f"DRIFTJAX_SEED={seed} DRIFTJAX_CASES={CASES}")
-    found: dict[str, list[judged.Result]] = {}
+    found: dict[str, list[criteria.Result]] = {}
     for case in drawn(seed):
         result = examined(case, whole(case))
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s", flush=True)
@@ -53,7 +53,7 @@ def sample():
     return found
 
 
-def record(seed: int, found: dict[str, list[judged.Result]]) -> None:
+def record(seed: int, found: dict[str, list[criteria.Result]]) -> None:
     """Append the rates to the file of all runs."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent)
     line = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "commit": commit.stdout.strip()}
@@ -64,14 +64,14 @@ def record(seed: int, found: dict[str, list[judged.Result]]) -> None:
     print(f"rates: {OUT}")
 
 
-def rates(found: dict[str, list[judged.Result]]) -> dict[str, float]:
+def rates(found: dict[str, list[criteria.Result]]) -> dict[str, float]:
     """Shares of the cases, and of intervals that hold the truth."""
     share = lambda kind, what: float(np.mean([what(result) for result in found[kind]]))
-    inside = [one for kind in ("single", "pair") for result in found[kind] for one in judged.inside(result)]
+    inside = [one for kind in ("single", "pair") for result in found[kind] for one in criteria.interval_hits(result)]
     return {
-        "named first": share("single", judged.first),
-        "pair found": share("pair", judged.both),
-        "false alarm": share("none", judged.named),
+        "named first": share("single", criteria.named_first),
+        "pair found": share("pair", criteria.named_all),
+        "false alarm": share("none", criteria.named_any),
         "absent, not NAMED": share("absent", lambda result: result["verdict"] != "NAMED"),
         "covered": float(np.mean(inside)),
     }
