@@ -1,3 +1,3 @@
-"""Command line: `driftjax learn | plan | equilibria | runs | report`."""
+"""Command line `driftjax VERB`: every verb parses its flags, calls the package and prints."""
 
 from driftjax.cli.front import main as main

@@ -1,4 +1,4 @@
-"""`python -m driftjax.cli` is `driftjax`."""
+"""Run `driftjax` as `python -m driftjax.cli`."""
 
 import sys
 

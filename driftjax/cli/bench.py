@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, progress, typed, within
+from driftjax.cli.console import default_out, parse, progress, run_in
 from driftjax.core.config import to_dict
 from driftjax.store import RunFolder
 from driftjax.studies.bench.config import PARTS, Config
@@ -25,18 +25,18 @@ class Bench:
 
 
 def run(argv: list[str]) -> int:
-    """Measure, write, print."""
-    # each part has a process of its own, which finds no memory on a GPU that this one has taken as a whole
+    """Measure, write and print the table."""
+    # each part has a process of its own, which needs memory on the same GPU
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    typed_in = typed(Bench, argv, "driftjax bench")
-    options = typed_in.options
+    flags = parse(Bench, argv, "driftjax bench")
+    options = flags.options
     name = "quick" if options.quick else "all" if options.only == PARTS else "-".join(options.only)
-    folder = RunFolder.create(typed_in.out or default_out("bench", name), to_dict(options), "bench")
-    return within(folder, lambda: work(options, folder))
+    folder = RunFolder.create(flags.out or default_out("bench", name), to_dict(options), "bench")
+    return run_in(folder, lambda: work(options, folder))
 
 
 def work(options: Config, folder: RunFolder) -> int:
-    """The results into `folder`."""
+    """Measure into `folder` and print the table."""
     with progress() as report:
         results = measure(options, folder.path, report)
     print(page(results), end="")

@@ -1,11 +1,11 @@
-"""`driftjax calibrate`: the nominal car fitted to runs in which it should be right, before others are asked."""
+"""`driftjax calibrate`: fit the nominal car to runs in which it should be right, before a diagnosis."""
 
 import dataclasses
 from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import default_out, typed, within
+from driftjax.cli.console import default_out, parse, run_in
 from driftjax.core import require
 from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, calibrate
 from driftjax.diagnosis.held_out import check_held_out
@@ -20,7 +20,7 @@ from driftjax.vehicle.effect import effects_by_name
 class Calibrate:
     """Fit effects that the nominal car is believed to have, such as its friction: calibrated.yaml.
 
-    Nothing is tested here: what should be found by `driftjax diagnose` later is to be left out.
+    Nothing is tested here: leave out effects that `driftjax diagnose` should find later.
     """
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
@@ -50,24 +50,24 @@ class Calibrate:
 
 
 def run(argv: list[str]) -> int:
-    """Read, fit, tell."""
-    asked = typed(Calibrate, argv, "driftjax calibrate")
-    vehicle = load_vehicle(asked.vehicle, asked.combined_slip)
-    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut, "effects": list(asked.effects)}
+    """Read, fit and print."""
+    flags = parse(Calibrate, argv, "driftjax calibrate")
+    vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
+    log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
+    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
+    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut, "effects": list(flags.effects)}
     folder = RunFolder.create(
-        asked.out or default_out("calibrate", vehicle.name), options | {"held_out": asked.held_out}, "calibrate"
+        flags.out or default_out("calibrate", vehicle.name), options | {"held_out": flags.held_out}, "calibrate"
     )
 
     def work() -> int:
         for note in log.notes:
             print(f"note: {note}")
-        calibration = calibrate(vehicle, log, asked.effects, held_out=asked.held_out)
+        calibration = calibrate(vehicle, log, flags.effects, held_out=flags.held_out)
         calibration.save(folder.path)
         print(calibration)
         print(gain_table(folder.read_json("calibration")["gain"]))
         print(f"car: {folder.path / 'calibrated.yaml'}")
         return 0
 
-    return within(folder, work)
+    return run_in(folder, work)

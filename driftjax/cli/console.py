@@ -1,4 +1,4 @@
-"""What the verbs share: flags over files, work inside a run folder, progress."""
+"""Shared by the verbs: flags over files, work inside a run folder, progress."""
 
 import argparse
 import sys
@@ -21,8 +21,8 @@ T = TypeVar("T")
 Report = Callable[[str, int, int], None]
 
 
-def peek(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]]:
-    """Values of flags that set the defaults of all others, and the rest of the command line."""
+def early_flags(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]]:
+    """Parse the flags that set the defaults of all others; returns their values and the other arguments."""
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for flag in flags:
         early.add_argument(f"--{flag}", nargs="?")
@@ -30,8 +30,8 @@ def peek(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]
     return vars(known), others
 
 
-def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
-    """`cls` from flags over `default`; what its checks find is told as bad input."""
+def parse(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
+    """Parse flags over `default` into a `cls`; raises `BadInput` where its checks fail."""
     given: dict[str, Any] = {} if default is None else {"default": default}
     try:
         options = tyro.cli(cls, args=argv, prog=prog, **given)
@@ -42,12 +42,12 @@ def typed(cls: type[T], argv: list[str], prog: str, default: T | None = None) ->
 
 
 def default_out(verb: str, name: str) -> Path:
-    """Run folder where no --out is given."""
+    """Return the run folder used without --out."""
     return Path("runs") / f"{verb}-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
-def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
-    """`work()`; when it does not end well the person is told what is kept and how to go on."""
+def run_in(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
+    """Run `work`; on failure print what was stored and how to resume."""
     kept = f"what was computed is in {folder.path}" + (f"; continue with: {resume}" if resume else ".")
     try:
         return work()
@@ -61,21 +61,21 @@ def within(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
         text, words, see = traceback.format_exc(), " ".join(str(error).split())[:300], "see error.txt; "
         try:
             write_atomically(folder.path / "error.txt", lambda path: path.write_text(text, encoding="utf-8"))
-        except OSError:  # the disk may be what failed; its words are told anyway
+        except OSError:  # the disk may be what failed; its message is printed anyway
             see = ""
         print(f"driftjax: failed ({type(error).__name__}: {words}); {see}{kept}", file=sys.stderr)
         return 1
 
 
-def tell(vehicle: VehicleConfig) -> None:
-    """Print which effects of an extended car are not in the car that is planned and controlled with."""
+def print_notes(vehicle: VehicleConfig) -> None:
+    """Print which effects of an extended car planner and controller leave out."""
     for note in unmodelled_effects(vehicle):
         print(f"note: {note}", flush=True)
 
 
 @contextmanager
 def progress() -> Iterator[Report]:
-    """`report(text, done, total)`: a bar with the time left on a terminal, plain lines elsewhere."""
+    """Yield `report(text, done, total)`: a bar with the time left on a terminal, plain lines elsewhere."""
     if not sys.stderr.isatty():
         start = time.monotonic()
         yield lambda text, done, total: print(f"[{time.monotonic() - start:6.1f} s] {done}/{total} {text}", flush=True)

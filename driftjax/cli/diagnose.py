@@ -1,4 +1,4 @@
-"""`driftjax diagnose`: what measured logs say the model gets wrong, and what mending it gains."""
+"""`driftjax diagnose`: model errors that measured logs show, and the gain of correcting them."""
 
 import dataclasses
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, progress, tell, typed, within
+from driftjax.cli.console import default_out, parse, print_notes, progress, run_in
 from driftjax.core import require
 from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
@@ -52,36 +52,36 @@ class Diagnose:
 
 
 def run(argv: list[str]) -> int:
-    """Read, name, measure, tell."""
-    asked = typed(Diagnose, argv, "driftjax diagnose")
-    lone = asked.drive is None or not (asked.columns or asked.runs)
-    require(lone, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
-    vehicle = load_vehicle(asked.vehicle, asked.combined_slip)
-    case = load_case(asked.closed_loop, vehicle) if asked.closed_loop else None
-    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in asked.logs]}
-    options |= {"columns": asked.columns, "runs": list(asked.runs), "cut": asked.cut}
-    options |= {"options": dataclasses.asdict(asked.options), "closed_loop": case.name if case else None}
-    folder = RunFolder.create(asked.out or default_out("diagnose", vehicle.name), options, "diagnose")
+    """Read, diagnose and print."""
+    flags = parse(Diagnose, argv, "driftjax diagnose")
+    no_selection = flags.drive is None or not (flags.columns or flags.runs)
+    require(no_selection, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
+    vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
+    case = load_case(flags.closed_loop, vehicle) if flags.closed_loop else None
+    log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
+    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
+    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut}
+    options |= {"options": dataclasses.asdict(flags.options), "closed_loop": case.name if case else None}
+    folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
-    def both() -> int:
-        diagnosis = work(vehicle, log, asked.options, folder, case)
-        if asked.drive and diagnosis.proposal:
+    def task() -> int:
+        diagnosis = work(vehicle, log, flags.options, folder, case)
+        if flags.drive and diagnosis.proposal:
             more = folder.path / "next.csv"
-            drive_again(asked.drive, diagnosis.proposal.manoeuvre, more)
+            drive_again(flags.drive, diagnosis.proposal.manoeuvre, more)
             again = RunFolder.create(
                 folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
             )
-            work(vehicle, read_log((*asked.logs, more), cut=asked.cut), asked.options, again, case)
+            work(vehicle, read_log((*flags.logs, more), cut=flags.cut), flags.options, again, case)
         return 0
 
-    return within(folder, both)
+    return run_in(folder, task)
 
 
 def work(
     vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, case: ClosedLoopCase | None
 ) -> Diagnosis:
-    """Diagnose into `folder` and print what came out, with the laps on `case`."""
+    """Diagnose into `folder` and print the result, with closed-loop laps on `case`."""
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
@@ -100,7 +100,7 @@ def work(
         print(gain_table(content["gain"]))
     if case and diagnosis.evidence:
         print(f"closed loop: driving on {case.name}", flush=True)
-        tell(diagnosis.extended)
+        print_notes(diagnosis.extended)
         content["closed_loop"] = closed_loop(case, vehicle, diagnosis.extended)
         folder.write_json("diagnosis", content)
         print(closed_loop_table(folder.read_json("diagnosis")["closed_loop"]))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, tell, typed, within
+from driftjax.cli.console import default_out, parse, print_notes, run_in
 from driftjax.core.config import to_dict
 from driftjax.equilibrium.map import Config
 from driftjax.equilibrium.map import main as draw_map
@@ -24,17 +24,17 @@ class Equilibria:
 
 
 def run(argv: list[str]) -> int:
-    """Map, figure, table."""
-    typed_in = typed(Equilibria, argv, "driftjax equilibria")
-    vehicle = load_vehicle(typed_in.options.vehicle)
-    out = typed_in.out or default_out("equilibria", vehicle.name)
-    folder = RunFolder.create(out, to_dict(typed_in.options), "equilibria")
-    tell(vehicle)
-    return within(folder, lambda: work(typed_in.options, folder))
+    """Compute, draw and print the map."""
+    flags = parse(Equilibria, argv, "driftjax equilibria")
+    vehicle = load_vehicle(flags.options.vehicle)
+    out = flags.out or default_out("equilibria", vehicle.name)
+    folder = RunFolder.create(out, to_dict(flags.options), "equilibria")
+    print_notes(vehicle)
+    return run_in(folder, lambda: work(flags.options, folder))
 
 
 def work(options: Config, folder: RunFolder) -> int:
-    """The map into `folder`."""
+    """Write the map into `folder` and print its figures."""
     results = draw_map(options, folder.path)
     folder.write_json("results", results)
     print("\n".join(f"{name:32s} {value:.6g}" for name, value in results.items()))

@@ -1,11 +1,11 @@
-"""`driftjax inspect`: what is in a log, and whether its channels agree."""
+"""`driftjax inspect`: content of a log and agreement of its channels."""
 
 import dataclasses
 from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import default_out, typed, within
+from driftjax.cli.console import default_out, parse, run_in
 from driftjax.logs import inspect, read_log
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
@@ -27,13 +27,13 @@ class Inspect:
 
 
 def run(argv: list[str]) -> int:
-    """Read, compare, tell."""
-    asked = typed(Inspect, argv, "driftjax inspect")
-    vehicle = load_vehicle(asked.vehicle) if asked.vehicle else None
-    log = read_log(asked.logs, asked.columns)
-    options = {"logs": [str(path) for path in asked.logs], "columns": asked.columns,
-               "vehicle": str(asked.vehicle) if asked.vehicle else None}  # fmt: skip
-    folder = RunFolder.create(asked.out or default_out("inspect", asked.logs[0].stem), options, "inspect")
+    """Read, compare and print."""
+    flags = parse(Inspect, argv, "driftjax inspect")
+    vehicle = load_vehicle(flags.vehicle) if flags.vehicle else None
+    log = read_log(flags.logs, flags.columns)
+    options = {"logs": [str(path) for path in flags.logs], "columns": flags.columns,
+               "vehicle": str(flags.vehicle) if flags.vehicle else None}  # fmt: skip
+    folder = RunFolder.create(flags.out or default_out("inspect", flags.logs[0].stem), options, "inspect")
 
     def work() -> int:
         inspection = inspect(log, vehicle.a + vehicle.b if vehicle else None)
@@ -45,4 +45,4 @@ def run(argv: list[str]) -> int:
             print(f"figure: {path}")
         return 0
 
-    return within(folder, work)
+    return run_in(folder, work)

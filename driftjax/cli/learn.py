@@ -1,4 +1,4 @@
-"""`driftjax learn`: the paper's experiment, or the rest of one that was stopped."""
+"""`driftjax learn`: run the paper's experiment, or resume one."""
 
 import dataclasses
 import shlex
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, peek, progress, tell, typed, within
+from driftjax.cli.console import default_out, early_flags, parse, print_notes, progress, run_in
 from driftjax.core import BadInput, from_dict, merge_config, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, load_learn_config
@@ -32,8 +32,8 @@ class Learn:
 
 
 def run(argv: list[str]) -> int:
-    """Plan, laps, table, figures."""
-    early, others = peek(argv, "car", "config", "resume", "workers")
+    """Plan, drive and print table and report."""
+    early, others = early_flags(argv, "car", "config", "resume", "workers")
     num = _positive("workers", early["workers"])
     if early["resume"] and not {"-h", "--help"} & set(others):
         if others or early["car"] or early["config"]:
@@ -42,12 +42,12 @@ def run(argv: list[str]) -> int:
         config = from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml"))
         check_files(config)
     else:
-        options = typed(Learn, argv, "driftjax learn", Learn(defaults(early["car"], early["config"])))
+        options = parse(Learn, argv, "driftjax learn", Learn(defaults(early["car"], early["config"])))
         config = options.options
         check_files(config)
         folder = RunFolder.create(options.out or default_out("learn", config.car), to_dict(config))
     resume = f"driftjax learn --resume {shlex.quote(str(folder.path))}"
-    return within(folder, lambda: work(config, folder, num), resume)
+    return run_in(folder, lambda: work(config, folder, num), resume)
 
 
 def _positive(flag: str, text: str | None) -> int | None:
@@ -57,18 +57,18 @@ def _positive(flag: str, text: str | None) -> int | None:
 
 
 def defaults(car: str | None, file: str | None) -> LearnConfig:
-    """The car's shipped options with those of the YAML `file` put in."""
+    """Return the car's shipped options updated by the YAML `file`."""
     written = read_yaml(Path(file)) if file else {}
     base = to_dict(load_learn_config(car or str(written.get("car", "sedan"))))
     return from_dict(LearnConfig, merge_config(base, written), file or "defaults")
 
 
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
-    """Run, or go on; then write and print what came out."""
+    """Run or resume; then write and print the report."""
     from driftjax.report import table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
-    tell(load_vehicle(config.vehicle))
+    print_notes(load_vehicle(config.vehicle))
     with progress() as report:
         results = learn(config, folder.path, workers=workers, report=report).results
     page = write_report(folder)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, peek, progress, typed, within
+from driftjax.cli.console import default_out, early_flags, parse, progress, run_in
 from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.parallel import num_workers
@@ -33,26 +33,26 @@ class Paper:
 
 
 def run(argv: list[str]) -> int:
-    """Drive what is not there yet; tables and figures."""
-    _, others = peek(argv, "resume", "workers")
-    asked = typed(Paper, argv, "driftjax paper")
-    if asked.resume:
+    """Drive the missing runs; write tables and figures."""
+    _, others = early_flags(argv, "resume", "workers")
+    flags = parse(Paper, argv, "driftjax paper")
+    if flags.resume:
         if others:
             raise BadInput("--resume goes on with the folder's own options; leave out every flag but --workers.")
-        folder = RunFolder.open(asked.resume)
+        folder = RunFolder.open(flags.resume)
         if folder.verb != "paper":
             raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}`, not of `driftjax paper`.")
         options = from_dict(Config, folder.config, str(folder.path / "config.yaml"))
     else:
-        options = asked.options
-        out = asked.out or default_out("paper", "quick" if options.quick else options.half)
+        options = flags.options
+        out = flags.out or default_out("paper", "quick" if options.quick else options.half)
         folder = RunFolder.create(out, to_dict(options), "paper")
     again = f"driftjax paper --resume {shlex.quote(str(folder.path))}"
-    return within(folder, lambda: work(options, folder, asked.workers), again)
+    return run_in(folder, lambda: work(options, folder, flags.workers), again)
 
 
 def work(options: Config, folder: RunFolder, workers: int | None) -> int:
-    """The comparison into `folder`, and its tables on the terminal."""
+    """Run the comparison into `folder` and print its tables."""
     from driftjax.studies.paper.run import main
     from driftjax.studies.paper.table import page
 

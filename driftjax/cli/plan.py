@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, peek, tell, typed, within
+from driftjax.cli.console import default_out, early_flags, parse, print_notes, run_in
 from driftjax.core import RESULTS, from_dict, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.planner import PlanConfig, load_plan_config
@@ -37,21 +37,21 @@ class Plan:
 
 
 def run(argv: list[str]) -> int:
-    """Plan, write, draw."""
-    early, _ = peek(argv, "car", "config")
+    """Plan, write and draw."""
+    early, _ = early_flags(argv, "car", "config")
     default = defaults(early["car"], early["config"])
-    typed_in = typed(Plan, argv, "driftjax plan", default)
-    vehicle, track = load_vehicle(typed_in.vehicle), load_track(typed_in.track)
-    check_width(track, vehicle.width, str(typed_in.track))
-    options = {"vehicle": str(typed_in.vehicle), "track": str(typed_in.track)} | to_dict(typed_in.options)
-    folder = RunFolder.create(typed_in.out or default_out("plan", typed_in.car), options, "plan")
-    tell(vehicle)
-    print(f"planning {vehicle.name} on {typed_in.track}", flush=True)
-    return within(folder, lambda: work(vehicle, track, typed_in.options, folder))
+    flags = parse(Plan, argv, "driftjax plan", default)
+    vehicle, track = load_vehicle(flags.vehicle), load_track(flags.track)
+    check_width(track, vehicle.width, str(flags.track))
+    options = {"vehicle": str(flags.vehicle), "track": str(flags.track)} | to_dict(flags.options)
+    folder = RunFolder.create(flags.out or default_out("plan", flags.car), options, "plan")
+    print_notes(vehicle)
+    print(f"planning {vehicle.name} on {flags.track}", flush=True)
+    return run_in(folder, lambda: work(vehicle, track, flags.options, folder))
 
 
 def defaults(car: str | None, file: str | None) -> Plan:
-    """The car's shipped options with those of the YAML `file` put in."""
+    """Return the car's shipped options updated by the YAML `file`."""
     written = read_yaml(Path(file)) if file else {}
     car = car or str(written.pop("car", "sedan"))
     vehicle, track = (Path(str(written.pop(key, name))) for key, name in (("vehicle", car), ("track", f"{car}_corner")))

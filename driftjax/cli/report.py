@@ -1,11 +1,11 @@
-"""`driftjax report RUN`: figures, table and page of a run, rebuilt from its folder."""
+"""`driftjax report RUN`: rebuild figures, table and page of a run from its folder."""
 
 import dataclasses
 from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import typed
+from driftjax.cli.console import parse
 from driftjax.core import BadInput, from_dict
 from driftjax.report import table, write_diagnosis, write_plan_figures, write_report
 from driftjax.store import RunFolder
@@ -20,8 +20,8 @@ class Report:
 
 
 def run(argv: list[str]) -> int:
-    """Rebuild, and print the table."""
-    folder = RunFolder.open(typed(Report, argv, "driftjax report").run)
+    """Rebuild and print the table."""
+    folder = RunFolder.open(parse(Report, argv, "driftjax report").run)
     if folder.verb == "plan":
         print("\n".join(map(str, write_plan_figures(folder.read_dataset("plan.nc"), folder.path))))
         return 0
@@ -40,7 +40,7 @@ def run(argv: list[str]) -> int:
 
 
 def _paper(folder: RunFolder) -> int:
-    """Tables and figures of a comparison; those of its runs are rebuilt each from its own folder."""
+    """Rebuild tables and figures of a comparison."""
     from driftjax.studies.paper.config import Config
     from driftjax.studies.paper.run import rebuild
     from driftjax.studies.paper.table import page

@@ -1,10 +1,10 @@
-"""`driftjax runs`: what has been run, which laps of all of it meet a condition, and what tells two runs apart."""
+"""`driftjax runs`: list runs, find laps that meet a condition, and compare two runs."""
 
 import dataclasses
 from pathlib import Path
 from typing import Any
 
-from driftjax.cli.console import typed
+from driftjax.cli.console import parse
 from driftjax.core import require
 from driftjax.report import run_line
 from driftjax.report.table import aligned, cell
@@ -31,27 +31,27 @@ class Runs:
 
 
 def run(argv: list[str]) -> int:
-    """Lines, or a table."""
-    asked = typed(Runs, argv, "driftjax runs")
-    if asked.where is not None:
-        from driftjax.sweep.query import where
+    """Print lines, or a table."""
+    flags = parse(Runs, argv, "driftjax runs")
+    if flags.where is not None:
+        from driftjax.sweep.query import find_laps
 
-        columns, rows, num = where(asked.root, asked.where, asked.limit)
-        _show([tuple(columns), *rows])
-        print(f"{num} laps" + (f", the first {asked.limit} shown" if num > asked.limit else ""))
+        columns, rows, num = find_laps(flags.root, flags.where, flags.limit)
+        print_table([tuple(columns), *rows])
+        print(f"{num} laps" + (f", the first {flags.limit} shown" if num > flags.limit else ""))
         return 0
-    if asked.compare is not None:
-        from driftjax.sweep.query import differences, one
+    if flags.compare is not None:
+        from driftjax.sweep.query import differences, read_run
 
-        (options_a, figures_a), (options_b, figures_b) = (one(asked.root, name) for name in asked.compare)
-        _show([("option", *asked.compare), *differences(options_a, options_b)])
+        (options_a, figures_a), (options_b, figures_b) = (read_run(flags.root, name) for name in flags.compare)
+        print_table([("option", *flags.compare), *differences(options_a, options_b)])
         print()
-        _show([("mean", *asked.compare), *differences(figures_a, figures_b)])
+        print_table([("mean", *flags.compare), *differences(figures_a, figures_b)])
         return 0
-    lines = [run_line(folder) for folder in list_runs(asked.root)]
-    print("\n".join(lines) or f"no runs below {asked.root}")
+    lines = [run_line(folder) for folder in list_runs(flags.root)]
+    print("\n".join(lines) or f"no runs below {flags.root}")
     return 0
 
 
-def _show(rows: list[tuple[Any, ...]]) -> None:
+def print_table(rows: list[tuple[Any, ...]]) -> None:
     print("\n".join(aligned([tuple(map(cell, row)) for row in rows])))

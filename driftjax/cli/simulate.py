@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from driftjax.cli.console import default_out, peek, typed, within
+from driftjax.cli.console import default_out, early_flags, parse, run_in
 from driftjax.core import BadInput, from_dict, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
@@ -23,7 +23,7 @@ FILES = ("log.csv", "truth.yaml")
 
 @dataclasses.dataclass(frozen=True)
 class Simulate:
-    """Drive manoeuvres on a car with any effects: log.csv in the log format, and truth.yaml, which it does not tell."""
+    """Drive manoeuvres on a car with any effects: log.csv in the log format, and its truth.yaml."""
 
     options: Annotated[Campaign, tyro.conf.arg(name="")] = Campaign()
     vehicle: Path = Path("sedan")
@@ -42,40 +42,40 @@ class Simulate:
 
 
 def run(argv: list[str]) -> int:
-    """Drive, write."""
-    early, _ = peek(argv, "config")
-    typed_in = typed(Simulate, argv, "driftjax simulate", defaults(early["config"]))
-    vehicle = load_vehicle(typed_in.vehicle)
+    """Drive and write."""
+    early, _ = early_flags(argv, "config")
+    flags = parse(Simulate, argv, "driftjax simulate", defaults(early["config"]))
+    vehicle = load_vehicle(flags.vehicle)
     try:
-        vehicle = vehicle.with_combined_slip(typed_in.combined_slip)
+        vehicle = vehicle.with_combined_slip(flags.combined_slip)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
     own = tuple(f"{one.name}={one.value!r}" for one in vehicle.effects)
-    theta = effect_strengths(vehicle, own + typed_in.effects)
+    theta = effect_strengths(vehicle, own + flags.effects)
     vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theta holds them now: one program serves all
-    out = typed_in.out or default_out("simulate", vehicle.name)
+    out = flags.out or default_out("simulate", vehicle.name)
     for name in FILES:
         if (out / name).exists():
             raise BadInput(f"{out / name}: exists already; give another --out.")
-    options = {key: to_dict(typed_in)[key] for key in OWN} | to_dict(typed_in.options)
+    options = {key: to_dict(flags)[key] for key in OWN} | to_dict(flags.options)
     folder = RunFolder.create(out, options, "simulate")
-    print(f"driving {len(typed_in.options.manoeuvres)} runs of {typed_in.options.duration:g} s on {vehicle.name}",
+    print(f"driving {len(flags.options.manoeuvres)} runs of {flags.options.duration:g} s on {vehicle.name}",
           flush=True)  # fmt: skip
-    return within(folder, lambda: work(vehicle, theta, typed_in, folder))
+    return run_in(folder, lambda: work(vehicle, theta, flags, folder))
 
 
 def defaults(file: str | None) -> Simulate:
-    """The options of the YAML `file` over those of the verb."""
+    """Return the options of the verb updated by the YAML `file`."""
     written = read_yaml(Path(file)) if file else {}
     own = {key: written.pop(key) for key in OWN if key in written}
     options = from_dict(Campaign, written, file or "defaults")
     return dataclasses.replace(from_dict(Simulate, own, file or "defaults"), options=options)
 
 
-def work(vehicle: VehicleConfig, theta: np.ndarray, typed_in: Simulate, folder: RunFolder) -> int:
-    """Log and truth into `folder`; 1 where no run is left."""
-    runs, truth = record_runs(vehicle, theta, typed_in.options)
-    write_truth(folder.path / "truth.yaml", truth, str(typed_in.vehicle), vehicle.combined_slip, typed_in.options)
+def work(vehicle: VehicleConfig, theta: np.ndarray, flags: Simulate, folder: RunFolder) -> int:
+    """Write log and truth into `folder`; returns 1 where no run is left."""
+    runs, truth = record_runs(vehicle, theta, flags.options)
+    write_truth(folder.path / "truth.yaml", truth, str(flags.vehicle), vehicle.combined_slip, flags.options)
     for name in truth.left_out:
         print(f"{name}: the car spun or came to a stop in every draw; the run was left out.")
     if not runs:

@@ -1,29 +1,17 @@
 """`driftjax sweep`: many trials of a verb over its options, or those of them that are missing."""
 
 import dataclasses
-import os
 import shlex
-import time
-from collections import Counter
 from pathlib import Path
 
-import jax
 import tyro
 
-from driftjax.cli.console import default_out, progress, typed, within
+from driftjax.cli.console import default_out, parse, progress, run_in
 from driftjax.core import BadInput, require
-from driftjax.core.config import to_dict
-from driftjax.parallel import num_cores
 from driftjax.report.table import aligned
-from driftjax.store import RunFolder
 from driftjax.studies.sweepable_verbs import WORKS
-from driftjax.sweep import Laid, Store, SweepConfig, check, executor, load_sweep, sweep
-from driftjax.sweep.analysis import see, sensitivity, to_json, words
-from driftjax.sweep.engine import devices
-from driftjax.sweep.figures import write_figures
-from driftjax.sweep.optuna_source import Chosen
-
-WAIT = 120  # for the folder of another process [s]
+from driftjax.sweep import SweepResult, check, finish_sweep, load_sweep, open_sweep
+from driftjax.sweep.analysis import best_trials
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,89 +37,38 @@ class Sweep:
 
 
 def run(argv: list[str]) -> int:
-    """Run what is missing; tables and figures of all."""
-    asked = typed(Sweep, argv, "driftjax sweep")
-    share = joined_hosts() if asked.hosts else (0, 1)
-    config = load_sweep(asked.config)
-    require(share[1] == 1 or config.design != "optuna", "--hosts: use --ray, or workers, for a design by Optuna.")
+    """Run the missing trials, then print the best ones and the shares of the variance."""
+    options = parse(Sweep, argv, "driftjax sweep")
+    config = load_sweep(options.config)
     work = WORKS[config.verb]
     try:
         check(config, work)
     except BadInput as error:
-        raise BadInput(f"{asked.config}: {error}") from None
-    out = asked.out or default_out("sweep", asked.config.stem)
-    store = Store(out, config, work)
-    folder = opened(out, config) if share[0] == 0 else awaited(out)
-    again = f"driftjax sweep {shlex.quote(str(asked.config))} --out {shlex.quote(str(out))}"
-    batch = devices() is not None  # several devices, or a GPU: this process fills them
-    num = asked.workers or (1 if batch else num_cores())
-    with store.locked(share[0]):
-        return within(folder, lambda: all_of(config, store, folder, share, num if num > 1 else 0, asked.ray), again)
+        raise BadInput(f"{options.config}: {error}") from None
+    opened = open_sweep(config, work, options.out or default_out("sweep", options.config.stem), options.hosts)
+    path = opened.folder.path
+    resume = f"driftjax sweep {shlex.quote(str(options.config))} --out {shlex.quote(str(path))}"
+
+    def task() -> int:
+        print(f"sweep folder: {path}", flush=True)
+        with progress() as report:
+            return print_result(finish_sweep(opened, workers=options.workers, ray=options.ray, report=report))
+
+    return run_in(opened.folder, task, resume)
 
 
-def joined_hosts() -> tuple[int, int]:
-    """Which process of how many this is, once all of them are there."""
-    given = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
-    try:  # JAX finds all three by itself under Slurm and Open MPI, and the address in the environment
-        num, this = (None if value is None else int(value) for value in given)
-        jax.distributed.initialize(num_processes=num, process_id=this)
-    except (ValueError, RuntimeError) as error:
-        words = " ".join(str(error).split())[:200]
-        raise BadInput(f"--hosts: {words}; start it under Slurm or Open MPI, or set JAX_COORDINATOR_ADDRESS, "
-                       "JAX_NUM_PROCESSES and JAX_PROCESS_ID.") from None  # fmt: skip
-    return jax.process_index(), jax.process_count()
-
-
-def awaited(out: Path) -> RunFolder:
-    """The folder that the first process makes."""
-    for _ in range(WAIT):
-        if (out / "config.yaml").exists():
-            return RunFolder.open(out)
-        time.sleep(1.0)
-    raise BadInput(f"{out}: the first process has not made it within {WAIT} s; give an --out that all of them see.")
-
-
-def opened(out: Path, config: SweepConfig) -> RunFolder:
-    """The folder, a new one or that of an earlier sweep over the same verb and fields."""
-    plain = to_dict(config)
-    if not (out / "config.yaml").exists():
-        return RunFolder.create(out, plain, "sweep")
-    folder = RunFolder.open(out)
-    if folder.verb != "sweep":
-        raise BadInput(f"{out}: a run of `driftjax {folder.verb}`, not of `driftjax sweep`; give another --out.")
-    same = all(folder.config.get(key) == plain[key] for key in ("verb", "base", "fields"))
-    if not same:
-        raise BadInput(f"{out}: holds a sweep over other fields or options; give another --out.")
-    return folder
-
-
-def all_of(
-    config: SweepConfig, store: Store, folder: RunFolder, share: tuple[int, int], workers: int, ray: str | None
-) -> int:
-    """Run what is missing and tell what came out; 1 where no trial has come to its end."""
-    print(f"sweep folder: {store.path}", flush=True)
-    known, damaged = store.known()
-    for path in damaged:
-        print(f"note: {path}: could not be read and was set aside; its trials run again.", flush=True)
-    source = Chosen(config, store.work, store) if config.design == "optuna" else Laid(config, store.work, known, share)
-    with executor(workers, ray, devices() is not None) as executed, progress() as report:
-        counts: Counter[str] = sweep(config, store.work, store, source, executed, report)
-    print(f"{source.kept} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")
-    return tell(folder, store, config)
-
-
-def tell(folder: RunFolder, store: Store, config: SweepConfig) -> int:
-    """results.json, figures, and the best trials on the terminal."""
-    seen = see(store, config)
-    shares = sensitivity(seen)
-    folder.write_json("results", found := to_json(seen, shares))
-    write_figures(seen, shares, folder.path / "figures")
-    print("\n".join(aligned(words(found))) if found["best"] else "no trial has a result in every row looked at")
-    if shares:
+def print_result(result: SweepResult) -> int:
+    """Print counts, best trials and shares of the variance; returns 1 where no trial is done."""
+    counts, config = result.counts, result.analysis.config
+    for path in result.damaged:
+        print(f"note: {path}: could not be read and was set aside; its trials ran again.", flush=True)
+    print(f"{result.num_known} trials were kept from before, {counts.total()} ran, {counts['failed']} of these failed")
+    table = best_trials(result.folder.results)
+    print("\n".join(aligned(table)) if table else "no trial has a result in every row looked at")
+    if result.shares:
         head = ("", f"share of the variance of {config.objective}", "95 % interval")
-        rows = sorted(shares.items(), key=lambda item: -item[1][0])
-        print(
-            "\n".join(["", *aligned([head, *((name, f"{v:.2f}", f"[{l:.2f}, {h:.2f}]") for name, (v, l, h) in rows)])])
-        )
-    print(f"sweep: {folder.path}")
-    return 0 if seen.status.get("done") else 1
+        rows = sorted(result.shares.items(), key=lambda item: -item[1][0])
+        cells = [(name, f"{share:.2f}", f"[{low:.2f}, {high:.2f}]") for name, (share, low, high) in rows]
+        print("\n".join(["", *aligned([head, *cells])]))
+    print(f"sweep: {result.folder.path}")
+    return 0 if result.analysis.status.get("done") else 1

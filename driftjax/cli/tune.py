@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, peek, progress, typed, within
+from driftjax.cli.console import default_out, early_flags, parse, progress, run_in
 from driftjax.core import BadInput, from_dict, merge_config, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
@@ -40,18 +40,18 @@ class Tune:
 
 
 def run(argv: list[str]) -> int:
-    """Search, judge, tell."""
-    early, _ = peek(argv, "car", "config")
+    """Search, evaluate and print."""
+    early, _ = early_flags(argv, "car", "config")
     default = Tune(defaults(early["car"], early["config"], "--quick" in argv))
-    asked = typed(Tune, argv, "driftjax tune", default)
-    config = asked.options
+    flags = parse(Tune, argv, "driftjax tune", default)
+    config = flags.options
     check_files(config.learn)
-    folder = RunFolder.create(asked.out or default_out("tune", config.learn.car), to_dict(config), "tune")
-    return within(folder, lambda: work(config, folder, asked.workers))
+    folder = RunFolder.create(flags.out or default_out("tune", config.learn.car), to_dict(config), "tune")
+    return run_in(folder, lambda: work(config, folder, flags.workers))
 
 
 def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
-    """The car's shipped options, small where it should be `quick`, with those of the YAML `file` put in."""
+    """Return the car's shipped options, reduced where `quick`, updated by the YAML `file`."""
     written = read_yaml(Path(file)) if file else {}
     learn = load_learn_config(car or str((written.get("learn") or {}).get("car", "sedan")))
     base = to_dict(TuneConfig(learn=learn)) | (QUICK if quick else {})
@@ -59,7 +59,7 @@ def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
 
 
 def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:
-    """Run; then write and print what came out."""
+    """Run; then write and print the results."""
     from driftjax.report import tuning_words, write_tuning
     from driftjax.tune.run import run as tune
 

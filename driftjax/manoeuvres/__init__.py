@@ -1,1 +1,1 @@
-"""Manoeuvres, campaigns of them on a car with a known truth, and the file that keeps that truth."""
+"""Manoeuvres, campaigns on a car with a known truth, and the file of that truth."""

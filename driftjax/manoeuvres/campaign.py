@@ -1,4 +1,4 @@
-"""Runs of the manoeuvre library on a car with a known truth, driven side by side, as a measurement would log them."""
+"""Runs of the manoeuvre library on a car with a known truth, as a measurement would log them."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from driftjax.core import require
 from driftjax.logs import Run
-from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.manoeuvres.library import MANOEUVRES, RICH, vehicle_units
 from driftjax.parallel import call
 from driftjax.sim.logged import Flaws, logged
 from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
@@ -24,12 +24,12 @@ SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this
 STEP = 1e-3  # longest step of the plant [s]
 PLACE = (0.007, 0.0035)  # typical noise of positions over the wheelbase, of the heading [rad]
 ACCELERATION = 0.005  # typical noise of accelerations, over gravity [-]
-LATER = 2**20  # between the seeds of a campaign and of what is driven after it
+LATER = 2**20  # offset of the seeds of runs driven after a campaign
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is driven, and how it is measured and disturbed."""
+    """Manoeuvres to drive, measurement noise and disturbances."""
 
     manoeuvres: tuple[str, ...] = RICH
     """Manoeuvres, one run each: drift, steady_drift, grip_sine, slalom, step_steer, throttle_steps, coast_down,
@@ -63,7 +63,7 @@ class Campaign:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a log does not tell."""
+    """Truth of a simulated log: effects, noise and states."""
 
     effects: dict[str, dict[str, float]]
     """Parameters that are not neutral, SI."""
@@ -77,32 +77,32 @@ class Truth:
     """True V, beta, r of each run."""
 
 
-def typical(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
-    """Noise and disturbance of this car, as multiples of the typical ones."""
-    unit = size(vehicle)
+def typical_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
+    """Return the noise and disturbance of a car, as multiples of the typical ones."""
+    unit = vehicle_units(vehicle)
     sigma = noise * np.array([0.0092 * unit.speed, 0.0087, 0.0049 / unit.time])
     rates = process_noise * np.array([0.0092 * unit.speed / unit.time, 0.0084 / unit.time, 0.028 / unit.time**2])
     return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time))
 
 
-def driven(
+def drive_manoeuvre(
     vehicle: VehicleConfig, theta: Array, manoeuvre: Manoeuvre, conditions: Conditions, seed: Array, dt: float
 ) -> Recording:
-    """One manoeuvre with the noise of its seed; samples every `dt` [s]."""
+    """Drive one manoeuvre with the noise of its seed; samples every `dt` [s]."""
     plant = universal_car(vehicle, tuple(EFFECTS.values())).with_parameters(theta)
     substeps = max(round(dt / STEP), 1)
     return record(plant, vehicle, manoeuvre, conditions, jax.random.key(seed), dt, substeps)
 
 
 def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -> tuple[tuple[Run, ...], Truth]:
-    """Logged runs of `vehicle` with all effects of the catalogue at `theta` (typical sizes), and the truth.
+    """Drive a campaign on `vehicle` with all effects at `theta` (typical sizes); returns logged runs and the truth.
 
     A run that spins is drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program
     serves any number of them; another run length or car compiles anew.
     """
     t, dt = np.arange(round(campaign.duration * campaign.rate)) / campaign.rate, 1 / campaign.rate
-    conditions = typical(vehicle, campaign.noise, campaign.process_noise)
-    flaws, runs, states, left_out = flawed(vehicle, campaign), [], {}, []
+    conditions = typical_conditions(vehicle, campaign.noise, campaign.process_noise)
+    flaws, runs, states, left_out = log_flaws(vehicle, campaign), [], {}, []
     for i, kind in enumerate(campaign.manoeuvres):
         name, rng = f"{kind}-{i + 1}", np.random.default_rng((campaign.seed, i))
         for _ in range(1 + REDRAWS):
@@ -110,8 +110,8 @@ def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -
                 lambda a: jnp.asarray(np.asarray(a)),
                 (MANOEUVRES[kind](vehicle, rng, t), rng.integers(2**32, dtype=np.uint32)),
             )
-            one = call(driven, vehicle, jnp.asarray(theta), manoeuvre, conditions, seed, dt)
-            if not spun(vehicle, one):
+            one = call(drive_manoeuvre, vehicle, jnp.asarray(theta), manoeuvre, conditions, seed, dt)
+            if not is_lost(vehicle, one):
                 runs.append(logged(name, one, float(manoeuvre.lap), dt, flaws, rng))
                 states[name] = np.asarray(one.x)
                 break
@@ -120,18 +120,18 @@ def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -
     return tuple(runs), _truth(vehicle, theta, conditions, tuple(left_out), states)
 
 
-def flawed(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:
-    """What is wrong with the logs of a campaign, in units of this car."""
-    metres, heading = campaign.noise * PLACE[0] * size(vehicle).length, campaign.noise * PLACE[1]
-    sigma, acceleration = np.asarray(typical(vehicle).sigma), campaign.noise * ACCELERATION * G
+def log_flaws(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:
+    """Return dropouts, outliers and noise of the logs of a campaign, in units of the car."""
+    metres, heading = campaign.noise * PLACE[0] * vehicle_units(vehicle).length, campaign.noise * PLACE[1]
+    sigma, acceleration = np.asarray(typical_conditions(vehicle).sigma), campaign.noise * ACCELERATION * G
     return Flaws(campaign.dropouts, campaign.outliers, sigma, metres, heading, acceleration)
 
 
-def spun(vehicle: VehicleConfig, one: Recording) -> bool:
-    """Whether the car left what can be measured: a spin, a stop, or numbers that are not finite."""
+def is_lost(vehicle: VehicleConfig, one: Recording) -> bool:
+    """Return whether the car spun, stopped or reached states that are not finite."""
     x = np.asarray(one.x)
     held = np.isfinite(one.y).all() and np.abs(x[:, 1]).max() <= SPIN
-    return not (held and x[:, 0].min() >= SLOWEST * size(vehicle).speed)
+    return not (held and x[:, 0].min() >= SLOWEST * vehicle_units(vehicle).speed)
 
 
 def _truth(vehicle: VehicleConfig, theta: np.ndarray, conditions: Conditions, left_out: tuple, states: dict) -> Truth:

@@ -1,4 +1,4 @@
-"""The library of manoeuvres that tell effects apart: drifts, steady and excited, and driving with grip."""
+"""Library of manoeuvres that separate effects: steady and excited drifts, and driving with grip."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,8 +19,8 @@ from driftjax.vehicle.single_track import G, SingleTrack
 STEER, DRIVE = 0.05, 0.06  # size of the excitation: steering [rad], drive force over weight
 
 
-class Size(NamedTuple):
-    """What makes a manoeuvre the same on any car."""
+class VehicleUnits(NamedTuple):
+    """Units that scale a manoeuvre to a car."""
 
     length: float  # wheelbase [m]
     time: float  # sqrt(L / g) [s]
@@ -28,20 +28,20 @@ class Size(NamedTuple):
     weight: float  # [N]
 
 
-def size(vehicle: VehicleConfig) -> Size:
-    """Units of this car."""
-    return Size(*(reference(vehicle, of) for of in ("length", "time", "speed", "force")))
+def vehicle_units(vehicle: VehicleConfig) -> VehicleUnits:
+    """Return the units of a car."""
+    return VehicleUnits(*(reference(vehicle, of) for of in ("length", "time", "speed", "force")))
 
 
 def multisine(rng: np.random.Generator, t: np.ndarray, slowest: float, fastest: float, num: int = 5) -> np.ndarray:
-    """Sum of sines with random phases at `num` frequencies [Hz], of unit standard deviation."""
+    """Return a sum of sines with random phases at `num` frequencies [Hz], of unit standard deviation."""
     frequencies = np.geomspace(slowest, fastest, num) * rng.uniform(0.9, 1.1, num)
     phases = rng.uniform(0, 2 * np.pi, num)
     return np.sqrt(2 / num) * np.sum(np.sin(2 * np.pi * np.outer(t, frequencies) + phases), axis=1)
 
 
 def _hold(nominal: SingleTrack, at: Array, Q: Array, R_u: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
-    """State and input of the drift with slip and radius `at`, the LQR's gain there, and whether there is one."""
+    """Return state and input of the drift with slip and radius `at`, the LQR's gain there, and whether there is one."""
     steady = solve_nominal(nominal, SlipRadius(at[0], at[1]), branch=Branch.COUNTERSTEER)
     gain = lqr(nominal, steady.x, steady.u, Q, R_u, dt)
     return jnp.stack(steady.x), jnp.stack(steady.u), gain.K, steady.result == RESULTS.successful
@@ -49,7 +49,7 @@ def _hold(nominal: SingleTrack, at: Array, Q: Array, R_u: Array, dt: Array) -> t
 
 def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excited: bool = True) -> Manoeuvre:
     """A drift on a circle, either way, held by an LQR; where `excited`, steering and drive are wiggled."""
-    unit, nominal, turn = size(vehicle), vehicle.build(), rng.choice([-1.0, 1.0])
+    unit, nominal, turn = vehicle_units(vehicle), vehicle.build(), rng.choice([-1.0, 1.0])
     beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(3.5, 9.0)
     Q = jnp.array([(10 / unit.speed) ** 2, 10.0**2, (5 * unit.time) ** 2])
     R_u = jnp.array([10.0**2, (5 / unit.weight) ** 2])
@@ -71,7 +71,7 @@ def steady_drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray
 
 def _cruise(vehicle: VehicleConfig, speed: np.ndarray, steer: np.ndarray, push: np.ndarray, hold: bool = True):
     """Open-loop steering [rad] and drive [N] around the speed [m/s] that a feedback holds."""
-    unit = size(vehicle)
+    unit = vehicle_units(vehicle)
     x = np.stack([speed, np.zeros_like(speed), np.zeros_like(speed)], axis=1)
     gain = 0.5 * vehicle.m / unit.time if hold else 0.0
     K = np.array([[0.0, 0.0, 0.0], [gain, 0.0, 0.0]])
@@ -85,7 +85,7 @@ def _steer_for(vehicle: VehicleConfig, speed: float, share: float) -> float:
 
 def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Cornering with grip: steering wiggled around zero, drive too."""
-    unit = size(vehicle)
+    unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(2.2, 4.2)
     steer = 0.6 * _steer_for(vehicle, speed, 0.6) * multisine(rng, t, 0.12 / unit.time, 0.8 / unit.time)
     push = 0.12 * unit.weight * multisine(rng, t, 0.06 / unit.time, 0.4 / unit.time)
@@ -94,7 +94,7 @@ def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -
 
 def slalom(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Steering sine whose frequency grows, at a steady speed."""
-    unit = size(vehicle)
+    unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(1.6, 2.4)
     slow, fast = 0.1 / unit.time, 0.8 / unit.time
     phase = 2 * np.pi * (slow * t + (fast - slow) * t**2 / (2 * t[-1]))
@@ -103,7 +103,7 @@ def slalom(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> M
 
 def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Steering steps to both sides and back."""
-    unit = size(vehicle)
+    unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(1.6, 2.4)
     levels = rng.permutation(np.array([0.0, 0.7, -0.7, 0.4, -0.4, 0.0]))
     index = np.minimum((t / t[-1] * len(levels)).astype(int), len(levels) - 1)
@@ -112,7 +112,7 @@ def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) 
 
 def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Drive and brake in steps while cornering gently."""
-    unit = size(vehicle)
+    unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(2.0, 3.6)
     levels = rng.permutation(np.array([0.25, -0.2, 0.15, -0.1, 0.2, -0.15, 0.0]))
     index = np.minimum((t / t[-1] * len(levels)).astype(int), len(levels) - 1)
@@ -122,13 +122,13 @@ def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarr
 
 def coast_down(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Rolling straight without drive from a high speed."""
-    speed = size(vehicle).speed * rng.uniform(3.0, 4.0)
+    speed = vehicle_units(vehicle).speed * rng.uniform(3.0, 4.0)
     return _cruise(vehicle, np.full(len(t), speed), 0 * t, 0 * t, hold=False)
 
 
 def laps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
     """Lap after lap of an oval with grip, slower in its two turns; steered by its curvature, the path is not held."""
-    unit, turn = size(vehicle), rng.choice([-1.0, 1.0])
+    unit, turn = vehicle_units(vehicle), rng.choice([-1.0, 1.0])
     R, straight = unit.length * rng.uniform(8, 12), unit.length * rng.uniform(10, 16)
     half, slow = straight + np.pi * R, np.sqrt(0.45 * vehicle.mu * G * R)
     along, speed, dt = 0.0, np.zeros(len(t)), t[1] - t[0]

@@ -1,4 +1,4 @@
-"""truth.yaml: what a simulated log does not say about its car: effects, noise and what was driven."""
+"""truth.yaml of a simulated log: effects of the car, noise and manoeuvres."""
 
 import dataclasses
 import math

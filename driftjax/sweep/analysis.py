@@ -1,4 +1,4 @@
-"""What a sweep shows: the trials in order, how much each field matters, the Pareto front."""
+"""Analysis of a sweep: trials in order, sensitivity to each field, Pareto front."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,7 +11,7 @@ from driftjax.report.table import cell
 from driftjax.sweep.config import Choices, Field, SweepConfig
 from driftjax.sweep.store import Store
 
-ENOUGH = 24  # trials from which shares of the variance are told
+ENOUGH = 24  # trials from which shares of the variance are computed
 BINS, CELL = 8, 6  # groups of a field's values; trials that a pair of groups should hold
 RESAMPLES = 400
 
@@ -19,8 +19,8 @@ Shares = dict[str, tuple[float, float, float]]  # of a field or pair: share of t
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The trials that came to their end with an objective, best first."""
+class Analysis:
+    """Finished trials with an objective, best first."""
 
     config: SweepConfig
     ids: list[str]
@@ -32,13 +32,13 @@ class Seen:
 
     @property
     def labels(self) -> dict[str, list[str]]:
-        """Words that stand at the places 0, 1, ... of a field's values; none for numbers."""
+        """Labels of a field's values 0, 1, ... where they are no numbers."""
         words = {name: _words(values) for name, values in self.config.varied.items()}
         return {name: list(map(str, found)) for name, found in words.items() if found}
 
     @property
     def front(self) -> np.ndarray:
-        """Numbers of the trials that no other beats in both figures."""
+        """Indices of the trials that no other beats in both figures."""
         both = np.flatnonzero(np.isfinite(self.second))
         least, found = np.inf, []
         for i in both[np.lexsort((self.second[both], self.objective[both]))]:
@@ -55,9 +55,8 @@ def _words(values: Field) -> tuple:
     return () if {type(value) for value in values.values} <= {int, float} else values.values
 
 
-def see(store: Store, config: SweepConfig) -> Seen:
-    """All trials of the store; a trial's figure is its mean over the rows of the stage that is looked at, and missing
-    where one of them has none."""
+def analyse(store: Store, config: SweepConfig) -> Analysis:
+    """Read all trials of the store; a figure is the mean over the rows of the stage, missing where a row has none."""
     files = [str(path) for path in store.parts()]
     fields = list(config.varied)
     rows: list[tuple] = []
@@ -71,7 +70,9 @@ def see(store: Store, config: SweepConfig) -> Seen:
     columns = list(zip(*kept, strict=True)) or [()] * (3 + len(fields))
     values = {name: _numbers(config.varied[name], column) for name, column in zip(fields, columns[3:], strict=True)}
     second = np.array([np.nan if value is None else value for value in columns[2]], float)
-    return Seen(config, list(columns[0]), values, np.array(columns[1], float), second, status, len(rows) - len(kept))
+    return Analysis(
+        config, list(columns[0]), values, np.array(columns[1], float), second, status, len(rows) - len(kept)
+    )
 
 
 def _query(store: Store, config: SweepConfig, fields: list[str]) -> str:
@@ -91,16 +92,16 @@ def _numbers(values: Field, column: tuple) -> np.ndarray:
     return np.array([words.index(value) if words else value for value in column], float)
 
 
-def places(values: np.ndarray, num: int = BINS) -> np.ndarray:
-    """The group of each value: equal ones together where there are few, else quantiles."""
+def groups_of(values: np.ndarray, num: int = BINS) -> np.ndarray:
+    """Return the group of each value: one per level where there are few levels, else quantiles."""
     levels = np.unique(values)
     if len(levels) <= num:
         return np.searchsorted(levels, values)
     return np.searchsorted(np.quantile(values, np.linspace(0, 1, num + 1)[1:-1]), values, side="right")
 
 
-def explained(y: np.ndarray, group: np.ndarray) -> float:
-    """Share of the variance of `y` between groups, less what chance puts there (epsilon squared, Kelley 1935)."""
+def explained_share(y: np.ndarray, group: np.ndarray) -> float:
+    """Return the share of the variance of `y` between groups, less chance (epsilon squared, Kelley 1935)."""
     sizes = np.bincount(group)
     held = sizes > 0
     means = np.bincount(group, y)[held] / sizes[held]
@@ -111,18 +112,18 @@ def explained(y: np.ndarray, group: np.ndarray) -> float:
     return float((between - (held.sum() - 1) * within / free) / (between + within))
 
 
-def sensitivity(seen: Seen, seed: int = 0) -> Shares | None:
-    """Share of the objective's variance that each field explains by itself (its first-order index), and each pair
+def sensitivity(analysis: Analysis, seed: int = 0) -> Shares | None:
+    """Compute the share of the variance that each field explains by itself (its first-order index), and each pair
     beyond its two, with a 95 % bootstrap interval over trials; None of too few trials or of equal ones."""
-    groups = {name: places(values) for name, values in seen.values.items() if len(np.unique(values)) > 1}
-    y = seen.objective
+    groups = {name: groups_of(values) for name, values in analysis.values.items() if len(np.unique(values)) > 1}
+    y = analysis.objective
     if len(y) < ENOUGH or np.ptp(y) == 0 or not groups:
         return None
     resampled = np.random.default_rng(seed).integers(0, len(y), (RESAMPLES, len(y)))
-    shares = lambda group: np.array([explained(y[pick], group[pick]) for pick in (np.arange(len(y)), *resampled)])
+    shares = lambda group: np.array([explained_share(y[pick], group[pick]) for pick in (np.arange(len(y)), *resampled)])
     found = {name: shares(group) for name, group in groups.items()}  # the estimate, then those of resampled trials
     num = max(2, min(BINS, int((len(y) / CELL) ** 0.5)))
-    coarse = {name: places(seen.values[name], num) for name in groups}
+    coarse = {name: groups_of(analysis.values[name], num) for name in groups}
     alone = {name: shares(group) for name, group in coarse.items()}
     for a, b in combinations(groups, 2):
         found[f"{a} with {b}"] = shares(num * coarse[a] + coarse[b]) - alone[a] - alone[b]
@@ -131,30 +132,30 @@ def sensitivity(seen: Seen, seed: int = 0) -> Shares | None:
             for name, values in found.items()}  # fmt: skip
 
 
-def to_json(seen: Seen, shares: Shares | None) -> dict[str, Any]:
-    """results.json of a sweep."""
+def to_json(analysis: Analysis, shares: Shares | None) -> dict[str, Any]:
+    """Return the content of results.json."""
     row = lambda i: (
-        {"trial": seen.ids[i], "objective": float(seen.objective[i]), "second": float(seen.second[i])}
+        {"trial": analysis.ids[i], "objective": float(analysis.objective[i]), "second": float(analysis.second[i])}
         | {
-            name: seen.labels[name][int(values[i])] if name in seen.labels else float(values[i])
-            for name, values in seen.values.items()
+            name: analysis.labels[name][int(values[i])] if name in analysis.labels else float(values[i])
+            for name, values in analysis.values.items()
         }
     )
     return {
-        "objective": seen.config.objective,
-        "second": seen.config.second,
-        "status": seen.status,
-        "without_objective": seen.without,
-        "best": [row(i) for i in range(min(20, len(seen.ids)))],
-        "front": [row(i) for i in seen.front],
+        "objective": analysis.config.objective,
+        "second": analysis.config.second,
+        "status": analysis.status,
+        "without_objective": analysis.without,
+        "best": [row(i) for i in range(min(20, len(analysis.ids)))],
+        "front": [row(i) for i in analysis.front],
         "sensitivity": shares and {name: {"share": cell[0], "ci95": list(cell[1:])} for name, cell in shares.items()},
     }
 
 
-def words(found: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The best trials as a table, its first row the head; empty where there is none."""
-    rows = found["best"][:10]
-    head = {"objective": found["objective"], "second": found["second"]}
+def best_trials(results: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Format the best trials as a table with a header row; empty where there is none."""
+    rows = results["best"][:10]
+    head = {"objective": results["objective"], "second": results["second"]}
     return [tuple(head.get(name, name) for name in row) for row in rows[:1]] + [
         tuple(map(cell, row.values())) for row in rows
     ]

@@ -1,4 +1,4 @@
-"""A sweep from its design to its store: chunks of trials on executors, every outcome kept as it comes."""
+"""Run the trials of a sweep in chunks on executors, and store every outcome as it arrives."""
 
 import time
 from collections import Counter
@@ -16,7 +16,7 @@ from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.executors import Executor
 from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
-from driftjax.sweep.trial import Outcome, Trial, Work, drive
+from driftjax.sweep.trial import Outcome, Trial, Work, run_trial
 
 CHUNK_SECONDS, LARGEST = 3.0, 256  # a chunk is what is lost when a worker dies, and one file of the store
 BATCH, AT_ONCE = 256, 4  # trials in one batch on devices; trials chosen at once where they follow results
@@ -26,7 +26,7 @@ Report = Callable[[str, int, int], None]
 
 
 def sweep(config: SweepConfig, work: Work, store: Store, source: Source, executor: Executor, report: Report) -> Counter:
-    """Run what the store does not hold yet, and return how many trials ended how, of those run now."""
+    """Run the trials that the store lacks; returns the number of trials run now by status."""
     state = _Run(config, work, store, source, executor, report)
     state.all()
     return state.counts
@@ -43,11 +43,11 @@ class _Run:
         self._next: list[Trial] = []  # taken from the source; submitting them may fail
         self._suspects: list[Trial] = []  # that ran when a worker died: one of them may be to blame
         self._kills: Counter[str] = Counter()
-        self._begun, self._each = time.monotonic(), CHUNK_SECONDS
+        self._begun, self._trial_seconds = time.monotonic(), CHUNK_SECONDS
 
     def all(self) -> None:
         trials = self.source.trials()
-        self._tell()
+        self._report()
         while True:
             try:
                 self._fill(trials)
@@ -58,10 +58,10 @@ class _Run:
                     del self._running[future]
             except BrokenProcessPool:
                 self._broken()
-            self._tell()
+            self._report()
 
     def _fill(self, trials: Iterator[Trial]) -> None:
-        """Keep the executor busy; while some are suspected of killing workers, with one of them alone."""
+        """Keep the executor busy; trials suspected of killing workers run alone."""
         while len(self._running) < (1 if self._suspects else self.executor.slots):
             if self._suspects:
                 chunk = [self._suspects[-1]]
@@ -69,26 +69,26 @@ class _Run:
                 chunk = self._next = self._next or list(islice(trials, self._size()))
             if not chunk:
                 return
-            args = (self.work, chunk, self.store.path, self.config, self.source.watches)
+            args = (self.work, chunk, self.store.path, self.config, self.source.watcher)
             self._running[self.executor.submit(run_chunk, *args)] = chunk
             if not self._suspects:
                 self._next = []
 
     def _size(self) -> int:
-        """Trials in a chunk: as many as take `CHUNK_SECONDS`, or a batch; few where the next depend on results."""
-        most = BATCH if self.executor.wide else max(1, min(LARGEST, int(CHUNK_SECONDS / self._each)))
+        """Return the chunk size: trials that take `CHUNK_SECONDS`, or a batch; few where trials depend on results."""
+        most = BATCH if self.executor.batched else max(1, min(LARGEST, int(CHUNK_SECONDS / self._trial_seconds)))
         return min(most, AT_ONCE) if self.source.adaptive else most
 
     def _arrived(self, outcomes: list[Outcome]) -> None:
         self.store.add(outcomes)
         for outcome in outcomes:
-            self.source.tell(outcome)
+            self.source.record(outcome)
             self.counts[outcome.status] += 1
             self._suspects = [trial for trial in self._suspects if trial.id != outcome.trial.id]
-        self._each = max(1e-3, sum(outcome.seconds for outcome in outcomes) / len(outcomes))
+        self._trial_seconds = max(1e-3, sum(outcome.seconds for outcome in outcomes) / len(outcomes))
 
     def _broken(self) -> None:
-        """A worker died and took the pool with it: one of the trials that ran may be to blame."""
+        """Restart the pool after a worker died: one of the trials that ran may be the cause."""
         chunks = list(self._running.values())
         self._running.clear()
         self.executor.restart()
@@ -101,8 +101,8 @@ class _Run:
                 words = f"its worker process was killed {KILLS} times; it may want more memory than there is"
                 self._arrived([Outcome(alone, "failed", words, 0.0, [])])
 
-    def _tell(self) -> None:
-        total, kept = self.source.total, self.source.kept + self.counts.total()
+    def _report(self) -> None:
+        total, kept = self.source.total, self.source.num_known + self.counts.total()
         spent, words = time.monotonic() - self._begun, f"{self.counts['failed']} failed"
         if done := self.counts.total():
             left = (total - kept) * spent / done
@@ -111,13 +111,13 @@ class _Run:
 
 
 def run_chunk(
-    work: Work, trials: list[Trial], folder: Path, config: SweepConfig, watches: Callable | None
+    work: Work, trials: list[Trial], folder: Path, config: SweepConfig, watcher: Callable | None
 ) -> list[Outcome]:
-    """Outcomes of the trials in the process that is asked: one after the other, or as one batch on its `devices`."""
+    """Run trials in this process, one after the other or as one batch on its `devices`; returns their outcomes."""
 
     def task(trial: Trial) -> Callable[[BatchExecutor], Outcome]:
-        watch = watches(trial, config) if watches else None
-        return lambda executor: drive(work, trial, executor, folder / "work", config, watch)
+        watch = watcher(trial, config) if watcher else None
+        return lambda executor: run_trial(work, trial, executor, folder / "work", config, watch)
 
     clear_program_cache()
     tasks, batch = [task(trial) for trial in trials], devices()
@@ -126,6 +126,6 @@ def run_chunk(
 
 @cache
 def devices() -> DeviceExecutor | None:
-    """All devices of this process, for a batch of trials; None of a single CPU, which gains nothing from batches."""
+    """Return all devices of this process for a batch of trials; None for a single CPU, where batches gain nothing."""
     cpu = jax.default_backend() == "cpu"
     return None if cpu and len(jax.local_devices()) == 1 else DeviceExecutor(1 if cpu else None)

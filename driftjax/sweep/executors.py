@@ -1,4 +1,4 @@
-"""Who runs chunks of trials: this process, worker processes beside it, or a Ray cluster."""
+"""Executors of chunks of trials: this process, worker processes, or a Ray cluster."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -15,68 +15,68 @@ ENVIRONMENT = ("NPROC", "OPENBLAS_NUM_THREADS", "JAX_PLATFORMS", "XLA_FLAGS", "P
 
 
 class Executor(Protocol):
-    """What runs functions that are a module's own."""
+    """Run functions defined at module level."""
 
     @property
     def slots(self) -> int:
-        """Chunks that are worth having under way."""
+        """Number of chunks to submit at once."""
         ...
 
     @property
-    def wide(self) -> bool:
-        """Whether it wants trials in batches."""
+    def batched(self) -> bool:
+        """Whether trials should come in batches."""
         ...
 
     def submit(self, function: Callable, *args: Any) -> Future:
-        """`function(*args)` begun."""
+        """Submit `function(*args)`."""
         ...
 
     def restart(self) -> None:
-        """New workers in place of those that died."""
+        """Replace workers that died."""
         ...
 
 
-class Here:
-    """This process, at once; a batch of trials where it is `wide`."""
+class InProcessExecutor:
+    """Run in this process at once; a batch of trials where `batched`."""
 
     slots = 1
 
-    def __init__(self, wide: bool):
-        self.wide = wide
+    def __init__(self, batched: bool):
+        self.batched = batched
 
     def submit(self, function: Callable, *args: Any) -> Future:
-        """Done when it returns."""
+        """Run the function; the future is done on return."""
         future: Future = Future()
         future.set_result(function(*args))
         return future
 
     def restart(self) -> None:
-        """There is nothing to restart."""
+        """Do nothing: there are no workers."""
 
 
-class Processes:
-    """Worker processes beside this one; one chunk waits for each."""
+class ProcessExecutor:
+    """Run in worker processes; one chunk waits for each."""
 
-    wide = False
+    batched = False
 
     def __init__(self, num: int, stack: ExitStack):
         self.num, self.slots, self._stack = num, 2 * num, stack
         self._pool = stack.enter_context(process_pool(num))
 
     def submit(self, function: Callable, *args: Any) -> Future:
-        """Begun as soon as a process is free."""
+        """Submit to the first free process."""
         return self._pool.submit(function, *args)
 
     def restart(self) -> None:
-        """All processes anew: one that died took the pool with it, and what the others do is given up."""
+        """Replace the whole pool, which a dead worker broke; running chunks are lost."""
         self._stack.close()
         self._pool = self._stack.enter_context(process_pool(self.num))
 
 
-class OnRay:
-    """The workers of a Ray cluster, one core each; what a lost worker or node had begun runs again elsewhere."""
+class RayExecutor:
+    """Run on a Ray cluster, one core per worker; chunks of a lost worker or node are retried elsewhere."""
 
-    wide = False
+    batched = False
 
     def __init__(self, address: str):
         ray = import_extra("--ray", "Ray", "ray", "ray")
@@ -95,11 +95,11 @@ class OnRay:
         return 2 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def submit(self, function: Callable, *args: Any) -> Future:
-        """Begun as soon as a core is free."""
+        """Submit to the first free core."""
         return self._remote.remote(self._settings, function, args).future()
 
     def restart(self) -> None:
-        """Ray does so by itself."""
+        """Do nothing: Ray replaces workers itself."""
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -112,13 +112,12 @@ def _in_worker(known: dict[str, Any], function: Callable, args: tuple) -> Any:
 
 
 @contextmanager
-def executor(num: int, ray: str | None, wide: bool = False) -> Iterator[Executor]:
-    """`num` worker processes, or this one where it is 0, which may take a `wide` batch of trials; the cluster at the
-    address `ray` where one is given."""
+def executor(num: int, ray: str | None, batched: bool = False) -> Iterator[Executor]:
+    """Open an executor: the cluster at address `ray`, `num` worker processes, or this process where `num` is 0."""
     with ExitStack() as stack:
         if ray is not None:
-            cluster = OnRay(ray)
+            cluster = RayExecutor(ray)
             stack.callback(cluster.close)
             yield cluster
         else:
-            yield Processes(num, stack) if num else Here(wide)
+            yield ProcessExecutor(num, stack) if num else InProcessExecutor(batched)

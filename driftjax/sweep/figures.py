@@ -8,76 +8,76 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
-from driftjax.sweep.analysis import Seen, Shares, places
+from driftjax.sweep.analysis import Analysis, Shares, groups_of
 from driftjax.sweep.config import Range
 
 PAIRS, LINES = 6, 500  # pairs of fields shown, trials drawn
 
 
-def write_figures(seen: Seen, shares: Shares | None, folder: Path) -> list[Path]:
+def write_figures(analysis: Analysis, shares: Shares | None, folder: Path) -> list[Path]:
     """All figures that the trials allow, as PNG and PDF; the paths of the PNG."""
-    if len(seen.objective) < 2:
+    if len(analysis.objective) < 2:
         return []
-    paths = [main_effects(seen, folder), coordinates(seen, folder)]
-    if len(seen.values) > 1:
-        paths.append(interactions(seen, shares, folder))
-    if np.isfinite(seen.second).any():
-        paths.append(pareto(seen, folder))
-    return [*paths, variance(shares, seen, folder)] if shares else paths
+    paths = [main_effects(analysis, folder), coordinates(analysis, folder)]
+    if len(analysis.values) > 1:
+        paths.append(interactions(analysis, shares, folder))
+    if np.isfinite(analysis.second).any():
+        paths.append(pareto(analysis, folder))
+    return [*paths, variance(shares, analysis, folder)] if shares else paths
 
 
-def _log(seen: Seen, name: str) -> bool:
-    found = seen.config.varied[name]
+def _log(analysis: Analysis, name: str) -> bool:
+    found = analysis.config.varied[name]
     return isinstance(found, Range) and found.log
 
 
-def _label(seen: Seen, name: str, axis: Axes, which: str = "x") -> None:
+def _label(analysis: Analysis, name: str, axis: Axes, which: str = "x") -> None:
     getattr(axis, f"set_{which}label")(name)
-    if name in seen.labels:
-        getattr(axis, f"set_{which}ticks")(range(len(seen.labels[name])), seen.labels[name])
-    elif _log(seen, name):
+    if name in analysis.labels:
+        getattr(axis, f"set_{which}ticks")(range(len(analysis.labels[name])), analysis.labels[name])
+    elif _log(analysis, name):
         getattr(axis, f"set_{which}scale")("log")
 
 
-def main_effects(seen: Seen, folder: Path) -> Path:
+def main_effects(analysis: Analysis, folder: Path) -> Path:
     """The objective over each field: trials, and means with 95 % intervals of the mean."""
-    names = list(seen.values)
+    names = list(analysis.values)
     columns = min(3, len(names))
     figure, axes = new_figure(-(-len(names) // columns), columns, (3.4 * columns, 2.8 * -(-len(names) // columns)))
     for axis, name in zip(axes.flat, names, strict=False):
-        x, place = seen.values[name], places(seen.values[name])
-        axis.plot(x, seen.objective, ".", color=NOMINAL, alpha=0.35, ms=4, zorder=1)
+        x, place = analysis.values[name], groups_of(analysis.values[name])
+        axis.plot(x, analysis.objective, ".", color=NOMINAL, alpha=0.35, ms=4, zorder=1)
         groups = [place == k for k in np.unique(place)]
         middle = [np.median(x[group]) for group in groups]
-        mean = [seen.objective[group].mean() for group in groups]
-        half = [1.96 * seen.objective[g].std(ddof=1) / g.sum() ** 0.5 if g.sum() > 1 else 0.0 for g in groups]
+        mean = [analysis.objective[group].mean() for group in groups]
+        half = [1.96 * analysis.objective[g].std(ddof=1) / g.sum() ** 0.5 if g.sum() > 1 else 0.0 for g in groups]
         axis.errorbar(middle, mean, half, color=EXPLORED, marker="o", ms=4, capsize=2, zorder=2)
-        axis.set_ylabel(seen.config.objective)
-        _label(seen, name, axis)
+        axis.set_ylabel(analysis.config.objective)
+        _label(analysis, name, axis)
     for axis in list(axes.flat)[len(names) :]:
         axis.set_visible(False)
     return save(figure, folder, "main_effects")
 
 
-def interactions(seen: Seen, shares: Shares | None, folder: Path) -> Path:
+def interactions(analysis: Analysis, shares: Shares | None, folder: Path) -> Path:
     """Mean objective over pairs of fields, those first that explain most beyond each by itself."""
     share = lambda pair: (shares or {}).get(" with ".join(pair), (0.0,))[0]
-    pairs = sorted(combinations(seen.values, 2), key=share, reverse=True)[:PAIRS]
+    pairs = sorted(combinations(analysis.values, 2), key=share, reverse=True)[:PAIRS]
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     figure, axes = new_figure(rows, columns, (3.8 * columns, 3.2 * rows))
     for axis, (a, b) in zip(axes.flat, pairs, strict=False):
-        x, y = places(seen.values[a]), places(seen.values[b])
+        x, y = groups_of(analysis.values[a]), groups_of(analysis.values[b])
         grid = np.full((y.max() + 1, x.max() + 1), np.nan)
         for i in range(grid.shape[0]):
             for j in range(grid.shape[1]):
                 inside = (y == i) & (x == j)
-                grid[i, j] = seen.objective[inside].mean() if inside.any() else np.nan
+                grid[i, j] = analysis.objective[inside].mean() if inside.any() else np.nan
         image = axis.imshow(grid, origin="lower", aspect="auto", cmap="viridis")
-        figure.colorbar(image, ax=axis, label=seen.config.objective)
+        figure.colorbar(image, ax=axis, label=analysis.config.objective)
         for which, name, place in (("x", a, x), ("y", b, y)):
-            middle = [np.median(seen.values[name][place == k]) for k in range(place.max() + 1)]
-            text = [seen.labels[name][int(m)] if name in seen.labels else f"{m:.3g}" for m in middle]
+            middle = [np.median(analysis.values[name][place == k]) for k in range(place.max() + 1)]
+            text = [analysis.labels[name][int(m)] if name in analysis.labels else f"{m:.3g}" for m in middle]
             getattr(axis, f"set_{which}ticks")(range(len(text)), text)
             getattr(axis, f"set_{which}label")(name)
         axis.tick_params(axis="x", rotation=45)
@@ -87,22 +87,22 @@ def interactions(seen: Seen, shares: Shares | None, folder: Path) -> Path:
     return save(figure, folder, "interactions")
 
 
-def coordinates(seen: Seen, folder: Path) -> Path:
+def coordinates(analysis: Analysis, folder: Path) -> Path:
     """Parallel coordinates: a line per trial, the better the darker, over its fields and the objective."""
-    columns = {**seen.values, seen.config.objective: seen.objective}
+    columns = {**analysis.values, analysis.config.objective: analysis.objective}
     figure, axes = new_figure(1, 1, (1.6 * len(columns) + 2.0, 4.0))
     axis, colours = axes[0, 0], plt.get_cmap("viridis")
-    some = np.unique(np.linspace(0, len(seen.objective) - 1, min(LINES, len(seen.objective))).astype(int))
-    rank = np.argsort(np.argsort(seen.objective)) / max(1, len(seen.objective) - 1)
+    some = np.unique(np.linspace(0, len(analysis.objective) - 1, min(LINES, len(analysis.objective))).astype(int))
+    rank = np.argsort(np.argsort(analysis.objective)) / max(1, len(analysis.objective) - 1)
     scaled = []
     for position, (name, values) in enumerate(columns.items()):
-        shown = np.log(values) if name in seen.values and _log(seen, name) else values
+        shown = np.log(values) if name in analysis.values and _log(analysis, name) else values
         low, span = shown.min(), np.ptp(shown) or 1.0
         scaled.append((shown - low) / span)
-        places = np.unique(shown) if name in seen.labels else np.unique([shown.min(), shown.max()])
+        places = np.unique(shown) if name in analysis.labels else np.unique([shown.min(), shown.max()])
         for place in places:
             value = values[shown == place][0]
-            text = seen.labels[name][int(value)] if name in seen.labels else f"{value:.3g}"
+            text = analysis.labels[name][int(value)] if name in analysis.labels else f"{value:.3g}"
             axis.text(position, (place - low) / span, f" {text}", fontsize=8, va="center", zorder=3)
     for i in some[::-1]:
         axis.plot(range(len(columns)), [column[i] for column in scaled], color=colours(rank[i]), lw=0.8, alpha=0.6)
@@ -111,19 +111,27 @@ def coordinates(seen: Seen, folder: Path) -> Path:
     return save(figure, folder, "parallel_coordinates")
 
 
-def pareto(seen: Seen, folder: Path) -> Path:
+def pareto(analysis: Analysis, folder: Path) -> Path:
     """Objective against the second figure, and the trials that none beats in both."""
     figure, axes = new_figure(1, 1, (4.6, 3.6))
-    axis, front = axes[0, 0], seen.front
-    axis.plot(seen.objective, seen.second, ".", color=NOMINAL, alpha=0.4, label="trials")
-    axis.step(seen.objective[front], seen.second[front], "o-", where="post", color=EXPLORED, ms=4, label="Pareto front")
-    axis.set_xlabel(seen.config.objective)
-    axis.set_ylabel(seen.config.second)
+    axis, front = axes[0, 0], analysis.front
+    axis.plot(analysis.objective, analysis.second, ".", color=NOMINAL, alpha=0.4, label="trials")
+    axis.step(
+        analysis.objective[front],
+        analysis.second[front],
+        "o-",
+        where="post",
+        color=EXPLORED,
+        ms=4,
+        label="Pareto front",
+    )
+    axis.set_xlabel(analysis.config.objective)
+    axis.set_ylabel(analysis.config.second)
     axis.legend()
     return save(figure, folder, "pareto")
 
 
-def variance(shares: Shares, seen: Seen, folder: Path) -> Path:
+def variance(shares: Shares, analysis: Analysis, folder: Path) -> Path:
     """Share of the objective's variance that each field explains by itself, and pairs beyond that."""
     order = sorted(shares, key=lambda name: shares[name][0])
     share, low, high = np.array([shares[name] for name in order]).T
@@ -131,5 +139,5 @@ def variance(shares: Shares, seen: Seen, folder: Path) -> Path:
     axis = axes[0, 0]
     axis.barh(order, share, color=[EXPLORED if " with " in name else GPR for name in order])
     axis.errorbar(share, range(len(order)), xerr=[share - low, high - share], fmt="none", color=NOMINAL, capsize=2)
-    axis.set_xlabel(f"share of the variance of {seen.config.objective} [-]")
+    axis.set_xlabel(f"share of the variance of {analysis.config.objective} [-]")
     return save(figure, folder, "sensitivity")

@@ -1,4 +1,4 @@
-"""Everything that was run, as one table `laps` in DuckDB: run folders and sweeps alike."""
+"""Query the laps of all run folders and sweeps as one DuckDB table `laps`."""
 
 import json
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ SHOWN = ("folder", "trial", "car", "stage", "controller", "plant", "noise_seed",
 
 
 def laps(root: Path) -> duckdb.DuckDBPyConnection:
-    """A database whose view `laps` has one row per lap below `root`: figures, options by their dotted names, `folder`,
+    """Open a database whose view `laps` has one row per lap below `root`: figures, options by dotted names, `folder`,
     `verb`, `trial` of a sweep and all its options as JSON in `config`."""
     database, parts = duckdb.connect(), []
     for run in list_runs(root):
@@ -52,7 +52,7 @@ def _text(value: str) -> str:
 
 
 def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
-    """Laps of a run of `learn`, with its options."""
+    """Yield the laps of a run of `learn`, with its options."""
     if run.verb != "learn" or not run.has("laps.nc"):
         return
     options = {
@@ -67,8 +67,8 @@ def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
             yield options | known | row
 
 
-def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple], int]:
-    """Names of columns, rows of the laps for which the SQL `condition` holds, best first, and how many there are."""
+def find_laps(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple], int]:
+    """Return column names, rows of the laps that meet the SQL `condition`, best first, and their number."""
     database = laps(root)
     try:
         found = database.sql(f"select * from laps where {condition}")
@@ -86,8 +86,8 @@ def where(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple
     return columns, rows, num
 
 
-def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options by dotted names, and mean figures per stage and controller, of a run folder or of a trial of a sweep."""
+def read_run(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read options by dotted names and mean figures per stage and controller, of a run folder or a sweep's trial."""
     if (Path(name) / "config.yaml").is_file():
         run = RunFolder.open(name)
         return flatten_config(run.config), _means(list(_rows(run)))
@@ -103,7 +103,7 @@ def one(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Mean of each figure over the laps of a stage and controller that have it."""
+    """Return the mean of each figure over the laps of a stage and controller that have it."""
     found: dict[str, list[float]] = {}
     for row in rows:
         whose = ", ".join(filter(None, (row.get("stage"), row.get("controller"))))
@@ -114,5 +114,5 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def differences(a: dict[str, Any], b: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """(name, value in `a`, value in `b`) wherever they differ; None where one has none."""
+    """Return (name, value in `a`, value in `b`) wherever they differ; None where one has none."""
     return [(name, a.get(name), b.get(name)) for name in {**a, **b} if a.get(name) != b.get(name)]

@@ -1,4 +1,4 @@
-"""Where trials come from: a design laid out before, or one that follows what came out."""
+"""Sources of trials: a fixed design, or one that depends on results."""
 
 import hashlib
 import json
@@ -7,74 +7,74 @@ from typing import Protocol
 
 from driftjax.sweep.config import Choices, SweepConfig
 from driftjax.sweep.design import Point, num_points, points
-from driftjax.sweep.trial import Outcome, Trial, Watch, Work, trial_of
+from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial
 
 
 class Source(Protocol):
-    """Trials that are missing, in the order to run them."""
+    """Provide the missing trials in the order to run them."""
 
     total: int  # trials of the sweep
-    kept: int  # of these, known to be kept already
+    num_known: int  # of these, held by the store already
 
     @property
     def adaptive(self) -> bool:
-        """Whether the next one depends on results."""
+        """Whether the next trial depends on results."""
         ...
 
     @property
-    def watches(self) -> Callable[[Trial, SweepConfig], Watch] | None:
-        """What watches a trial, in the process that runs it, and may give it up."""
+    def watcher(self) -> Callable[[Trial, SweepConfig], Watch] | None:
+        """Make the callback that may prune a trial, in the process that runs it; None without pruning."""
         ...
 
     def trials(self) -> Iterator[Trial]:
-        """Those to run."""
+        """Yield the trials to run."""
         ...
 
-    def tell(self, outcome: Outcome) -> None:
-        """What came of one."""
+    def record(self, outcome: Outcome) -> None:
+        """Record the outcome of a trial."""
         ...
 
 
-class Laid:
-    """A design laid out before; trials that share a program follow each other.
+class DesignSource:
+    """Trials of a fixed design; those that share a compiled program follow each other.
 
-    Of several processes each runs a `share` (which, of how many) and leaves the rest to the others.
+    Of several processes each runs a `share` (index, number of processes).
     """
 
-    adaptive, watches = False, None
+    adaptive, watcher = False, None
 
     def __init__(self, config: SweepConfig, work: Work, known: set[str], share: tuple[int, int] = (0, 1)):
         self.config, self.work, self.known, self.share = config, work, known, share
-        self.total, self.kept = num_points(config), 0
+        self.total, self.num_known = num_points(config), 0
 
     def trials(self) -> Iterator[Trial]:
-        """Each once, also where two combinations are equal."""
-        seen: set[str] = set()
-        whole = sorted(enumerate(points(self.config)), key=lambda pair: _program(self.config, pair[1]))
-        mine, of = self.share
-        whole = [pair for pair in whole if _turn(pair[1]) % of == mine]
-        self.total = len(whole)
-        for number, point in whole:
-            trial = trial_of(self.work, self.config, number, point)
-            if trial.id in seen:
+        """Yield every missing trial once, also where two combinations are equal."""
+        ids: set[str] = set()
+        design = sorted(enumerate(points(self.config)), key=lambda pair: _program(self.config, pair[1]))
+        index, num = self.share
+        design = [pair for pair in design if _hash(pair[1]) % num == index]
+        self.total = len(design)
+        for number, point in design:
+            trial = make_trial(self.work, self.config, number, point)
+            if trial.id in ids:
                 self.total -= 1
             elif trial.id in self.known:
-                self.kept += 1
+                self.num_known += 1
             else:
                 yield trial
-            seen.add(trial.id)
+            ids.add(trial.id)
 
-    def tell(self, outcome: Outcome) -> None:
-        """Nothing follows from it."""
+    def record(self, outcome: Outcome) -> None:
+        """Ignore the outcome: the design is fixed."""
 
 
 def _program(config: SweepConfig, point: Point) -> tuple[str, ...]:
-    """What tells programs apart: values that are no floating-point numbers."""
+    """Return the values that need a program of their own: all but floating-point numbers."""
     return tuple("" if isinstance(value, float) else repr(value) for value in point.values())
 
 
-def _turn(point: Point) -> int:
-    """A number that says whose turn a combination is; that of an equal one is the same."""
+def _hash(point: Point) -> int:
+    """Return a hash of a combination that assigns it to a process; equal combinations have equal hashes."""
     return int(hashlib.sha256(json.dumps(point, sort_keys=True).encode()).hexdigest()[:8], 16)
 
 
@@ -85,4 +85,4 @@ def check(config: SweepConfig, work: Work) -> None:
     first = {name: values[0] for name, values in ends.items()}
     for name, values in ends.items():
         for value in values:
-            trial_of(work, config, 0, first | {name: value})
+            make_trial(work, config, 0, first | {name: value})

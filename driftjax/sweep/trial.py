@@ -1,4 +1,4 @@
-"""One trial of a sweep: what it is known by, how it is run, and what comes of it."""
+"""One trial of a sweep: its id, how it runs, and its outcome."""
 
 import hashlib
 import json
@@ -21,21 +21,21 @@ Watch = Callable[[int, float], bool]  # of a step and the mean objective up to i
 
 @dataclass(frozen=True)
 class Work:
-    """How a sweep runs a verb; the functions are a module's own, so that workers find them."""
+    """How a sweep runs a verb; the functions are defined at module level, so that workers can import them."""
 
     complete: Callable[[dict[str, Any]], dict[str, Any]]
-    """All options from those that differ, checked; raises `BadInput`."""
+    """Complete and check options given where they differ from the defaults; raises `BadInput`."""
     files: Callable[[dict[str, Any]], list[Path]]
-    """Files and folders that it reads, whose contents are part of what a trial is."""
+    """Return the files and folders that a trial reads; their contents are part of its id."""
     rows: Callable[[dict[str, Any], BatchExecutor, Path], Iterator[list[Row]]]
-    """Rows of every step as it ends, with a folder that the trial may use."""
+    """Yield the rows of every step as it ends; the folder is for the trial's own files."""
     columns: dict[str, type]
-    """Of its rows."""
+    """Columns of the rows."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One combination, with all options of the verb."""
+    """One combination of values, with all options of the verb."""
 
     id: str  # of options, contents of files, and the source that the work's functions depend on
     number: int  # in the design
@@ -45,7 +45,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial."""
+    """Result of a trial."""
 
     trial: Trial
     status: Literal["done", "failed", "pruned"]
@@ -55,12 +55,12 @@ class Outcome:
 
     @property
     def sentence(self) -> str:
-        """The last line of the error."""
+        """Return the last line of the error."""
         return " ".join((self.error.strip().splitlines() or [""])[-1].split())[:300]
 
 
-def trial_of(work: Work, config: SweepConfig, number: int, point: Point) -> Trial:
-    """The trial of this combination; raises `BadInput` where the verb cannot take it."""
+def make_trial(work: Work, config: SweepConfig, number: int, point: Point) -> Trial:
+    """Make the trial of a combination of values; raises `BadInput` where the verb cannot take it."""
     whole = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
     for name, value in point.items():
         set_option(whole, name, value)
@@ -81,10 +81,10 @@ def _id(work: Work, verb: str, config: dict[str, Any]) -> str:
     return digest.hexdigest()[:16]
 
 
-def drive(
+def run_trial(
     work: Work, trial: Trial, executor: BatchExecutor, folder: Path, config: SweepConfig, watch: Watch | None
 ) -> Outcome:
-    """Run the trial. What goes wrong in it is part of its outcome and ends no other."""
+    """Run a trial; an exception becomes part of its outcome and ends no other trial."""
     begun, rows = time.monotonic(), []
     try:
         for step, more in enumerate(work.rows(trial.config, executor, folder / trial.id)):
@@ -97,7 +97,7 @@ def drive(
 
 
 def objective(rows: list[Row], figure: str, stage: str = "") -> float:
-    """Mean of a figure over a trial's rows of one stage, its last where none is named; NaN where there is none."""
+    """Return the mean of a figure over the rows of one stage (the last by default); NaN where a value is missing."""
     stages = [row.get("stage") for row in rows]
     wanted = stage or (stages[-1] if stages else "")
     values = [row.get(figure) for row, name in zip(rows, stages, strict=True) if name == wanted or name is None]

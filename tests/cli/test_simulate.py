@@ -13,7 +13,7 @@ from driftjax.cli import main
 from driftjax.diagnosis.parity import parity
 from driftjax.logs import read_log
 from driftjax.manoeuvres import campaign
-from driftjax.manoeuvres.campaign import Campaign, driven, record_runs, typical
+from driftjax.manoeuvres.campaign import Campaign, drive_manoeuvre, record_runs, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.manoeuvres.truth import effect_strengths
 from driftjax.sim.logged import dropouts
@@ -70,13 +70,13 @@ def test_accelerations_of_a_car_faster_than_its_log_tell_its_motion_too():
     """Between two rows the RC car answers to a command and has nearly settled again."""
     rc = dataclasses.replace(load_vehicle("rc"), combined_slip=1.0)
     runs, _ = record_runs(rc, NEUTRAL, dataclasses.replace(SHORT, noise=0.0))
-    found = parity(rc, runs, np.asarray(typical(rc).sigma))
+    found = parity(rc, runs, np.asarray(typical_conditions(rc).sigma))
     assert found is not None
     assert (found.rms < np.array([0.3, 0.6]) * found.floor).all() and np.abs(found.mean).max() < 5e-3, found
 
 
 def test_noise_of_the_rc_car_follows_its_size():
-    np.testing.assert_allclose(typical(load_vehicle("rc")).sigma, [0.02, 0.0087, 0.03], rtol=0.3)
+    np.testing.assert_allclose(typical_conditions(load_vehicle("rc")).sigma, [0.02, 0.0087, 0.03], rtol=0.3)
 
 
 def test_without_noise_and_disturbance_a_log_is_the_truth_but_for_effects():
@@ -99,7 +99,9 @@ def test_side_by_side_is_as_one_by_one(monkeypatch):
     names, t = ("drift", "slalom", "coast_down"), np.arange(100) / 100
     drives = [MANOEUVRES[name](SEDAN, np.random.default_rng(i), t) for i, name in enumerate(names)]
     stack = lambda some: jax.tree.map(lambda *a: jnp.stack(a), *some)
-    one = lambda drive, seed: driven(SEDAN, jnp.array([-0.5, 1.0]), drive, typical(SEDAN), seed, 0.01)
+    one = lambda drive, seed: drive_manoeuvre(
+        SEDAN, jnp.array([-0.5, 1.0]), drive, typical_conditions(SEDAN), seed, 0.01
+    )
     together, run = jax.jit(jax.vmap(one))(stack(drives), jnp.arange(3)), jax.jit(one)
     for i, drive in enumerate(drives):
         for a, b in zip(jax.tree.leaves(run(drive, jnp.array(i))), jax.tree.leaves(together), strict=True):
@@ -111,7 +113,7 @@ def test_dropouts_and_outliers_have_their_shares():
     y = signals(spoilt, "V", "beta", "r")
     gone = np.isnan(y)
     assert (gone.all(-1) == gone.any(-1)).all() and 0.04 < gone.mean() < 0.18
-    off = np.abs(y - np.stack(list(truth.states.values()))) / typical(SEDAN).sigma > 6
+    off = np.abs(y - np.stack(list(truth.states.values()))) / typical_conditions(SEDAN).sigma > 6
     assert 0.03 < off[~gone].reshape(-1).mean() < 0.07
     assert np.isfinite(signals(spoilt, "delta", "Fxr")).all()
     lost = dropouts(np.random.default_rng(0), 100_000, 0.2)

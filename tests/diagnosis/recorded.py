@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.diagnosis.noise import Noise
 from driftjax.logs import Run
-from driftjax.manoeuvres.campaign import spun, typical
+from driftjax.manoeuvres.campaign import is_lost, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES, RICH
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -44,7 +44,7 @@ def catalogue(name: str = "sedan") -> Universal:
 @functools.cache
 def truth(name: str = "sedan") -> Noise:
     """Noise of good sensors, and rates disturbed as a real car's are."""
-    conditions = typical(nominal_car(name))
+    conditions = typical_conditions(nominal_car(name))
     return Noise(np.asarray(conditions.sigma), np.asarray(conditions.disturbance), float(conditions.correlation))
 
 
@@ -79,7 +79,7 @@ def recorded(
     runs = []
     for i, name in enumerate(RICH):
         one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
-        if not spun(vehicle, one):
+        if not is_lost(vehicle, one):
             ax, ay = one.a.T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
             extra = {"psi": one.place.psi, "s": one.place.s, "ax": ax, "ay": ay}
             (V, beta, r), (delta, Fxr) = one.y.T, one.command.T

@@ -1,4 +1,4 @@
-"""The questions to real logs: what is told of a diagnosis, what a calibrated car forgets, and the whole of one."""
+"""Questions to real logs: how a diagnosis is summarised, which effects are removed from a calibrated car, one run."""
 
 import copy
 from pathlib import Path
@@ -11,7 +11,7 @@ from driftjax.logs import load_columns
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_by_name
 from experiments import real_logs
-from experiments.real_logs import QUESTIONS, Config, answer, driven_on, main, nominal, picture, told
+from experiments.real_logs import QUESTIONS, Config, answer, format_result, main, nominal_car, plant_file, plot_errors
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "data"
 LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
@@ -32,12 +32,12 @@ def test_every_question_asks_for_what_there_is():
     for question in QUESTIONS:
         load_columns(question.columns)
         load_vehicle(question.vehicle)
-        asked = (*question.looked_for, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
+        asked = (*question.expected, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
         assert {effect.name for effect in effects_by_name(asked)} == set(asked)
         assert question.calibrated_on or not question.forgotten
 
 
-def test_friction_is_told_over_that_of_the_calibrated_car():
+def test_friction_is_relative_to_the_calibrated_car():
     found = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
     one = found["friction.p"]
     assert one["value"] == pytest.approx(0.425) and one["ci95"] == pytest.approx([0.4, 0.45]) and one["as_known"]
@@ -45,39 +45,40 @@ def test_friction_is_told_over_that_of_the_calibrated_car():
     assert answer(LOW, diagnosis("drive_gain", "p", -0.4, 0.02), {"friction": -0.2}) == {}
 
 
-def test_it_is_told_in_words_and_drawn():
+def test_results_are_formatted_and_plotted():
     content = diagnosis("steer_lag", "tau", 0.09, 0.01)
     content["answer"] = answer(STEERING, content, {})
-    words = told(STEERING, content)
+    words = format_result(STEERING, content)
     assert "steer_lag.tau = 0.09 [0.08, 0.1]; others: 0.06..0.13" in words and "0.90 [0.80, 0.95]" in words
-    assert "extended_gp: error after 1 s on runs held out, over that of the nominal car: 0.25 [0.20, 0.30]" in words
+    assert "extended_gp: error after 1 s on held-out runs, over that of the nominal car: 0.25 [0.20, 0.30]" in words
     laps = {"nominal": {"completed": [0, 4]}, "extended": {"completed": [3, 4]}}
     apart = {"difference": {"lateral_error": {"mean": -0.2, "ci95": [-0.25, -0.15]}}, "models": laps}
-    words = told(LOW, content | {"closed_loop": apart})
+    words = format_result(LOW, content | {"closed_loop": apart})
     assert "on the car of dart_slides: nominal 0 of 4, extended 3 of 4; lateral error changes by -0.200" in words
     nothing = copy.deepcopy(content) | {"answer": {}}
-    assert "none of them was named" in told(STEERING, nothing)
-    bars = picture({"dart_steering": content}).axes[2].containers
+    assert "none of them was named" in format_result(STEERING, nothing)
+    bars = plot_errors({"dart_steering": content}).axes[2].containers
     assert [bar.datavalues[0] for bar in bars] == pytest.approx([1.0, 0.75, 0.25])  # pyright: ignore
 
 
-def test_a_calibrated_car_forgets_what_is_to_be_found(tmp_path):
+def test_forgotten_effects_are_removed_from_the_calibrated_car(tmp_path):
     folder = tmp_path / "dart_calibrated"
     folder.mkdir()
     car = yaml.safe_load(Path("configs/vehicle/dart.yaml").read_text())
     effects = {"steer_lag": {"tau": 0.05}, "friction": {"p": -0.2}} | car.pop("effects")
     (folder / "calibrated.yaml").write_text(yaml.safe_dump({"nominal": car, "effects": effects}))
-    path = nominal(STEERING, Config(out=tmp_path))
-    assert {one.effect for one in load_vehicle(path).effects} == {"friction", "drive_split"}
-    assert nominal(LOW, Config(out=tmp_path)) == folder / "calibrated.yaml"
+    car = nominal_car(STEERING, Config(out=tmp_path))
+    assert {one.effect for one in car.effects} == {"friction", "drive_split"}
+    assert load_vehicle(tmp_path / "dart_steering_nominal.yaml") == car
+    assert nominal_car(LOW, Config(out=tmp_path)) == load_vehicle(folder / "calibrated.yaml")
 
 
-def test_an_unknown_question_and_one_before_its_turn_are_told(tmp_path):
+def test_unknown_and_premature_questions_are_refused(tmp_path):
     with pytest.raises(BadInput, match=r"question 'moon': choose from dart_slides, .*genesis"):
         main(Config(only=("moon",)))
-    assert driven_on(STEERING, Config(out=tmp_path)) is None
-    with pytest.raises(BadInput, match="drives on the car that 'dart_slides' finds; ask that one too"):
-        driven_on(LOW, Config(out=tmp_path))
+    assert plant_file(STEERING, Config(out=tmp_path)) is None
+    with pytest.raises(BadInput, match="drives on the extended car of 'dart_slides'; answer that one too"):
+        plant_file(LOW, Config(out=tmp_path))
 
 
 @pytest.mark.slow

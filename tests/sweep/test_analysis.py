@@ -8,18 +8,18 @@ from driftjax.core.config import to_dict
 from driftjax.report.table import aligned
 from driftjax.store import RunFolder
 from driftjax.sweep import Store
-from driftjax.sweep.analysis import Seen, explained, see, sensitivity, to_json, words
+from driftjax.sweep.analysis import Analysis, analyse, best_trials, explained_share, sensitivity, to_json
 from driftjax.sweep.figures import write_figures
-from driftjax.sweep.query import differences, one, where
+from driftjax.sweep.query import differences, find_laps, read_run
 from tests.sweep.test_sweep import config_of, run
 from tests.sweep.toy import TOY
 
 
-def seen_of(values, objective, second=None):
+def analysis_of(values, objective, second=None):
     fields = {name: {"low": 0.0, "high": 1.0} for name in values}
     config = config_of(fields=fields, design="random")
     second = np.full(len(objective), np.nan) if second is None else second
-    return Seen(config, [str(i) for i in range(len(objective))], values, objective, second, {}, 0)
+    return Analysis(config, [str(i) for i in range(len(objective))], values, objective, second, {}, 0)
 
 
 def test_shares_of_the_variance_are_those_of_ishigami():
@@ -27,7 +27,7 @@ def test_shares_of_the_variance_are_those_of_ishigami():
     rng = np.random.default_rng(0)
     x = rng.uniform(-np.pi, np.pi, (6000, 3))
     y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    found = sensitivity(seen_of({name: x[:, i] for i, name in enumerate("abc")}, y))
+    found = sensitivity(analysis_of({name: x[:, i] for i, name in enumerate("abc")}, y))
     assert found is not None
     assert found["a"][0] == pytest.approx(0.314, abs=0.03)
     assert found["b"][0] == pytest.approx(0.442, abs=0.09)  # eight groups are coarse for two periods
@@ -39,13 +39,13 @@ def test_shares_of_the_variance_are_those_of_ishigami():
 
 def test_noise_explains_nothing_on_average_however_few_the_trials():
     rng = np.random.default_rng(1)
-    shares = [explained(rng.normal(size=24), rng.integers(0, 8, 24)) for _ in range(400)]
+    shares = [explained_share(rng.normal(size=24), rng.integers(0, 8, 24)) for _ in range(400)]
     assert abs(np.mean(shares)) < 0.03
 
 
 def test_the_front_holds_what_nothing_beats_in_both():
     objective, second = np.array([1.0, 2.0, 2.5, 3.0, 4.0]), np.array([9.0, 5.0, 6.0, np.nan, 1.0])
-    assert seen_of({"x": np.arange(5.0)}, objective, second).front.tolist() == [0, 1, 4]
+    assert analysis_of({"x": np.arange(5.0)}, objective, second).front.tolist() == [0, 1, 4]
 
 
 def test_a_sweep_is_told_with_figures(tmp_path):
@@ -53,15 +53,15 @@ def test_a_sweep_is_told_with_figures(tmp_path):
               "kind": ["good", "nan", "raises"], "gp.size": [1, 2]}  # fmt: skip
     config = config_of(fields=fields, design="lhs", num=120)
     run(tmp_path, config)
-    seen = see(Store(tmp_path, config, TOY), config)
-    assert seen.status == {"done": 80, "failed": 40} and seen.without == 40 and len(seen.ids) == 40
-    assert np.all(np.diff(seen.objective) >= 0)
-    found = to_json(seen, sensitivity(seen))
+    analysis = analyse(Store(tmp_path, config, TOY), config)
+    assert analysis.status == {"done": 80, "failed": 40} and analysis.without == 40 and len(analysis.ids) == 40
+    assert np.all(np.diff(analysis.objective) >= 0)
+    found = to_json(analysis, sensitivity(analysis))
     best = found["best"][0]
     assert best["objective"] == pytest.approx((best["x"] - 2) ** 2 + 0.1 * best["gp.size"] * best["gp.P.0"])
     assert best["kind"] == "good" and found["sensitivity"]["x"]["share"] > 0.5
-    assert aligned(words(found))[0].split() == ["trial", "lateral_error", "lap_time", *fields]
-    paths = write_figures(seen, sensitivity(seen), tmp_path / "figures")
+    assert aligned(best_trials(found))[0].split() == ["trial", "lateral_error", "lap_time", *fields]
+    paths = write_figures(analysis, sensitivity(analysis), tmp_path / "figures")
     assert {path.stem for path in paths} == {
         "main_effects", "interactions", "parallel_coordinates", "pareto", "sensitivity",
     }  # fmt: skip
@@ -72,7 +72,7 @@ def test_another_stage_can_be_looked_at(tmp_path):
     config = config_of()
     run(tmp_path, config)
     store = Store(tmp_path, config, TOY)
-    first, last = see(store, config_of(stage="first")), see(store, config)
+    first, last = analyse(store, config_of(stage="first")), analyse(store, config)
     np.testing.assert_allclose(first.objective, 2 * last.objective)
 
 
@@ -80,12 +80,12 @@ def test_all_runs_are_one_table(tmp_path):
     config = config_of(base={"gp": {"size": 4}})
     RunFolder.create(tmp_path / "s", to_dict(config), "sweep")
     run(tmp_path / "s", config)
-    columns, rows, num = where(tmp_path, "lateral_error < 1 and \"gp.P.0\" = 1.0 and stage = 'last'", 5)
+    columns, rows, num = find_laps(tmp_path, "lateral_error < 1 and \"gp.P.0\" = 1.0 and stage = 'last'", 5)
     assert num == 1 and columns[-1] == "gp.P.0"
     row = dict(zip(columns, rows[0], strict=True))
     assert row["lateral_error"] == pytest.approx(0.4) and row["folder"] == str(tmp_path / "s")
-    ids = [found[columns.index("trial")] for found in where(tmp_path, "stage = 'last' and x = 2.0", 8)[1]]
-    (a, better), (b, worse) = (one(tmp_path, name) for name in ids)
+    ids = [found[columns.index("trial")] for found in find_laps(tmp_path, "stage = 'last' and x = 2.0", 8)[1]]
+    (a, better), (b, worse) = (read_run(tmp_path, name) for name in ids)
     assert differences(a, b) == [("gp.P.0", 1.0, 3.0)] and differences(a, a) == []
     assert [name for name, *_ in differences(better, worse)] == ["first: lateral_error", "last: lateral_error"]
 
@@ -95,13 +95,13 @@ def test_bad_conditions_are_told(tmp_path, condition, words):
     RunFolder.create(tmp_path / "s", to_dict(config_of()), "sweep")
     run(tmp_path / "s", config_of())
     with pytest.raises(BadInput, match=f"--where: .*{words}"):
-        where(tmp_path, condition, 5)
+        find_laps(tmp_path, condition, 5)
 
 
 def test_what_is_not_there_is_told(tmp_path):
     with pytest.raises(BadInput, match="holds no finished run"):
-        where(tmp_path, "true", 5)
+        find_laps(tmp_path, "true", 5)
     RunFolder.create(tmp_path / "s", to_dict(config_of()), "sweep")
     run(tmp_path / "s", config_of())
     with pytest.raises(BadInput, match="zz: is neither a run folder nor a trial"):
-        one(tmp_path, "zz")
+        read_run(tmp_path, "zz")

@@ -4,7 +4,7 @@ import pytest
 
 from driftjax.core import BadInput
 from driftjax.sweep import Store, executor, sweep
-from driftjax.sweep.optuna_source import Chosen
+from driftjax.sweep.optuna_source import OptunaSource
 from tests.sweep.test_sweep import config_of, table
 from tests.sweep.toy import TOY
 
@@ -15,7 +15,7 @@ def run(path, config, workers=0, stop=None):
     path.mkdir(parents=True, exist_ok=True)
     store = Store(path, config, TOY)
     with store.locked():
-        source = Chosen(config, TOY, store)
+        source = OptunaSource(config, TOY, store)
 
         def report(words, done, total):
             if stop is not None and done >= stop:
@@ -68,4 +68,4 @@ def test_failures_are_told_to_the_study_and_it_goes_on(tmp_path):
 def test_what_optuna_does_not_know_is_told(tmp_path, options, words):
     config = config_of(fields=FIELDS, design="optuna", **options)
     with pytest.raises(BadInput, match=words):
-        Chosen(config, TOY, Store(tmp_path, config, TOY))
+        OptunaSource(config, TOY, Store(tmp_path, config, TOY))

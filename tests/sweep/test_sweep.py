@@ -13,10 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from driftjax.core import BadInput, from_dict
-from driftjax.sweep import Laid, Store, SweepConfig, check, executor, sweep
+from driftjax.sweep import DesignSource, Store, SweepConfig, check, executor, sweep
 from driftjax.sweep.design import num_points, points
 from driftjax.sweep.engine import CHUNK_SECONDS
-from driftjax.sweep.executors import Here
+from driftjax.sweep.executors import InProcessExecutor
 from driftjax.sweep.trial import objective
 from tests.sweep.toy import TOY
 
@@ -36,7 +36,7 @@ def run(path, config, workers=0, ray=None):
     store = Store(path, config, TOY)
     with store.locked():
         known, damaged = store.known()
-        source = Laid(config, TOY, known)
+        source = DesignSource(config, TOY, known)
         with executor(workers, ray) as executed:
             counts = sweep(config, TOY, store, source, executed, lambda *_: None)
     return counts, source, damaged
@@ -68,7 +68,7 @@ def test_a_sweep_runs_only_what_is_missing(tmp_path):
     some = config_of(fields={"x": [0.0, 1.0]}, base={"trace": str(trace)})
     run(tmp_path / "s", some)
     counts, source, _ = run(tmp_path / "s", config_of(fields={"x": [0.0, 1.0, 5.0]}, base={"trace": str(trace)}))
-    assert counts == {"done": 1} and source.kept == 2
+    assert counts == {"done": 1} and source.num_known == 2
     assert trace.read_text().split() == ["0.0", "1.0", "5.0"]
 
 
@@ -92,8 +92,8 @@ WORK = Work(complete, files, rows, COLUMNS)
 ID = """
 from own_work import WORK
 from driftjax.sweep import SweepConfig
-from driftjax.sweep.trial import trial_of
-print(trial_of(WORK, SweepConfig({"x": [1.0]}), 0, {"x": 1.0}).id)
+from driftjax.sweep.trial import make_trial
+print(make_trial(WORK, SweepConfig({"x": [1.0]}), 0, {"x": 1.0}).id)
 """
 
 
@@ -167,7 +167,7 @@ def test_a_worker_that_dies_is_replaced_and_a_trial_that_kills_every_worker_fail
     }  # fmt: skip
 
 
-class Breaking(Here):
+class Breaking(InProcessExecutor):
     """Its pool is found broken at every second submission, before anything of it has begun."""
 
     slots, submitted, restarted = 2, 0, 0
@@ -185,7 +185,7 @@ class Breaking(Here):
 def test_a_pool_found_broken_loses_no_trial(tmp_path):
     config = config_of()
     store, executed = Store(tmp_path, config, TOY), Breaking(False)
-    counts = sweep(config, TOY, store, Laid(config, TOY, set()), executed, lambda *_: None)
+    counts = sweep(config, TOY, store, DesignSource(config, TOY, set()), executed, lambda *_: None)
     assert counts == {"done": 8} and executed.restarted > 0
     assert len({row["trial"] for row in table(tmp_path)}) == 8
 

@@ -12,8 +12,8 @@ from driftjax.core import Control
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, Run, write_log
-from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical
-from driftjax.manoeuvres.library import MANOEUVRES, RICH, size
+from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical_conditions
+from driftjax.manoeuvres.library import MANOEUVRES, RICH, vehicle_units
 from driftjax.parallel import BatchExecutor, call
 from driftjax.sim.record import FILTER, Manoeuvre
 from driftjax.store.files import write_json
@@ -49,7 +49,9 @@ def _run(
     for _ in range(1 + REDRAWS):
         manoeuvre = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)), MANOEUVRES[kind](vehicle, rng, t))
         key = jax.random.key(rng.integers(2**32, dtype=np.uint32))
-        y, command = map(np.asarray, call(follow, plant, vehicle, manoeuvre, typical(vehicle).sigma, key, 1 / RATE))
+        y, command = map(
+            np.asarray, call(follow, plant, vehicle, manoeuvre, typical_conditions(vehicle).sigma, key, 1 / RATE)
+        )
         if np.isfinite(y).all() and np.abs(y[:, 1]).max() < SPIN:
             kept = t >= SETTLE
             (V, beta, r), (delta, Fxr) = y[kept].T, command[kept].T
@@ -63,7 +65,7 @@ def follow(
     """Return measured V, beta, r with noise `sigma`, and the commands (rad, N) of a driver with a measurement
     filter."""
     lower, upper, rate = vehicle.command_limits()
-    smooth = 1 - jnp.exp(-dt / (FILTER * size(vehicle).time))
+    smooth = 1 - jnp.exp(-dt / (FILTER * vehicle_units(vehicle).time))
     first, u0 = manoeuvre.x_ref[0], jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
     def step(now: tuple[PlantState, Array, Array], row: tuple[Array, Array, Array]):

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from driftjax.manoeuvres.campaign import typical
+from driftjax.manoeuvres.campaign import typical_conditions
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.paper.extended import RATE, SECONDS, simulated_runs
 from driftjax.vehicle import load_plant, load_vehicle
@@ -32,7 +32,7 @@ def test_drifts_are_held_and_the_rest_is_driven_with_grip(log):
 def test_commands_keep_to_the_limits_and_measurements_have_the_noise_asked_for(log):
     vehicle, runs = log
     lower, upper, rate = vehicle.command_limits()
-    sigma = np.asarray(typical(vehicle).sigma)
+    sigma = np.asarray(typical_conditions(vehicle).sigma)
     for run in runs:
         command = np.stack([run.delta, run.Fxr], axis=1)
         assert np.all(command >= np.asarray(lower) - 1e-9) and np.all(command <= np.asarray(upper) + 1e-9)

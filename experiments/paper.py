@@ -1,0 +1,28 @@
+"""Tables and figures of the paper's comparison: `python -m experiments.paper` (`--help`: options)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+import driftjax as dj
+from driftjax.core.config import to_dict
+from driftjax.studies.paper.config import Config
+from driftjax.studies.paper.run import main
+from driftjax.studies.paper.table import page
+
+
+def compare(
+    options: Annotated[Config, tyro.conf.arg(name="")], out: Path = Path("runs/paper"), workers: int = 0
+) -> None:
+    """Drive the runs that the folder `out` lacks, with `workers` processes, and print the tables."""
+    there, config = (out / "config.yaml").is_file(), to_dict(options)
+    folder = dj.RunFolder.open(out) if there else dj.RunFolder.create(out, config, "paper")
+    if folder.config != config:
+        raise SystemExit(f"{out}: holds a comparison with other options; give another --out.")
+    report = lambda text, done, total: print(f"{done}/{total} {text}", flush=True)
+    print(page(main(options, folder, report, workers)), end="")
+
+
+if __name__ == "__main__":
+    tyro.cli(compare, prog="python -m experiments.paper")
