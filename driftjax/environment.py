@@ -16,7 +16,8 @@ CACHE = "~/.cache/driftjax"
 def setup(*, cache: str | Path | None = None, threads: int | None = None) -> None:
     """Set up JAX for this package: float64, compiled programs kept on disk, `threads` per program.
 
-    `cache` is the folder of compiled programs; left out, it is `JAX_COMPILATION_CACHE_DIR` or ~/.cache/driftjax.
+    `cache` is the folder of compiled programs; left out, it is the one
+    that JAX has been given, `JAX_COMPILATION_CACHE_DIR` or ~/.cache/driftjax.
     `threads` is the number of threads of XLA's CPU client; left out, it is `NPROC` or 1: with two or more, LAPACK
     calls in one program can deadlock (seen with jaxlib 0.10.2), and batches of laps are as fast with one.
 
@@ -54,7 +55,8 @@ def require_float64() -> None:
 
 
 def _cache_folder(cache: str | Path | None) -> str:
-    return os.path.expanduser(str(cache or os.environ.get("JAX_COMPILATION_CACHE_DIR") or CACHE))
+    chosen = sys.modules["jax"].config.values["jax_compilation_cache_dir"] if "jax" in sys.modules else None
+    return os.path.expanduser(str(cache or chosen or os.environ.get("JAX_COMPILATION_CACHE_DIR") or CACHE))
 
 
 def _set_threads(threads: int | None) -> None:

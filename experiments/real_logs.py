@@ -23,7 +23,7 @@ from driftjax.core import write_atomically
 from driftjax.parallel import num_workers, process_executor
 from driftjax.report import write_diagnosis
 from driftjax.report.style import COMPARED
-from driftjax.studies.closed_loop import closed_loop, load_course
+from driftjax.studies.closed_loop import closed_loop, load_case
 from driftjax.vehicle import write_vehicle
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
@@ -136,7 +136,7 @@ def diagnose_question(question: Question, cfg: Config) -> dict[str, Any]:
 
 def write_question(question: Question, cfg: Config, out: Path, plant: Path | None, car: dj.VehicleConfig) -> None:
     """Write the run folder of a diagnosis: JSON, extended car, closed-loop laps on `plant`, figures and page."""
-    path, course = cfg.data / question.log, load_course(plant, car) if plant else None
+    path, course = cfg.data / question.log, load_case(plant, car) if plant else None
     log, config = dj.read_log(path, question.columns, runs=question.runs, cut=question.cut), dj.DiagnoseConfig()
     print(f"\ndiagnosing {question.name}: {path}", flush=True)
     with process_executor(min(num_workers(2), 1)) as executor:
