@@ -1,0 +1,71 @@
+"""The wheel: the package alone with its files; what is in it runs outside the checkout."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """The wheel of this checkout, built offline."""
+    source, out = tmp_path_factory.mktemp("wheel") / "source", tmp_path_factory.mktemp("dist")
+    left_out = shutil.ignore_patterns("__pycache__", ".venv", ".git", "runs", "tests")
+    shutil.copytree(ROOT, source, ignore=left_out)
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(out)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return next(out.glob("*.whl"))
+
+
+def test_the_wheel_holds_the_package_and_its_files_only(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"driftjax"}
+    for name in ("py.typed", "configs/vehicle/sedan.yaml", "studies/bench/single_track.cpp"):
+        assert f"driftjax/{name}" in names, name
+
+
+def test_what_the_wheel_holds_runs_outside_the_checkout(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    (tmp_path / "empty").mkdir()
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "site")}
+
+    def run(*command: str) -> str:
+        done = subprocess.run([sys.executable, *command], cwd=tmp_path / "empty", env=environment,
+                              capture_output=True, text=True)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert run("-c", "import driftjax; print(driftjax.__file__)").startswith(str(tmp_path / "site"))
+    drive = ("simulate", "--manoeuvres", "slalom", "--duration", "4", "--out", "car")
+    assert "log: car/log.csv" in run("-m", "driftjax.cli", *drive)
+    assert "1 runs, 4.0 s" in run("-m", "driftjax.cli", "inspect", "car/log.csv")
+    assert "DATA_INSUFFICIENT" in run("-m", "driftjax.cli", "diagnose", "car/log.csv")
+
+
+@pytest.mark.slow
+def test_an_empty_environment_learns_diagnoses_and_runs_the_examples(wheel, tmp_path):
+    """Needs a package registry: the run-time packages are installed anew."""
+    python, here = tmp_path / "venv/bin/python", tmp_path / "empty"
+    here.mkdir()
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+    def run(*command: str | Path) -> str:
+        done = subprocess.run([*map(str, command)], cwd=here, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run("uv", "venv", "--python", sys.executable, tmp_path / "venv")
+    run("uv", "pip", "install", "--python", python, wheel)
+    verb = tmp_path / "venv/bin/driftjax"
+    run(verb, "learn", "--plants", "1", "--no-compare", "--gpr-laps", "1", "--explore.laps", "1", "--out", "learnt")
+    run(verb, "simulate", "--effects", "yaw_inertia=2", "--out", "car")
+    assert "NAMED" in run(verb, "diagnose", "car/log.csv", "--combined-slip", "1", "--out", "diagnosed")
+    for example in sorted((ROOT / "experiments/examples").glob("*.py")):
+        run(python, example)
