@@ -8,7 +8,7 @@ import driftjax as dj
 
 car, (V, r) = dj.load_vehicle("sedan"), (9.0, 1.1)
 states = dj.equilibria(car, [V], [r]).isel(point=0)
-drift = states.isel(root=int((states.branch == dj.Branch.COUNTERSTEER).argmax()))
+drift = states.isel(root=int((states.branch == dj.Branch.COUNTERSTEER).argmax("root")))
 beta, u = float(drift.beta), np.array([drift.delta, drift.Fxr])
 mpc, x = dj.DriftMPC(car), jnp.array([V, beta, r, 0.0, -beta])
 reference, guess = dj.steady_reference(V, beta, r, mpc.horizon), np.tile(u, (mpc.horizon, 1))

@@ -18,7 +18,9 @@ from driftjax.learning.config import load_learn_config
 
 DEFAULTS = to_dict(load_learn_config("rc"))
 NUMBERS = [
-    name for name, value in flatten_config(DEFAULTS).items() if isinstance(value, int | float) and "plant" not in name
+    name
+    for name, value in flatten_config(DEFAULTS).items()
+    if isinstance(value, int | float) and not isinstance(value, bool) and "plant" not in name
 ]
 SOME = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 WORDS = st.text("abcdefghijklmnopqrstuvwxyz", min_size=3, max_size=9)

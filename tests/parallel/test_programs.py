@@ -76,7 +76,7 @@ def test_a_function_within_a_function_is_refused():
 
 def test_programs_are_forgotten_where_they_are_many_and_come_back(folder):
     first = call(scaled, jnp.arange(3.0), 2)
-    clear_program_cache()
+    clear_program_cache(10**6)
     assert len(programs._programs) == 1
     clear_program_cache(0)
     assert not programs._programs

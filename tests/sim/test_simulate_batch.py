@@ -26,7 +26,7 @@ def test_a_batch_of_cars_is_each_of_them_alone(cars):
 
 def test_a_steady_drift_stays_where_it_is_for_as_long_as_rounding_lets_it():
     states = dj.equilibria(SEDAN, [V], [R]).isel(point=0)
-    drift = states.isel(root=int((states.branch == dj.Branch.COUNTERSTEER).argmax()))
+    drift = states.isel(root=int((states.branch == dj.Branch.COUNTERSTEER).argmax("root")))
     command = np.tile([float(drift.delta), float(drift.Fxr)], (40, 1))
     data = dj.simulate(SEDAN, command, 0.01, start=[V, float(drift.beta), R])
     np.testing.assert_allclose(data.beta[0], float(drift.beta), atol=1e-6)
