@@ -16,8 +16,8 @@ CACHE = "~/.cache/driftjax"
 def setup(*, cache: str | Path | None = None, threads: int | None = None) -> None:
     """Set up JAX for this package: float64, compiled programs kept on disk, `threads` per program.
 
-    `cache` is the folder of compiled programs; left out, it is the one
-    that JAX has been given, `JAX_COMPILATION_CACHE_DIR` or ~/.cache/driftjax.
+    `cache` is the folder of compiled programs; left out, it is the one that JAX has been given,
+    `JAX_COMPILATION_CACHE_DIR` or ~/.cache/driftjax.
     `threads` is the number of threads of XLA's CPU client; left out, it is `NPROC` or 1: with two or more, LAPACK
     calls in one program can deadlock (seen with jaxlib 0.10.2), and batches of laps are as fast with one.
 

@@ -8,7 +8,7 @@ from typing import Any
 import equinox as eqx
 import xarray as xr
 
-from driftjax.core import BadInput
+from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.environment import require_float64
 from driftjax.learning.compile_ahead import compile_ahead
@@ -50,7 +50,7 @@ def learn(
     check_files(config)
     there = (Path(out) / "config.yaml").is_file()
     folder = RunFolder.open(out) if there else RunFolder.create(out, to_dict(config))
-    if folder.config != to_dict(config):
+    if from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml")) != config:
         raise BadInput(f"{out}: holds a run with another config; give another folder.")
     num = useful_workers(config.batch_size) if workers is None else workers
     run(config, folder, report, num if num > 1 else 0)

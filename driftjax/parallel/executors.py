@@ -159,7 +159,7 @@ def thread_executor(entries: int, num: int) -> Iterator[BatchExecutor]:
 
     For programs without LAPACK calls, elementwise over so many entries that one call keeps a core busy for longer than
     it takes to start. A thread computes its own part only where JAX does not dispatch in the background
-    (`jax_cpu_enable_async_dispatch` false, as the command line sets it). On a GPU the batch is one call.
+    (`jax_cpu_enable_async_dispatch` false, as the package sets it). On a GPU the batch is one call.
     """
     if num == 1 or jax.default_backend() != "cpu":
         yield BatchExecutor(None)
