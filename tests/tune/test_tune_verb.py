@@ -73,7 +73,7 @@ def test_results_report_and_figure_are_written_and_the_gain_is_told(here, capsys
 
 def test_where_random_search_wins_it_is_said(here, capsys, monkeypatch):
     none = SLOPES(np.zeros(1), np.zeros((1, 6)), np.zeros((1, 6, 6)), np.zeros(1, bool))
-    monkeypatch.setattr(MadeUp, "slopes", lambda self, p, which: none)
+    monkeypatch.setattr(MadeUp, "gradients", lambda self, p, which: none)
     assert main(["tune", "--out", "r", "--budget", "60", "--workers", "1"]) == 0
     out = capsys.readouterr().out
     assert "Against random search, tuning by gradients does not lower the mean loss" in out
