@@ -22,6 +22,7 @@ from driftjax.diagnosis.observer import (
     sample_derivatives,
 )
 from driftjax.logs import Run
+from driftjax.logs.sampling import fill_gaps
 from driftjax.parallel import call
 from driftjax.sim.rollout import SETTLE
 from driftjax.vehicle import VehicleConfig
@@ -69,13 +70,6 @@ def error_blocks(data: Pieces) -> np.ndarray:
 def take(tree, which):
     """Return the entries `which` along the first axis of every array; in NumPy, which needs no compilation."""
     return jax.tree.map(lambda a: np.asarray(a)[which], tree)
-
-
-def fill_gaps(values: np.ndarray) -> np.ndarray:
-    """Fill gaps in `values` (n,) linearly; zeros where nothing was measured."""
-    good = np.isfinite(values)
-    at = np.arange(len(values))
-    return np.interp(at, at[good], values[good]) if good.any() else np.zeros_like(values)
 
 
 def lap_lengths(runs: tuple[Run, ...]) -> list[float]:

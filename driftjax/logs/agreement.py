@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from driftjax.logs.log import Run
+from driftjax.logs.sampling import fill_gaps
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
 MAX_SHIFT = 0.5  # largest time shift, either way [s]
@@ -85,15 +86,25 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
-    """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN near gaps and at low speed."""
+    """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN in gaps and at low speed."""
     raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
     num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
     if len(run.t) < num:
         nothing = {name: np.full(len(run.t), np.nan) for name in raw}
         return nothing, nothing
-    fast = run.V > SLOW * np.nanmax(run.V)
-    of = lambda y, order: np.where(fast, np.asarray(savgol_filter(y, num, 2, order, run.dt)), np.nan)
-    return {name: of(y, 0) for name, y in raw.items()}, {name: of(y, 1) for name, y in raw.items()}
+    V = fill_gaps(run.V)
+    fast = V > SLOW * V.max()
+    whole = {name: (fill_gaps(y), fast & near_measurements(y, num // 2)) for name, y in raw.items()}
+    of = lambda y, keep, order: np.where(keep, np.asarray(savgol_filter(y, num, 2, order, run.dt)), np.nan)
+    return {name: of(*one, 0) for name, one in whole.items()}, {name: of(*one, 1) for name, one in whole.items()}
+
+
+def near_measurements(values: np.ndarray, num: int) -> np.ndarray:
+    """Return whether each sample of `values` (n,) lies between measurements at most `num` samples apart, or on one."""
+    at, n = np.arange(len(values)), len(values)
+    last = np.maximum.accumulate(np.where(np.isfinite(values), at, -n))
+    following = np.minimum.accumulate(np.where(np.isfinite(values), at, 2 * n)[::-1])[::-1]
+    return following - last <= num
 
 
 def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:
@@ -102,18 +113,25 @@ def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt:
     both = np.isfinite(y) & np.isfinite(x)
     if both.sum() < MIN_SAMPLES or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
         return None
+    if np.isnan(shift := time_shift(pairs, dt)):
+        return None
     slope, offset = np.polyfit(x[both], y[both], 1)
     rest = float(np.sqrt(np.mean((y - slope * x - offset)[both] ** 2)))
     correlation = float(np.corrcoef(x[both], y[both])[0, 1])
     return Agreement(check.channel, check.other, check.unit, int(both.sum()), float(slope), float(offset), rest,
-                     correlation, time_shift(pairs, dt))  # fmt: skip
+                     correlation, shift)  # fmt: skip
 
 
 def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
-    """Return the time [s] by which the first channel of each pair follows the second (largest correlation)."""
+    """Return the time [s] by which the first channel of each pair follows the second (largest correlation).
+
+    NaN where too few samples are left to shift.
+    """
     most = max(round(MAX_SHIFT / dt), 1)
     shifts = np.arange(-most, most + 1)
     score = np.array([_correlation(pairs, int(k), most) for k in shifts])
+    if np.isnan(score).all():
+        return float("nan")
     k = int(np.nanargmax(score))
     if 0 < k < len(score) - 1:  # the vertex of the parabola through three points
         left, middle, right = score[k - 1 : k + 2]

@@ -113,3 +113,10 @@ def unwrap(angle: np.ndarray) -> np.ndarray:
     smooth = angle.copy()
     smooth[there] = np.unwrap(angle[there])
     return smooth
+
+
+def fill_gaps(values: np.ndarray) -> np.ndarray:
+    """Fill gaps in `values` (n,) linearly; zeros where nothing was measured."""
+    good = np.isfinite(values)
+    at = np.arange(len(values))
+    return np.interp(at, at[good], values[good]) if good.any() else np.zeros_like(values)

@@ -71,6 +71,21 @@ def test_what_is_missing_or_too_short_is_not_compared():
     assert agreements([short], L) == []
 
 
+def test_missing_values_leave_out_their_samples_only():
+    run = drive(r=0.02)
+    rng = np.random.default_rng(1)
+    for channel, share in ((run.V, 0.1), (run.beta, 0.3), (run.r, 0.05), (run.extra["psi"], 0.1), (run.extra["x"], 0.2)):
+        channel[rng.random(NUM) < share] = np.nan
+    run.beta[1000:1500] = np.nan  # a dropout
+    run.extra["ay"][:] = np.nan  # never measured
+    told = found(run)
+    assert ("ay", "V'") not in told
+    assert told["r", "rate"].offset == pytest.approx(0.02, abs=0.002)
+    assert told["V", "speed"].slope == pytest.approx(1, abs=0.02)
+    whole = found(drive(r=0.02))["beta", "course"].num
+    assert 0.5 * whole < told["beta", "course"].num < whole - 450
+
+
 def test_a_log_is_inspected(tmp_path, capsys):
     write_log(tmp_path / "log.csv", [drive(r=0.02)])
     out = tmp_path / "out"
