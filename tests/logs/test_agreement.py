@@ -74,7 +74,13 @@ def test_what_is_missing_or_too_short_is_not_compared():
 def test_missing_values_leave_out_their_samples_only():
     run = drive(r=0.02)
     rng = np.random.default_rng(1)
-    for channel, share in ((run.V, 0.1), (run.beta, 0.3), (run.r, 0.05), (run.extra["psi"], 0.1), (run.extra["x"], 0.2)):
+    for channel, share in (
+        (run.V, 0.1),
+        (run.beta, 0.3),
+        (run.r, 0.05),
+        (run.extra["psi"], 0.1),
+        (run.extra["x"], 0.2),
+    ):
         channel[rng.random(NUM) < share] = np.nan
     run.beta[1000:1500] = np.nan  # a dropout
     run.extra["ay"][:] = np.nan  # never measured
