@@ -28,7 +28,6 @@ from driftjax.vehicle import write_vehicle
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
 LAGS = ("steer_lag", "drive_lag")
-SECOND = 1.0  # horizon that the figure shows [s]
 
 
 class Training(NamedTuple):
@@ -213,10 +212,11 @@ def format_result(question: Question, result: dict[str, Any]) -> str:
     if not result["answer"]:
         lines.append("  none of them was named")
     gain = result["gain"]
-    for model in ("extended", "extended_gp") if SECOND in gain["horizons_s"] else ():
-        at = gain["horizons_s"].index(SECOND)
+    ahead = gain["skill_horizon_s"]
+    for model in ("retuned", "extended", "extended_gp") if ahead else ():
+        at = gain["horizons_s"].index(ahead)
         low, high = gain["ratio_ci95"][model][at]
-        lines.append(f"  {model}: error after 1 s on held-out runs, over that of the nominal car: "
+        lines.append(f"  {model}: error after {ahead:.2g} s on held-out runs, over that of the nominal car: "
                      f"{gain['ratio'][model][at]:.2f} [{low:.2f}, {high:.2f}]")  # fmt: skip
     if (share := gain["skill"].get("extended")) is not None:
         low, high = gain["ci95"]["extended"]
@@ -230,14 +230,14 @@ def format_result(question: Question, result: dict[str, Any]) -> str:
 
 
 def plot_errors(results: dict[str, Any]) -> Figure:
-    """Plot the one-second errors of every model on held-out runs, over those of the nominal car."""
+    """Plot the errors of every model on held-out runs, 2 sqrt(L/g) ahead, over those of the nominal car."""
     figure, axes = plt.subplots(1, 3, figsize=(12, 4.2), layout="constrained", sharey=True)
     for axis, (channel, words) in zip(axes, {"V": "speed", "beta": "sideslip", "r": "yaw rate"}.items(), strict=True):
         for place, one in enumerate(results.values()):
             gain = one["gain"]
-            if SECOND not in gain["horizons_s"]:
+            if gain["skill_horizon_s"] is None:
                 continue
-            at = gain["horizons_s"].index(SECOND)
+            at = gain["horizons_s"].index(gain["skill_horizon_s"])
             models = [name for name in COMPARED if name in gain["rmse"]]
             for k, name in enumerate(models):
                 ratio = gain["rmse"][name][channel][at] / gain["rmse"]["nominal"][channel][at]
@@ -249,7 +249,7 @@ def plot_errors(results: dict[str, Any]) -> Figure:
         axis.set_yticks([], minor=True)
         axis.set_title(words)
         axis.axhline(1, color="0.6", lw=0.8)
-    axes[0].set_ylabel("error after 1 s on held-out runs,\nover that of the nominal car [-]")
+    axes[0].set_ylabel("error after {ahead:.2g} s on held-out runs,\nover that of the nominal car [-]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     return figure

@@ -7,21 +7,39 @@ from typing import Any
 
 from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects
 from driftjax.diagnosis.figure_data import figure_data
-from driftjax.diagnosis.findings import Findings, describe_errors
-from driftjax.diagnosis.fit import Problem, build_problem
-from driftjax.diagnosis.held_out import DiagnoseConfig, Gain, compare_on_all_runs, measure_from_runs, measure_gain
+from driftjax.diagnosis.findings import Comparison, Findings, describe_errors
+from driftjax.diagnosis.fit import Fit, Problem, build_problem
+from driftjax.diagnosis.gain import DECISIVE, horizon_steps
+from driftjax.diagnosis.held_out import (
+    DiagnoseConfig,
+    Gain,
+    compare_on_all_runs,
+    comparison_shares,
+    measure_from_runs,
+    measure_gain,
+    refit_retuned,
+    retuned_effects,
+)
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, extended_car
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
-from driftjax.diagnosis.verdict import MIN_DURATION, Judgement, Verdict, decide_verdict
+from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.parallel import BatchExecutor
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect
+
+ANSWERS = {
+    "extended": "",
+    "retuned": "On held-out runs the car with friction and stiffness re-tuned predicts better than the one with the "
+    "named effects: it is the answer. ",
+    "nominal": "On held-out runs the nominal car predicts better than the one with the named effects: it stays the "
+    "answer. ",
+}  # what the sentence begins with
 
 
 @dataclass(frozen=True)
@@ -34,6 +52,10 @@ class Evidence:
     unexplained: Unexplained
     proposal: Proposal | None
     gain: Gain | None  # None where there are too few runs to hold any out
+    comparison: Comparison  # of the models on the runs held out, or on all
+    explained: Explained | None  # None where no run is long enough
+    answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
+    retuned: Fit | None  # the re-tuned car on all runs, where that is the answer
 
 
 @dataclass(frozen=True)
@@ -75,19 +97,25 @@ class Diagnosis:
 
     @property
     def extended(self) -> VehicleConfig:
-        """Return the car with the named effects, for simulator, planner, equilibria and MPC."""
-        if self.evidence is None:
+        """Return the car to go on with, for simulator, planner, equilibria and MPC: the one with the named effects.
+
+        Where that predicts held-out runs worse than the nominal car or the re-tuned one (friction and stiffness), it
+        is the better one of these.
+        """
+        if self.evidence is None or self.evidence.answer == "nominal":
             return self.vehicle
-        last = self.evidence.selection
-        return extended_car(self.vehicle, self.evidence.problem, last.selected, last.fit.theta, last.scores)
+        last, problem = self.evidence.selection, self.evidence.problem
+        if self.evidence.retuned is None:
+            return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
+        effects = retuned_effects(problem)
+        return extended_car(self.vehicle, problem, effects, self.evidence.retuned.theta, last.nominal_scores)
 
     def describe_errors(self) -> Findings | None:
         """Compute residual forces, kinematic parity, open-loop errors and all else that figures draw."""
         if self.evidence is None:
             return None
-        problem, selection, seed = self.evidence.problem, self.evidence.selection, self.config.seed
-        comparison = self.gain.comparison if self.gain else compare_on_all_runs(problem, selection, seed)
-        return describe_errors(self.vehicle, problem, self.log.runs, selection, comparison, seed)
+        problem, selection, comparison = self.evidence.problem, self.evidence.selection, self.evidence.comparison
+        return describe_errors(self.vehicle, problem, self.log.runs, selection, comparison, self.config.seed)
 
     def content(self, findings: Findings | None = None) -> dict[str, Any]:
         """Return the content of diagnosis.json, schema version 1, with the block `show` where `findings` are given."""
@@ -136,8 +164,15 @@ def diagnose(
     problem, selection = search_multistart(problem, config.seed, config.most)
     named = find_causes(problem, selection)
     remaining = find_unexplained(problem, selection, config.seed)
-    judgement = decide_verdict(problem, selection, named, remaining, duration)
-    proposal = propose(vehicle, problem, selection, named, judgement, config.seed)
     report("gain")
     gain = beside() if beside else measure_gain(problem, tuple(run.name for run in log.runs), config)
-    return Diagnosis(vehicle, log, config, judgement, Evidence(problem, selection, named, remaining, proposal, gain))
+    comparison = gain.comparison if gain else compare_on_all_runs(problem, selection, config.seed)
+    shares = gain.skills if gain else comparison_shares(comparison, config.seed)
+    explained = explained_by(shares, horizon_steps(problem)[DECISIVE] * problem.data.dt, gain is not None)
+    judgement = decide_verdict(problem, selection, named, remaining, duration, explained, config.unexplained)
+    answer = gain.best if gain and selection.selected else "extended"
+    retuned = refit_retuned(selection) if answer == "retuned" else None
+    judgement = judgement._replace(sentence=ANSWERS[answer] + judgement.sentence)
+    proposal = propose(vehicle, problem, selection, named, judgement, config.seed)
+    evidence = Evidence(problem, selection, named, remaining, proposal, gain, comparison, explained, answer, retuned)
+    return Diagnosis(vehicle, log, config, judgement, evidence)

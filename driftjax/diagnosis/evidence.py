@@ -5,10 +5,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from driftjax.diagnosis.fit import Problem, information, refit_to_convergence
+from driftjax.diagnosis.beam import QuadraticCost, gain_of, gains_of_adding, minimise, minimise_over, quadratic_cost
+from driftjax.diagnosis.fit import Problem, evaluate, information, refine
 from driftjax.diagnosis.score import CONDITION, Scores, half_widths_from, overdispersion, partial_out, scores
-from driftjax.diagnosis.select import PARAMETER_PENALTY, Selection, refit_without
+from driftjax.diagnosis.select import PARAMETER_PENALTY, Selection
+from driftjax.diagnosis.worth import Worth, shapley_shares
+from driftjax.vehicle.effect.families import FAMILY_OF
 
+CREDIBLE = 0.03  # probability from which a rival is refitted
+REFITTED = 4  # rivals refitted at most
+BOUNDED = 12  # rivals whose bounds are looked at
 RIVAL_PROBABILITY = 0.01  # probability from which a rival is worth telling of
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
@@ -25,6 +31,8 @@ class Cause(NamedTuple):
     alike: tuple[int, ...]  # effects whose signature is nearly the same
     invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
+    family_probability: float  # that it or another effect of its family acts
+    worth: Worth  # its share in what all named effects explain
 
 
 class NamedEffect(NamedTuple):
@@ -37,6 +45,10 @@ class NamedEffect(NamedTuple):
     invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
     confusable_with: list[str]  # effects that these data hardly tell from it
     rivals: dict[str, float]  # effects that might act in its place, with their probabilities
+    family: str  # part of the car or of the measurement that it belongs to
+    family_probability: float  # that it or another effect of that family acts
+    share: float  # of what all named effects explain together (Shapley 1953)
+    share_ci95: list[float]
 
 
 def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
@@ -52,7 +64,19 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
         rivals = {problem.effects[i].name: p for i, p in cause.rivals.items()}
         alike = sorted({*rivals, *(problem.effects[i].name for i in cause.alike)})
         selection.append(
-            NamedEffect(effect.name, cause.probability, cause.p_value, parameters, cause.invariance, alike, rivals)
+            NamedEffect(
+                effect.name,
+                cause.probability,
+                cause.p_value,
+                parameters,
+                cause.invariance,
+                alike,
+                rivals,
+                FAMILY_OF[effect.name],
+                cause.family_probability,
+                cause.worth.share,
+                list(cause.worth.ci95),
+            )  # fmt: skip
         )
     return tuple(selection)
 
@@ -63,13 +87,28 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     if not len(columns):
         return []
     constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
+    worth = shapley_shares(problem, selection)
     each = []
     for member in selection.selected:
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
-        probability, rivals, p_value = effect_probability(problem, selection, member)
+        share, p_value = effect_probabilities(problem, selection, member)
+        rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
         alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
-        each.append(Cause(member, theta, widths[at], probability, rivals, alike, constant[member], p_value))
+        each.append(
+            Cause(
+                member,
+                theta,
+                widths[at],
+                float(share[member]),
+                rivals,
+                alike,
+                constant[member],
+                p_value,
+                family_probability(problem, share, member),
+                worth[member],
+            )  # fmt: skip
+        )
     return each
 
 
@@ -105,20 +144,52 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     return least
 
 
-def effect_probability(problem: Problem, selection: Selection, member: int) -> tuple[float, dict[int, float], float]:
-    """Return the probability of `member` against all other effects, its rivals above a threshold, and its p-value.
+def family_probability(problem: Problem, share: np.ndarray, member: int) -> float:
+    """Return the probability that an effect of the family of `member` acts, from those (E,) of single effects."""
+    family = [FAMILY_OF[effect.name] for effect in problem.effects]
+    return float(sum(p for name, p in zip(family, share, strict=True) if name == family[member]))
 
-    A rival's cost is that of its best linear step, which flatters no one but hardly any rival either. The p-value is
+
+def effect_probabilities(problem: Problem, selection: Selection, member: int) -> tuple[np.ndarray, float]:
+    """Return the probabilities (E,) that `member` or another effect acts in its place, and its p-value.
+
+    A rival's cost follows from the quadratic model about the fit; that of a credible one is refitted. The p-value is
     that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
     """
-    rest, base = refit_without(problem, selection.fit, selection.selected, member, selection.linearisation)
-    base, at = refit_to_convergence(problem, base, problem.columns(rest))
-    remaining = scores(problem, at, base.theta, rest, 0)
-    costs = np.where(remaining.gain > 0, base.cost - remaining.gain, np.inf)
+    at, model = selection.linearisation, quadratic_cost(problem, selection.fit, selection.linearisation)
+    rest = tuple(i for i in selection.selected if i != member)
+    sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
+    costs = model.cost - rival_gains(model, rest)
     costs[member] = selection.fit.cost
-    share = hypothesis_probabilities(costs, np.bincount(problem.owner), fit_dispersion(problem, selection))
-    rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
-    return float(share[member]), rivals, remaining.p_value_of(member, problem.columns((member,)))
+    share = hypothesis_probabilities(costs, sizes, excess)
+    credible = [int(i) for i in np.argsort(-share) if i != member and share[i] > CREDIBLE][:REFITTED]
+    for i in credible:
+        if (one := minimise_over(model, (*rest, i))) is not None:
+            trial = refine(problem, evaluate(problem, problem.start + one.psi), problem.columns(one.effects), at)
+            costs[i] = trial.cost
+    share = hypothesis_probabilities(costs, sizes, excess)
+    return share, _own_p_value(problem, selection, model, rest, member)
+
+
+def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
+    """Return the fall (E,) of the cost by the effects `rest` with each other one, within bounds; -inf for members."""
+    promised = gains_of_adding(model, rest) + gain_of(model, minimise(model, rest))
+    for i in np.argsort(-promised)[:BOUNDED]:  # bounds only make a gain less
+        if np.isfinite(promised[i]):
+            one = minimise_over(model, (*rest, int(i)))
+            promised[i] = one.gain if one else -np.inf
+    return promised
+
+
+def _own_p_value(
+    problem: Problem, selection: Selection, model: QuadraticCost, rest: tuple[int, ...], member: int
+) -> float:
+    """Return the p-value of `member` where the effects `rest` are fitted without it, to first order."""
+    psi, at = minimise(model, rest), selection.linearisation
+    back = psi - (selection.fit.theta - problem.start)
+    e = np.asarray(at.e) - np.asarray(at.J) @ back
+    without = scores(problem, at._replace(e=e), problem.start + psi, rest, 0)
+    return without.p_value_of(member, problem.columns((member,)))
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:

@@ -6,7 +6,7 @@ import xarray as xr
 from driftjax.diagnosis.binned import BINS
 from driftjax.diagnosis.findings import Findings
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import START_INTERVAL, root_mean_square
+from driftjax.diagnosis.gain import root_mean_square
 from driftjax.diagnosis.held_out import Gain
 from driftjax.diagnosis.residual import FORCES
 from driftjax.diagnosis.select import Selection
@@ -63,8 +63,9 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
     first = np.unique(problem.data.run, return_index=True)[1][:PANELS]  # the first piece of each run
     names = np.array([findings.names[number] for number in problem.data.run[first].tolist()])
     valid, y = (np.asarray(a)[first] for a in (problem.data.padded.valid, problem.data.padded.y))
-    every = max(round(EVERY / START_INTERVAL), 1)
-    starts = ahead["nominal"].starts[::every]
+    starts = ahead["nominal"].starts
+    every = max(round(EVERY / (dt * (starts[1] - starts[0]))), 1) if len(starts) > 1 else 1
+    starts = starts[::every]
     keep = thin_indices(findings.noise_floor.shape[0])
     told = np.stack([ahead[name].readings[first][:, ::every][:, :, keep] for name in MODELS], axis=1)
     rows = starts[:, None] + 1 + keep

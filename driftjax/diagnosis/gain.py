@@ -18,10 +18,12 @@ from driftjax.sim.rollout import acting, move, sensor_reading
 from driftjax.sim.step import hold_of
 from driftjax.vehicle.universal import Universal
 
-HORIZONS = (0.5, 1.0, 2.0)  # beside one step [s]
-SKILL_HORIZON = 1.0  # horizon at which the share of the error removed is measured [s]
-START_INTERVAL = 0.5  # time between the starts of predictions [s]
+SPANS = (1.0, 2.0, 4.0)  # horizons beside one step [sqrt(L/g)]: about 0.5, 1 and 2 s for a full-size car
+DECISIVE = 2  # number of the horizon, one step first, at which shares of the error are measured
+START_INTERVAL = 1.0  # time between the starts of predictions [sqrt(L/g)]
+SETTLED = 0.5  # time after the start of a piece from which its observer has settled [s]
 RESAMPLES = 2000
+TINY = 1e-9  # below which an error over that of noise is none
 
 
 class Predictions(NamedTuple):
@@ -82,10 +84,17 @@ def predict_pieces(*args) -> tuple[Array, Array]:
     return call(_predict_runs, *args)
 
 
+def horizon_steps(problem: Problem) -> np.ndarray:
+    """Return the horizons in samples: one, and those that the car's size sets."""
+    unit = float(problem.model.base.unit_time) / problem.data.dt
+    return np.array([1, *(max(round(span * unit), 1) for span in SPANS)])
+
+
 def prediction_starts(problem: Problem) -> tuple[np.ndarray, int]:
     """Return the samples at which predictions start, and the number of steps."""
-    dt, size = problem.data.dt, problem.data.size
-    return np.arange(round(0.5 / dt), size - 1, round(START_INTERVAL / dt)), max(round(HORIZONS[-1] / dt), 1)
+    dt, steps = problem.data.dt, horizon_steps(problem)
+    every = max(round(START_INTERVAL * float(problem.model.base.unit_time) / dt), 1)
+    return np.arange(round(SETTLED / dt), problem.data.size - 1, every), int(steps[-1])
 
 
 def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> Predictions:
@@ -105,11 +114,11 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> 
 
 def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:
     """Select the squared errors (P, S, N, 3) after one step and at the horizons."""
-    horizons = (problem.data.dt, *HORIZONS)
-    steps = np.array([max(round(h / problem.data.dt), 1) for h in horizons])
+    steps = horizon_steps(problem)
     chosen = squares[:, :, steps - 1]
     starts = prediction_starts(problem)[0]
     piece = np.repeat(np.arange(len(squares)), len(starts))
+    horizons = tuple(float(f"{k * problem.data.dt:.6g}") for k in steps)
     return Errors(chosen.reshape(-1, *chosen.shape[2:]), horizons, error_blocks(problem.data)[:, starts].ravel(), piece)
 
 
@@ -124,26 +133,46 @@ def root_mean_square(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.nda
     return np.sqrt(np.divide(np.nansum(squares, axis), num, out=np.full(num.shape, np.nan), where=num > 0))
 
 
-def skill(before: Errors, after: Errors, least: Errors, seed: int = 0) -> tuple[float, tuple[float, float]]:
-    """Return the share of the explainable error one second ahead that `after` removes, with its 95 % interval.
+class Share(NamedTuple):
+    """How much of the error that a right model would not make one model removes, and what is left of it."""
 
-    Explainable is what exceeds the `least`, the floor that noise makes; errors count in its mean over their piece of a
-    run, for on a drift some starts spin and others do not. NaN where no run lasts that long, or where the data leave it
-    in doubt that anything is explainable: no share of that has a meaning.
+    value: float  # share removed of the excess error of the nominal car; NaN where an excess is in doubt
+    ci95: tuple[float, float]
+    left: float  # share of the model's own squared error that is excess
+    left_ci95: tuple[float, float]
+
+
+def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: int = DECISIVE) -> dict[str, Share]:
+    """Return the `Share` of every model at the horizon number `at`; `nominal` is one of them.
+
+    A right model errs by `least`, or by less where any of these models does: what noise is said to make can then not
+    hide what a model explains. Errors count in the mean of `least` over their piece of a run, for on a drift some
+    starts spin and others do not; intervals are over blocks of time. Empty where no run lasts that long.
     """
-    at = before.horizons.index(SKILL_HORIZON)
-    cut = [errors.squares[:, at] for errors in (before, after, least)]
-    keep = np.all([np.isfinite(squares).all(axis=1) for squares in cut], axis=0)
+    squares = np.stack([one.squares[:, at] for one in (least, *errors.values())])
+    keep = np.isfinite(squares).all(axis=(0, 2))
     if not keep.any():
-        return np.nan, (np.nan, np.nan)
-    piece = np.unique(before.piece[keep], return_inverse=True)[1]
-    unit = np.stack([np.bincount(piece, column) for column in cut[2][keep].T], axis=1) / np.bincount(piece)[:, None]
-    old, new = (np.sum((squares - cut[2])[keep] / unit[piece], axis=1) for squares in cut[:2])
-    whole, rest = resample_blocks(before.block[keep], old, new, seed)
-    if np.percentile(whole, 2.5) <= 0:
-        return np.nan, (np.nan, np.nan)
-    low, high = np.percentile(1 - rest / np.maximum(whole, 1e-9), [2.5, 97.5])
-    return float(1 - new.sum() / old.sum()), (float(low), float(high))
+        return {}
+    first = errors["nominal"]
+    piece = np.unique(first.piece[keep], return_inverse=True)[1]
+    unit = np.stack([np.bincount(piece, column) for column in squares[0][keep].T], axis=1) / np.bincount(piece)[:, None]
+    scaled = squares[1:, keep] / unit[piece]
+    block = np.unique(first.block[keep], return_inverse=True)[1]
+    sums = np.zeros((block.max() + 1, *scaled.shape[::2]))
+    np.add.at(sums, block, scaled.transpose(1, 0, 2))
+    count = np.bincount(block)
+    draws = np.random.default_rng(seed).integers(0, len(count), (RESAMPLES, len(count)))
+    rows = np.concatenate([np.arange(len(count))[None], draws])  # the data themselves first
+    mean = sums[rows].sum(axis=1) / count[rows].sum(axis=1)[:, None, None]  # (draws, models, channels)
+    excess = (mean - np.minimum(mean.min(axis=1, keepdims=True), 1.0)).sum(axis=2)
+    names, whole = list(errors), excess[:, list(errors).index("nominal")]
+    doubtful = np.percentile((mean[1:, names.index("nominal")] - 1.0).sum(axis=1), 2.5) <= 0
+    interval = lambda values: (float(values[0]), tuple(np.percentile(values[1:], [2.5, 97.5]).tolist()))
+    shares = {}
+    for i, name in enumerate(names):
+        value, ci95 = (np.nan, (np.nan, np.nan)) if doubtful else interval(1 - excess[:, i] / np.maximum(whole, TINY))
+        shares[name] = Share(value, ci95, *interval(excess[:, i] / np.maximum(mean[:, i].sum(axis=1), TINY)))
+    return shares
 
 
 def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
@@ -161,6 +190,21 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
         old, new = ((one[keep] / unit).sum(axis=1) for one in (old, new))
         whole, rest = resample_blocks(before.block[keep], old, new, seed)
         found[at] = np.sqrt(new.sum() / old.sum()), *np.percentile(np.sqrt(rest / whole), [2.5, 97.5])
+    return found
+
+
+def channel_ratios(before: Errors, after: Errors, seed: int = 0, at: int = DECISIVE) -> np.ndarray:
+    """Return the RMS error of `after` over that of `before` per channel at one horizon, with its 95 % interval: (3, 3).
+
+    NaN where no run lasts that long.
+    """
+    found = np.full((3, 3), np.nan)
+    for i in range(3):
+        old, new = before.squares[:, at, i], after.squares[:, at, i]
+        keep = np.isfinite(old + new)
+        if keep.any():
+            whole, rest = resample_blocks(before.block[keep], old[keep], new[keep], seed)
+            found[i] = np.sqrt(new[keep].sum() / old[keep].sum()), *np.percentile(np.sqrt(rest / whole), [2.5, 97.5])
     return found
 
 

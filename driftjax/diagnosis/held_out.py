@@ -1,13 +1,15 @@
 """Gain on held-out runs: prediction errors of effects named and fitted without them."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from driftjax.core import require
+from driftjax.diagnosis.beam import minimise, quadratic_cost
 from driftjax.diagnosis.findings import Comparison
-from driftjax.diagnosis.fit import Problem, initial_problem, refit_to_convergence, with_estimated_noise, with_noise
-from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
+from driftjax.diagnosis.fit import Fit, Problem, initial_problem, refit_to_convergence, with_estimated_noise, with_noise
+from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.residual_gp import fit_residual_gp
@@ -16,6 +18,7 @@ from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect
 
+BETTER = 0.02  # share of the error by which another car must predict better than the extended one to be the answer
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
 
 
@@ -34,7 +37,9 @@ class DiagnoseConfig:
     without: tuple[str, ...] = ()
     """Effects left out of the catalogue."""
     most: int = MAX_EFFECTS
-    """Effects named at most. Each further one takes longer; a real car that nobody calibrated may need more."""
+    """Effects named at most."""
+    unexplained: float = 0.1
+    """Share of the excess open-loop error that may stay unexplained: the verdict is UNKNOWN only where more does."""
     gp: bool = True
     """Whether the gain is also measured of a GP, alone and beside the named effects."""
     seed: int = 0
@@ -43,6 +48,7 @@ class DiagnoseConfig:
     def __post_init__(self) -> None:
         check_held_out(self.held_out)
         require(self.most >= 1, f"key 'most' is {self.most}; give 1 or more.")
+        require(0 < self.unexplained < 1, f"key 'unexplained' is {self.unexplained}; give a share between 0 and 1.")
         require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
         unknown = sorted(set(self.without) - set(EFFECTS))
         require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
@@ -57,8 +63,20 @@ class Gain:
     comparison: Comparison  # models compared on them
     errors: dict[str, Errors]  # of each
     noise_floor: Errors  # what noise alone makes
-    skills: dict[str, tuple[float, tuple[float, float]]]
+    skills: dict[str, Share]  # of each, at the decisive horizon; empty where no run lasts that long
     ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
+    without: dict[str, np.ndarray]  # (3, 3) per channel: error without one of `named`, over that with all; intervals
+
+    @property
+    def best(self) -> str:
+        """Return which of the nominal, the re-tuned and the extended car predicts best, the extended one if in doubt.
+
+        By the mean of all channels and horizons.
+        """
+        mean = {name: float(np.nanmean(np.log(self.ratios[name][:, 0]))) for name in ("retuned", "extended")}
+        mean["nominal"] = 0.0
+        least = min(mean, key=lambda name: mean[name])
+        return least if mean["extended"] > mean[least] + BETTER else "extended"
 
 
 def split_runs(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
@@ -100,27 +118,67 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     if near is not train:
         followed = with_noise(test, selection.nominal.theta, selection.base.noise)
         test = with_noise(test, selection.fit.theta, near.noise)
-    effects = [effect.name for effect in problem.effects]
-    columns = problem.columns(tuple(effects.index(name) for name in RETUNED if name in effects))
-    retuned = refit_to_convergence(selection.base, selection.nominal, columns[problem.active[columns]])[0]
-    thetas = {"nominal": selection.nominal.theta, "retuned": retuned.theta, "extended": selection.fit.theta}
+    retuned = refit_retuned(selection).theta
+    thetas = {"nominal": selection.nominal.theta, "retuned": retuned, "extended": selection.fit.theta}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
     ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
         ahead[name] = predict(tests[base], thetas[base], fit_residual_gp(train, thetas[base], config.seed))
     noise = noise_floor(test, selection.fit.theta, ahead["extended"], config.seed)
-    return compare(Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed)
+    gain = compare(Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed)
+    return dataclasses.replace(gain, without=leave_one_out(near, selection, test, gain.errors["extended"], config.seed))
+
+
+def retuned_effects(problem: Problem) -> tuple[int, ...]:
+    """Return the active effects among those that a person would tune without a diagnosis."""
+    return tuple(
+        i
+        for i, one in enumerate(problem.effects)
+        if one.name in RETUNED and problem.active[problem.columns((i,))].all()
+    )
+
+
+def refit_retuned(selection: Selection) -> Fit:
+    """Return the nominal car of a search with friction and stiffness fitted to its data."""
+    base = selection.base
+    return refit_to_convergence(base, selection.nominal, base.columns(retuned_effects(base)))[0]
+
+
+def leave_one_out(
+    train: Problem, selection: Selection, test: Problem, whole: Errors, seed: int
+) -> dict[str, np.ndarray]:
+    """Return per named effect the errors on `test` without it, others refitted, over those with all (`whole`).
+
+    (3, 3): a row per channel at the decisive horizon, ratio and 95 % interval.
+    """
+    model, found = quadratic_cost(train, selection.fit, selection.linearisation), {}
+    for member in selection.selected:
+        theta = train.start + minimise(model, tuple(i for i in selection.selected if i != member))
+        less = at_horizons(test, predict(test, theta).error ** 2)
+        found[train.effects[member].name] = channel_ratios(whole, less, seed)
+    return found
 
 
 def compare(comparison: Comparison, held: tuple[str, ...], selected: tuple[int, ...], seed: int) -> Gain:
     """Compare the models of `comparison` on the runs `held`: errors and skills; `selected` were fitted without them."""
     problem = comparison.problem
-    errors = {name: at_horizons(problem, one.error**2) for name, one in comparison.predictions.items()}
-    least = at_horizons(problem, comparison.least)
+    errors, least = comparison_errors(comparison)
     others = {name: one for name, one in errors.items() if name != "nominal"}
-    skills = {name: skill(errors["nominal"], one, least, seed) for name, one in others.items()}
+    shares = excess_shares(errors, least, seed)
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
-    return Gain(held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, skills, relative)
+    return Gain(held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, {})
+
+
+def comparison_errors(comparison: Comparison) -> tuple[dict[str, Errors], Errors]:
+    """Return the errors of every model at the horizons, and those that a right model would make."""
+    problem = comparison.problem
+    errors = {name: at_horizons(problem, one.error**2) for name, one in comparison.predictions.items()}
+    return errors, at_horizons(problem, comparison.least)
+
+
+def comparison_shares(comparison: Comparison, seed: int) -> dict[str, Share]:
+    """Return the share of the excess error that each model of `comparison` removes."""
+    return excess_shares(*comparison_errors(comparison), seed)
 
 
 def compare_on_all_runs(problem: Problem, selection: Selection, seed: int) -> Comparison:

@@ -4,7 +4,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence, with_estimated_noise
-from driftjax.diagnosis.select import MAX_EFFECTS, Selection, prune, search
+from driftjax.diagnosis.select import MAX_EFFECTS, Selection, search
 
 LOST_MISFIT = (
     200.0  # cost per measurement from which the observer of the nominal car has lost it: 14 standard deviations
@@ -51,12 +51,11 @@ def with_nominal_noise(problem: Problem) -> Problem:
 
 
 def search_from_far(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
-    """Search with the noise of the nominal car, then prune and search again with that of the fitted car."""
+    """Search with the noise of the nominal car, then search again with that of the fitted car."""
     loose = with_nominal_noise(problem)
     start = require_finite(nominal_fit(loose))
     rough = search(loose, start, seed, most=most)
     anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
-    selected, fit = prune(anew, rough.selected, require_finite(fit))
-    selection = search(anew, fit, seed, selected, most)
+    selection = search(anew, require_finite(fit), seed, rough.selected, most)
     return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores)

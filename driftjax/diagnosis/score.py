@@ -17,6 +17,7 @@ from driftjax.diagnosis.fit import Problem, information
 from driftjax.diagnosis.runs import Linearisation
 
 DRAWS = 1999  # of the random signs
+DISTINCT = 0.999  # cosine of two parameters' scores from which a pair is one
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
 
 
@@ -29,6 +30,7 @@ class Scores(NamedTuple):
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
+    pair_p_value: float  # probability that chance gives any pair of parameters a joint score as large
 
     @property
     def p_value(self) -> float:
@@ -88,7 +90,7 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
         joint[i] = joint_score(effective[:, c], U[None, c])[0]
     chance = null_max_scores(effective, own, one_sided, seed, list(together.values()))
     gains = np.array([_gain(problem, information, U, T, i, selected) for i in range(len(problem.effects))])
-    return Scores(H, blocks, T, joint, gains, chance)
+    return Scores(H, blocks, T, joint, gains, chance, pair_p_value(effective[:, own], seed))
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -104,6 +106,25 @@ def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
     """
     squares = np.einsum("ni,ij,nj->n", U, np.linalg.pinv(effective.T @ effective, hermitian=True), U)
     return norm.isf(chi2.sf(squares, U.shape[1]) / 2)
+
+
+def pair_p_value(effective: np.ndarray, seed: int) -> float:
+    """Return the probability that chance gives any pair of scores (C, k) as large a joint score, Hotelling's.
+
+    Two effects that cancel in each other's single scores stand out in the joint one.
+    """
+    size = np.sqrt((effective**2).sum(axis=0))
+    unit = effective / size
+    i, j = np.triu_indices(len(size), 1)
+    cosine = np.einsum("ck,cl->kl", unit, unit)[i, j]
+    apart = np.abs(cosine) < DISTINCT
+    i, j, cosine = i[apart], j[apart], cosine[apart]
+    largest = lambda z: ((z[:, i] ** 2 + z[:, j] ** 2 - 2 * cosine * z[:, i] * z[:, j]) / (1 - cosine**2)).max(
+        axis=1, initial=0.0
+    )
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
+    drawn = largest(signs @ unit)
+    return float((1 + np.sum(drawn >= largest(unit.sum(axis=0)[None])[0])) / (DRAWS + 1))
 
 
 def null_max_scores(

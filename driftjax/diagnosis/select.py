@@ -1,17 +1,21 @@
-"""Select effects: forward, swap and backward steps between refits of the whole nonlinear model."""
+"""Select effects: sets from a beam search, refitted in the whole nonlinear model, while a test finds something left."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.beam import EffectSet, beam_search, quadratic_cost
+from driftjax.diagnosis.fit import Fit, Problem, evaluate, refine, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
-MAX_EFFECTS = 4  # default limit of named effects
-REFITS = 6  # candidates refitted at each step
+PAIR_LEVEL = 0.01  # and a pair of effects whose single scores hide each other
+MAX_EFFECTS = 8  # default limit of named effects
+STRIDE = 2  # effects that a set may have beyond those named before
+REFITS = 3  # sets refitted to the end at each step, of twice as many begun
 PARAMETER_PENALTY = 10.0  # required fall of the sum of squares per parameter, beside the test
+MARGIN = 1.0  # by which a set must be better than the one before
 MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
 
 
@@ -37,77 +41,76 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
     return bool(np.abs((fit.theta - problem.start)[problem.columns((effect,))]).max() >= MIN_SIZE)
 
 
-def add_best_effect(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, gain: np.ndarray
-) -> tuple[tuple, Fit]:
-    """Add to `selected` the effect whose refit has the least penalised cost; none where the cost does not fall.
-
-    Candidates by the `gain` (E,) they promise at the fit, linearised in `at`; after one step all but the best three
-    are given up.
-    """
-    worth = gain - PARAMETER_PENALTY * np.array([len(problem.columns((i,))) for i in range(len(gain))])
-    order = [int(i) for i in np.argsort(-worth)[:REFITS] if gain[i] > 0.2 * gain.max()]
-    grown = [(*selected, one) for one in order if one not in selected]
-    trials = [(refine(problem, fit, problem.columns(new), at, num=1), new) for new in grown]
-    trials.sort(key=lambda item: penalised_cost(problem, *item))
-    trials = [(refine(problem, trial, problem.columns(new), at), new) for trial, new in trials[:3]]
-    trials = [(trial, new) for trial, new in trials if is_material(problem, trial, new[-1])]
-    trial, new = min([*trials, (fit, selected)], key=lambda item: penalised_cost(problem, *item))
-    return new, trial
-
-
 def search(
     problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS
 ) -> Selection:
-    """Add effects while the test rejects and the penalised cost falls, at most `most`; swap and prune after each.
+    """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
 
     The search begins with the effects `selected` of `start`.
     """
     fit, at = refit_to_convergence(problem, start, problem.columns(selected))
     remaining = first = scores(problem, at, fit.theta, selected, seed)
-    while len(selected) < most and remaining.p_value < LEVEL:
-        grown, trial = add_best_effect(problem, fit, selected, at, remaining.gain)
-        new, trial = prune(problem, *swap(problem, grown, trial))
-        trial, there = refit_to_convergence(problem, trial, problem.columns(new))
-        if penalised_cost(problem, trial, new) >= penalised_cost(problem, fit, selected):
-            break
-        selected, fit, at = new, trial, there
+    while True:
+        more = STRIDE if remaining.p_value < LEVEL or remaining.pair_p_value < PAIR_LEVEL else 0
+        new, trial = best_set(problem, fit, selected, at, min(len(selected) + more, max(most, len(selected))))
+        if new == selected:
+            return Selection(selected, fit, at, remaining, problem, start, first)
+        selected = new
+        fit, at = refit_to_convergence(problem, trial, problem.columns(selected))
         remaining = scores(problem, at, fit.theta, selected, seed + len(selected))
-    return Selection(selected, fit, at, remaining, problem, start, first)
 
 
-def refit_without(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], gone: int, near: Linearisation
+def best_set(
+    problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, limit: int
 ) -> tuple[tuple[int, ...], Fit]:
-    """Refit the hypothesis without the effect `gone`; `near` are the derivatives of a nearby fit."""
-    theta, rest = fit.theta.copy(), tuple(i for i in selected if i != gone)
-    theta[problem.columns((gone,))] = problem.start[problem.columns((gone,))]
-    return rest, refine(problem, evaluate(problem, theta), problem.columns(rest), near)
+    """Return the set of at most `limit` effects with the least penalised cost after refitting, and its fit.
+
+    Of the sets that promise less than `selected` now costs, those that promise least are refitted; `selected` and
+    `fit` come back where none of them is better.
+    """
+    trials = []
+    for one in promising_sets(problem, fit, selected, at, limit):
+        trial = refine(problem, step_to(problem, fit, one), problem.columns(one.effects), at, num=1)
+        trials.append((trial, one.effects))
+    trials.sort(key=lambda item: penalised_cost(problem, *item))
+    refitted = [(fit, selected)]
+    for trial, effects in trials[:REFITS]:
+        refitted.append(refine_material(problem, trial, effects, at))
+    best, effects = min(refitted, key=lambda item: penalised_cost(problem, *item))
+    better = penalised_cost(problem, best, effects) < penalised_cost(problem, fit, selected) - MARGIN
+    return (effects, best) if better else (selected, fit)
 
 
-def swap(problem: Problem, selected: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
-    """Replace each earlier effect by the best other one, where that lowers the penalised cost."""
-    for old in selected[:-1]:
-        rest, base = refit_without(problem, fit, selected, old, linearise(problem, fit))
-        base, at = refit_to_convergence(problem, base, problem.columns(rest))
-        remaining = scores(problem, at, base.theta, rest, 0)
-        new, trial = add_best_effect(problem, base, rest, at, remaining.gain)
-        if penalised_cost(problem, trial, new) < penalised_cost(problem, fit, selected) - 1.0:
-            selected, fit = new, trial
-    return selected, fit
+def promising_sets(
+    problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, limit: int
+) -> list[EffectSet]:
+    """Return up to 2 `REFITS` sets that promise to be better than `selected`: the best of all, then of each size."""
+    model, now = quadratic_cost(problem, fit, at), penalised_cost(problem, fit, selected)
+    promised = lambda one: model.cost - one.gain + PARAMETER_PENALTY * len(problem.columns(one.effects))
+    sets = beam_search(model, limit, PARAMETER_PENALTY)
+    sets = [one for one in sets if promised(one) < now - MARGIN and set(one.effects) != set(selected)]
+    firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]
+    leading = sets[:REFITS]
+    return leading + [one for one in firsts if all(one is not other for other in leading)][:REFITS]
 
 
-def prune(problem: Problem, selected: tuple[int, ...], fit: Fit) -> tuple[tuple[int, ...], Fit]:
-    """Remove effects that are immaterial or do not lower the penalised cost, the least useful first."""
-    while selected:
-        at, trials = linearise(problem, fit), []
-        for one in selected:
-            rest, trial = refit_without(problem, fit, selected, one, at)
-            trials.append(
-                (penalised_cost(problem, trial, rest) if is_material(problem, fit, one) else -np.inf, rest, trial)
-            )
-        loss, rest, trial = min(trials, key=lambda item: item[0])
-        if loss >= penalised_cost(problem, fit, selected):
-            break
-        selected, fit = rest, trial
-    return selected, fit
+def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
+    """Return the better of two starts for refitting a set: the model's minimum, and `fit` without other effects."""
+    columns = problem.columns(one.effects)
+    kept = problem.start.copy()
+    kept[columns] = fit.theta[columns]
+    return min((evaluate(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost)
+
+
+def refine_material(
+    problem: Problem, trial: Fit, effects: tuple[int, ...], at: Linearisation
+) -> tuple[Fit, tuple[int, ...]]:
+    """Refine `trial` over `effects`, without those that turn out immaterial; return the fit and the effects left."""
+    while True:
+        trial = refine(problem, trial, problem.columns(effects), at)
+        left = tuple(i for i in effects if is_material(problem, trial, i))
+        if left == effects:
+            return trial, effects
+        theta, effects = problem.start.copy(), left
+        theta[problem.columns(left)] = trial.theta[problem.columns(left)]
+        trial = evaluate(problem, theta)

@@ -8,6 +8,7 @@ import numpy as np
 from driftjax.diagnosis.evidence import half_widths
 from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import Gain
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
@@ -25,6 +26,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     content = {
         "schema": 1, "verdict": str(diagnosis.verdict), "sentence": diagnosis.sentence,
         "causes": [cause._asdict() for cause in diagnosis.causes],
+        "explained": None, "answer": None,
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(diagnosis.gain),
         "next_manoeuvre": diagnosis.proposal._asdict() if diagnosis.proposal else None,
         "show": None, "closed_loop": None,
@@ -34,6 +36,8 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     if evidence is None:
         return content
     noise = evidence.problem.noise
+    content["explained"] = evidence.explained._asdict() if evidence.explained else None
+    content["answer"] = evidence.answer
     content["unexplained"] = unexplained_json(evidence.unexplained)
     content["show"] = None if findings is None else findings_json(findings, noise)
     content["data"] |= {
@@ -70,11 +74,15 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
             "held_out_runs": [],
             "horizons_s": [],
             "rmse": {},
+            "skill_horizon_s": None,
             "skill": {},
             "ci95": {},
             "ratio": {},
             "ratio_ci95": {},
+            "without": {},
+            "best": None,
         }
+    shares = {name: one for name, one in gain.skills.items() if name != "nominal"}
     table = {
         name: {c: [float(v) for v in one.rms[:, i]] for i, c in enumerate(MEASURED)}
         for name, one in (gain.errors | {"noise_floor": gain.noise_floor}).items()
@@ -84,10 +92,13 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
         "named_without_them": list(gain.named),
         "horizons_s": list(gain.noise_floor.horizons),
         "rmse": table,
-        "skill": {name: value for name, (value, _) in gain.skills.items()},
-        "ci95": {name: list(interval) for name, (_, interval) in gain.skills.items()},
+        "skill_horizon_s": gain.noise_floor.horizons[DECISIVE],
+        "skill": {name: one.value for name, one in shares.items()},
+        "ci95": {name: list(one.ci95) for name, one in shares.items()},
         "ratio": {name: one[:, 0].tolist() for name, one in gain.ratios.items()},
         "ratio_ci95": {name: one[:, 1:].tolist() for name, one in gain.ratios.items()},
+        "without": {name: dict(zip(MEASURED, one.tolist(), strict=True)) for name, one in gain.without.items()},
+        "best": gain.best if "extended" in gain.ratios else None,
     }
 
 

@@ -7,8 +7,10 @@ import numpy as np
 
 from driftjax.diagnosis.evidence import Cause
 from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unknown import Term, Unexplained
+from driftjax.vehicle.effect.families import FAMILY_OF
 
 SURE_PROBABILITY = 0.95  # probability from which one name stands alone
 MIN_DURATION = 5.0  # data below which nothing is said [s]
@@ -40,21 +42,62 @@ def detectable_share(problem: Problem, H: np.ndarray) -> float:
     return float(np.mean(np.sqrt(np.diag(H)[single & problem.active]) > DETECTABLE))
 
 
+class Explained(NamedTuple):
+    """How much of the excess open-loop error the extended car explains, at the decisive horizon."""
+
+    share: float  # NaN where it is in doubt that anything is to be explained
+    ci95: tuple[float, float]
+    left: float  # share of its own squared error that a right model would not make
+    left_ci95: tuple[float, float]
+    horizon: float  # [s]
+    held_out: bool  # whether measured on runs without which the effects were named
+
+    def too_little(self, tolerated: float) -> bool:
+        """Return whether more than the share `tolerated` is left beyond doubt, of the excess and of the error itself.
+
+        A small excess is no reason to doubt a model, however significant: equivalence is judged by size (Schuirmann
+        1987; ISO 19364).
+        """
+        return self.ci95[1] < 1 - tolerated and self.left_ci95[0] > tolerated
+
+
+def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
+    """Return what the extended car explains; None where no run is long enough to tell."""
+    if "extended" not in shares:
+        return None
+    one = shares["extended"]
+    return Explained(one.value, one.ci95, one.left, one.left_ci95, horizon, held_out)
+
+
 def decide_verdict(
-    problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float
-) -> Judgement:
-    """Decide the verdict on a search and state its reason."""
-    varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
-    if remaining.significant or remaining.simpler or varying:
-        return Judgement(Verdict.UNKNOWN, _unknown(problem, named, remaining, varying))
+    problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float,
+    explained: Explained | None, tolerated: float,
+) -> Judgement:  # fmt: skip
+    """Decide the verdict on a search by the size of what it leaves, and state its reason.
+
+    UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
+    and no run is long enough to measure its size.
+    """
+    large = explained.too_little(tolerated) if explained else remaining.significant or remaining.simpler is not None
+    if large and (remaining.significant or remaining.simpler or named):
+        return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:
         share = detectable_share(problem, selection.scores.H)
         if share < MIN_DETECTABLE_SHARE:
             text = f"These {duration:.0f} s hardly excite the car: only {100 * share:.0f} % of the effects would show."
             return Judgement(Verdict.DATA_INSUFFICIENT, text + " Record drifts and cornering with changing drive.")
-        return Judgement(Verdict.NOTHING, f"Nothing is missing that {duration:.0f} s of these data could show.")
-    verdict = Verdict.NAMED if all(cause.probability >= SURE_PROBABILITY for cause in named) else Verdict.SET
-    return Judgement(verdict, " ".join(describe_cause(problem, cause) for cause in named))
+        text = f"Nothing is missing that {duration:.0f} s of these data could show"
+        if remaining.significant:
+            text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
+        return Judgement(Verdict.NOTHING, text + ".")
+    varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
+    certain = all(cause.probability >= SURE_PROBABILITY for cause in named) and not varying and not remaining.simpler
+    words = [describe_cause(problem, cause) for cause in named]
+    if varying:
+        words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
+    if remaining.simpler:
+        words.append(f"Together they explain no more than {_words(remaining.simpler)} would.")
+    return Judgement(Verdict.NAMED if certain else Verdict.SET, " ".join([*words, *_size(explained, remaining)]))
 
 
 def describe_cause(problem: Problem, cause: Cause) -> str:
@@ -65,13 +108,29 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     values = [f"{p.name} = {x * s:.3g} ± {w * s:.2g}{p.suffix}" for p, x, w, s in rows]
     text = f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
     text += f"P = {cause.probability:.2f})."
+    if cause.probability < SURE_PROBABILITY <= cause.family_probability:
+        family = FAMILY_OF[effect.name]
+        text += f" That it is the {family} is sure (P = {cause.family_probability:.2f}), which member is not."
     if cause.probability < SURE_PROBABILITY and cause.rivals:
         others = ", ".join(f"{problem.effects[i].name} ({p:.2f})" for i, p in list(cause.rivals.items())[:3])
         text += f" These data do not rule out {others}."
     return text
 
 
-def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained, varying: list[str]) -> str:
+def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
+    """Return what the named effects explain, and what the rest goes with."""
+    rest = f"the rest goes most with {' and '.join(list(remaining.drivers)[:2])}" if remaining.significant else ""
+    if explained is None or not np.isfinite(explained.share):
+        return [f"What remains: {rest}."] if rest else []
+    share, (low, high) = 100 * explained.share, (100 * bound for bound in explained.ci95)
+    where = "on held-out runs" if explained.held_out else "on these runs"
+    text = (
+        f"Explained: {share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained.horizon:.2g} s ahead {where}"
+    )
+    return [f"{text}; {rest}." if rest else f"{text}."]
+
+
+def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained) -> str:
     names = ", ".join(problem.effects[cause.effect].name for cause in named)
     if remaining.significant:
         text = f"Something is missing that no effect of the catalogue explains (p = {remaining.p_value:.3f})"
@@ -83,7 +142,7 @@ def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained, varyi
         text = f"Something is missing that no effect of the catalogue explains: {names} together explain no more than"
         drivers = " and ".join(list(remaining.nominal_drivers)[:2])
         return f"{text} {_words(remaining.simpler)}; it goes most with {drivers}."
-    return f"Something is missing that {', '.join(varying)} only stands for: its size differs from run to run."
+    return f"Something is missing beside {names} that these data do not tell apart."
 
 
 def _words(term: Term) -> str:

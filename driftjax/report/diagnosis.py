@@ -101,7 +101,7 @@ def gain_table(gain: dict[str, Any]) -> str:
             ratio = share = ""
             if name in gain["ratio"]:
                 ratio = _within(gain["ratio"][name][i], *gain["ratio_ci95"][name][i], "-")
-            if horizon == 1.0 and name in gain["skill"]:
+            if horizon == gain.get("skill_horizon_s", 1.0) and name in gain["skill"]:
                 share = _within(gain["skill"][name], *gain["ci95"][name], "nothing to explain beyond noise")
             lines.append(f"{name:12}{horizon:10.3g}{values}   {ratio:20}{share}".rstrip())
     return "\n".join(lines) + "\n"

@@ -9,7 +9,7 @@ import numpy as np
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import Diagnosis, Evidence, diagnose
 from driftjax.diagnosis.fit import evaluate, refit_to_convergence
-from driftjax.diagnosis.gain import open_loop_errors, skill
+from driftjax.diagnosis.gain import excess_shares, open_loop_errors
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.score import CONDITION, partial_out
 from driftjax.diagnosis.select import penalised_cost
@@ -60,8 +60,8 @@ def diagnose_case(
     if found.gain and case.effects:
         gain = found.gain
         oracle = open_loop_errors(gain.comparison.problem, case.theta(effects))
-        best = skill(gain.errors["nominal"], oracle, gain.noise_floor, config.seed)
-        told |= {"oracle": [best[0], *best[1]]}
+        if shares := excess_shares(gain.errors | {"oracle": oracle}, gain.noise_floor, config.seed):
+            told |= {"oracle": [shares["oracle"].value, *shares["oracle"].ci95]}
     if set(told["named"]) != set(case.names):
         told |= {"prices": penalised_costs(evidence, case)}
     return told
@@ -88,7 +88,7 @@ def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
         "named": [c["effect"] for c in causes], "p_first": evidence.selection.nominal_scores.p_value,
         "p_left": evidence.unexplained.p_value, "gain_left": evidence.unexplained.gain,
         "unexplained": unexplained_json(evidence.unexplained), "noise": [float(v) for v in noise],
-        "skill": {model: [value, *interval] for model, (value, interval) in skills.items()},
+        "skill": {model: [one.value, *one.ci95] for model, one in skills.items() if model != "nominal"},
     }  # fmt: skip
 
 

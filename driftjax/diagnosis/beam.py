@@ -1,0 +1,124 @@
+"""Beam search for sets of effects, on the quadratic model of the cost about one fit.
+
+One linearisation gives the information of all parameters; what any set of effects would cost then follows by linear
+algebra, so that pairs whose single gains cancel, and one effect that stands for two, are found without refitting.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.diagnosis.fit import Fit, Problem, information_and_score
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.runs import Linearisation
+
+WIDTH = 50  # sets kept of each size
+INDEPENDENT = 1e-8  # share of a parameter's information that must be its own beside the set
+
+
+class QuadraticCost(NamedTuple):
+    """Cost of the parameters `psi`, measured from the nominal car: cost - 2 g psi + psi H psi."""
+
+    cost: float  # of the nominal car, by this model
+    g: np.ndarray  # (K,)
+    H: np.ndarray  # (K, K) information, prior included
+    lower: np.ndarray  # (K,) bounds of psi
+    upper: np.ndarray
+    columns: tuple[np.ndarray, ...]  # parameters of each effect; empty where it is not active
+
+
+class EffectSet(NamedTuple):
+    """A set of effects and the minimum of the quadratic model over its parameters."""
+
+    effects: tuple[int, ...]  # ascending
+    psi: np.ndarray  # (K,) minimiser within the bounds, zero outside the set
+    gain: float  # fall of the cost below the nominal car's
+
+
+def quadratic_cost(problem: Problem, fit: Fit, at: Linearisation) -> QuadraticCost:
+    """Return the quadratic model of the cost about `fit`, which the linearisation `at` belongs to."""
+    H, score = information_and_score(at)
+    moved = fit.theta - problem.start
+    H, score = H + np.eye(len(H)) / PRIOR**2, score - moved / PRIOR**2
+    cost = fit.cost + float(2 * score @ moved + moved @ H @ moved)
+    columns = tuple(problem.columns((i,)) for i in range(len(problem.effects)))
+    active = tuple(c if problem.active[c].all() else c[:0] for c in columns)
+    return QuadraticCost(
+        cost, score + H @ moved, H, problem.lower - problem.start, problem.upper - problem.start, active
+    )
+
+
+def minimise(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
+    """Return the minimiser (K,) over the parameters of `effects` within their bounds, zero elsewhere.
+
+    What would pass a bound is put on it, and the others are solved for again.
+    """
+    columns = parameters_of(model, effects)
+    psi, free = np.zeros(len(model.g)), columns
+    while len(free):
+        bound = np.setdiff1d(columns, free)
+        rest = model.g[free] - model.H[np.ix_(free, bound)] @ psi[bound]
+        psi[free] = np.linalg.solve(model.H[np.ix_(free, free)], rest)
+        outside = (psi[free] < model.lower[free]) | (psi[free] > model.upper[free])
+        if not outside.any():
+            break
+        psi[free] = np.clip(psi[free], model.lower[free], model.upper[free])
+        free = free[~outside]
+    return psi
+
+
+def gain_of(model: QuadraticCost, psi: np.ndarray) -> float:
+    """Return the fall of the cost from the nominal car's to that at `psi` (K,)."""
+    return float(2 * model.g @ psi - psi @ model.H @ psi)
+
+
+def minimise_over(model: QuadraticCost, effects: tuple[int, ...]) -> EffectSet | None:
+    """Return the set of `effects` at its minimum; None where one of them is not needed there."""
+    psi = minimise(model, effects)
+    needed = all(psi[model.columns[i]].any() for i in effects)
+    return EffectSet(effects, psi, gain_of(model, psi)) if needed else None
+
+
+def parameters_of(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
+    """Return the parameter indices of `effects`."""
+    return np.concatenate([model.columns[i] for i in effects]) if effects else np.zeros(0, int)
+
+
+def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
+    """Return the further fall (E,) of the cost by each effect beside `effects`, bounds ignored; -inf for members."""
+    columns, g, H = parameters_of(model, effects), model.g, model.H
+    if len(columns):
+        taken = np.linalg.solve(H[np.ix_(columns, columns)], np.column_stack([H[columns], g[columns]]))
+        g, H = g - H[:, columns] @ taken[:, -1], H - H[:, columns] @ taken[:, :-1]
+    own = np.diag(H) > INDEPENDENT * np.diag(model.H)
+    gains = np.full(len(model.columns), -np.inf)
+    for i, c in enumerate(model.columns):
+        if i not in effects and len(c) and own[c].all():
+            gains[i] = g[c[0]] ** 2 / H[c[0], c[0]] if len(c) == 1 else g[c] @ np.linalg.solve(H[np.ix_(c, c)], g[c])
+    return gains
+
+
+def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WIDTH) -> list[EffectSet]:
+    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `width` a size.
+
+    Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
+    """
+    penalised = lambda one: one.gain - penalty * sum(len(model.columns[i]) for i in one.effects)
+    found: list[EffectSet] = []
+    beam = [EffectSet((), np.zeros(len(model.g)), 0.0)]
+    for size in range(1, most + 1):
+        promised: dict[tuple[int, ...], float] = {}
+        for one in beam:
+            for i, gain in enumerate(gains_of_adding(model, one.effects)):
+                if np.isfinite(gain):
+                    grown = tuple(sorted((*one.effects, i)))
+                    promised[grown] = one.gain + gain - penalty * sum(len(model.columns[j]) for j in grown)
+        keep = len(promised) if size == 1 else width
+        beam = []
+        for grown in sorted(promised, key=lambda name: -promised[name]):
+            if len(beam) >= keep:
+                break
+            if (one := minimise_over(model, grown)) is not None:
+                beam.append(one)
+        found += sorted(beam, key=lambda one: -penalised(one))[:width]
+    return sorted(found, key=lambda one: -penalised(one))
