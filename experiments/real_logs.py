@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 
 import driftjax as dj
 from driftjax.core import write_atomically
-from driftjax.parallel import num_workers, process_executor
 from driftjax.report import write_diagnosis
 from driftjax.report.style import COMPARED
 from driftjax.studies.closed_loop import closed_loop, load_case
@@ -138,8 +137,7 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     path, course = cfg.data / question.log, load_case(plant, car) if plant else None
     log, config = dj.read_log(path, question.columns, runs=question.runs, cut=question.cut), dj.DiagnoseConfig()
     print(f"\ndiagnosing {question.name}: {path}", flush=True)
-    with process_executor(min(num_workers(2), 1)) as executor:
-        diagnosis = dj.diagnose(car, log, config, executor=executor)
+    diagnosis = dj.diagnose(car, log, config)
     options = {"vehicle": dataclasses.asdict(car), "logs": [str(path)], "columns": question.columns,
                "runs": list(question.runs), "cut": question.cut, "options": dataclasses.asdict(config),
                "closed_loop": course.name if course else None}  # fmt: skip

@@ -12,7 +12,6 @@ from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
-from driftjax.parallel import num_workers, process_executor
 from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
@@ -86,8 +85,7 @@ def work(
         print(f"note: {note}")
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
-        with process_executor(min(num_workers(2), 1)) as executor:
-            diagnosis = diagnose(vehicle, log, config, report=step, executor=executor)
+        diagnosis = diagnose(vehicle, log, config, report=step)
         step("show")
         diagnosis.save(folder.path)
         step("done")

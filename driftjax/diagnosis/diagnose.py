@@ -1,21 +1,21 @@
 """Diagnose a log: name the causes with their uncertainty, and measure the gain of correcting them."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects
 from driftjax.diagnosis.figure_data import figure_data
 from driftjax.diagnosis.findings import Comparison, Findings, describe_errors
-from driftjax.diagnosis.fit import Fit, Problem, build_problem
+from driftjax.diagnosis.fit import Fit, Problem, initial_problem, with_estimated_noise
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
     Gain,
     compare_on_all_runs,
     comparison_shares,
-    measure_from_runs,
     measure_gain,
     refit_retuned,
     retuned_effects,
@@ -26,9 +26,9 @@ from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, extended_car
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
+from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
 from driftjax.logs import Log
-from driftjax.parallel import BatchExecutor
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect
@@ -141,14 +141,13 @@ def diagnose(
     *,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
-    executor: BatchExecutor | None = None,
 ) -> Diagnosis:
     """Name what `log` says the model of `vehicle` gets wrong, from measurements in SI and radians, left positive.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
     no part in the noise and the observer either. `effects` is the catalogue to choose from: another one is another
-    model to compile. With workers in `executor`, one of them measures the gain meanwhile. `report` hears of every
-    step. Raises `BadInput` for runs whose sample times differ.
+    model to compile. The gain is measured in a thread of its own meanwhile. `report` hears of every step. Raises
+    `BadInput` for runs whose sample times differ.
     """
     require_float64()
     config = DiagnoseConfig() if config is None else config
@@ -157,22 +156,49 @@ def diagnose(
         text = f"The log holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
         return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
     report("noise and nominal car")
-    parallel = executor is not None and executor.pool is not None
-    beside = executor.submit(measure_from_runs, vehicle, effects, log.runs, config) if executor and parallel else None
-    problem = build_problem(vehicle, effects, log.runs, config.without)
+    initial = initial_problem(vehicle, effects, log.runs, config.without)
+    names = tuple(run.name for run in log.runs)
+    with ThreadPoolExecutor(2) as threads:
+        measured = threads.submit(measure_gain, initial, names, config)
+        threads.submit(compile_programs, initial)  # what fails here fails again where it is needed
+        found = _name_causes(initial, config, report)
+        report("gain")
+        gain = measured.result()
+    return _conclude(vehicle, log, config, duration, found, gain)
+
+
+class _Named(NamedTuple):
+    """What was named from all runs."""
+
+    problem: Problem
+    selection: Selection
+    causes: list[Cause]
+    unexplained: Unexplained
+
+
+def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str], None]) -> _Named:
+    """Name the causes from all runs of the problem, its noise estimated from all of them too."""
+    problem = with_estimated_noise(initial, initial.start, initial.active)
     report("naming")
     problem, selection = search_multistart(problem, config.seed, config.most)
-    named = find_causes(problem, selection)
-    remaining = find_unexplained(problem, selection, config.seed)
-    report("gain")
-    gain = beside() if beside else measure_gain(problem, tuple(run.name for run in log.runs), config)
+    causes = find_causes(problem, selection)
+    return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed))
+
+
+def _conclude(
+    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, duration: float, named: _Named, gain: Gain | None
+) -> Diagnosis:
+    """Return the diagnosis: the verdict by the size of what is left, the car to go on with, the next manoeuvre."""
+    problem, selection, causes, remaining = named
     comparison = gain.comparison if gain else compare_on_all_runs(problem, selection, config.seed)
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
-    explained = explained_by(shares, horizon_steps(problem)[DECISIVE] * problem.data.dt, gain is not None)
-    judgement = decide_verdict(problem, selection, named, remaining, duration, explained, config.unexplained)
+    explained = explained_by(shares, float(horizon_steps(problem)[DECISIVE] * problem.data.dt), gain is not None)
+    judgement = decide_verdict(problem, selection, causes, remaining, duration, explained, config.unexplained)
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
     judgement = judgement._replace(sentence=ANSWERS[answer] + judgement.sentence)
-    proposal = propose(vehicle, problem, selection, named, judgement, config.seed)
-    evidence = Evidence(problem, selection, named, remaining, proposal, gain, comparison, explained, answer, retuned)
+    proposal = propose(vehicle, problem, selection, causes, judgement, config.seed)
+    evidence = Evidence(
+        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned
+    )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

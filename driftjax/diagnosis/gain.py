@@ -74,14 +74,14 @@ def predict_run(
     return jax.vmap(one)(starts)
 
 
-def _predict_runs(model, theta, runs, z, starts, num, dt, residual):
+def run_predictions(model, theta, runs, z, starts, num, dt, residual):
     axes = (None, None, 0, 0, None, None, None, None)
     return eqx.filter_vmap(predict_run, in_axes=axes)(model, theta, runs, z, starts, num, dt, residual)
 
 
 def predict_pieces(*args) -> tuple[Array, Array]:
     """Apply `predict_run` to a batch of pieces with their states `z` (P, T, 6)."""
-    return call(_predict_runs, *args)
+    return call(run_predictions, *args)
 
 
 def horizon_steps(problem: Problem) -> np.ndarray:

@@ -8,15 +8,13 @@ import numpy as np
 from driftjax.core import require
 from driftjax.diagnosis.beam import minimise, quadratic_cost
 from driftjax.diagnosis.findings import Comparison
-from driftjax.diagnosis.fit import Fit, Problem, initial_problem, refit_to_convergence, with_estimated_noise, with_noise
+from driftjax.diagnosis.fit import Fit, Problem, refit_to_convergence, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
-from driftjax.logs import Run
-from driftjax.vehicle import VehicleConfig
-from driftjax.vehicle.effect import EFFECTS, Effect
+from driftjax.vehicle.effect import EFFECTS
 
 BETTER = 0.02  # share of the error by which another car must predict better than the extended one to be the answer
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
@@ -84,15 +82,6 @@ def split_runs(num: int, every: int) -> tuple[np.ndarray, np.ndarray]:
     runs = np.arange(num)
     held = runs % every == every - 1 if every else np.zeros(num, bool)
     return runs[~held], runs[held]
-
-
-def measure_from_runs(
-    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], config: DiagnoseConfig
-) -> Gain | None:
-    """Build the problem and call `measure_gain`: a worker process builds it itself."""
-    return measure_gain(
-        initial_problem(vehicle, effects, runs, config.without), tuple(run.name for run in runs), config
-    )
 
 
 def split_problem(problem: Problem, use: np.ndarray, held: np.ndarray) -> tuple[Problem, Problem]:

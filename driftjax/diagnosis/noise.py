@@ -21,6 +21,7 @@ from driftjax.parallel import call
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 0.5  # disturbance assumed before any is known, in measurement noise per second
 CORRELATION = 0.3  # and its correlation time [s]
+SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 40  # of the search, at most
 LOG_SCALES = np.array(
     [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2]
@@ -88,10 +89,24 @@ def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Ar
     return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 
+def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Array]:
+    """Return pieces of `trees` (P, T, ...) that hold `SEARCHED` samples, spread evenly; zeros where there are fewer."""
+    P, T = trees[1].shape[:2]
+    num = max(SEARCHED // T, 1)
+    rows = np.round(np.linspace(0, P - 1, num)).astype(int) if P > num else np.arange(P)
+    pad = lambda a: np.concatenate([np.asarray(a)[rows], np.zeros((num - len(rows), *a.shape[1:]), a.dtype)])
+    return jax.tree.map(pad, trees)
+
+
 def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
-    """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`."""
+    """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
+
+    It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
+    measurement: seven numbers need no more, and one program serves all logs.
+    """
+    steps, e, L = spread_pieces((steps, e, gains.L))
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
-    best = np.exp(call(_search, first, lower, upper, steps, e, gains.L, dt).x)
+    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt).x)
     return Noise(best[:3], best[3:6], float(best[6]))

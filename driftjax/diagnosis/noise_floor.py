@@ -62,7 +62,7 @@ def disturbed_rollouts(
     return jax.vmap(jax.vmap(drive), (None, None, 0))(starts, ahead, keys).mean(axis=0) + noise[:3] ** 2
 
 
-def _batched_rollouts(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
+def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
     axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None)
     return eqx.filter_vmap(disturbed_rollouts, in_axes=axes)(
         model, theta, runs, z, P, ahead, number, starts, noise, dt, seed
@@ -73,5 +73,5 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
     """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
     data, where, starts = problem.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
-    one = lambda *rows: call(_batched_rollouts, problem.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
+    one = lambda *rows: call(batched_rollouts, problem.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
     return np.asarray(map_pieces(one, len(data.run), data.padded, ahead.z, problem.gains.P, ahead.readings, number))

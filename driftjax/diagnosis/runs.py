@@ -146,7 +146,7 @@ def _chain(steps: Steps, gains: Gains, dt: float) -> Array:
     return eqx.filter_vmap(propagate_derivatives, in_axes=(0, 0, None))(steps, gains, dt)
 
 
-def _by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> tuple[Array, Array]:
+def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> tuple[Array, Array]:
     return eqx.filter_vmap(command_derivatives, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
 
@@ -220,7 +220,7 @@ def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Pa
     """
     where = jnp.asarray(theta)
     one = _each_sample(model, where, path, data)
-    by_u, first = map_pieces(lambda run: call(_by_commands, model, where, run, data.dt), len(data.run), data.padded)
+    by_u, first = map_pieces(lambda run: call(by_commands, model, where, run, data.dt), len(data.run), data.padded)
     only = jnp.asarray(active, float)
     C, F = only * (one.by_theta + one.by_u @ by_u), only * one.F
     return Steps(one.A, C, one.D, F, one.slip, one.push, one.late, path.valid, only * first)

@@ -16,6 +16,7 @@ SURE_PROBABILITY = 0.95  # probability from which one name stands alone
 MIN_DURATION = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 MIN_DETECTABLE_SHARE = 0.5  # share of effects that must be detectable before finding nothing means anything
+MOST = 0.5  # share of the excess error that what is named must explain beyond doubt
 INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 
 
@@ -53,12 +54,13 @@ class Explained(NamedTuple):
     held_out: bool  # whether measured on runs without which the effects were named
 
     def too_little(self, tolerated: float) -> bool:
-        """Return whether more than the share `tolerated` is left beyond doubt, of the excess and of the error itself.
+        """Return whether more than the share `tolerated` is left beyond doubt, or whether it is in doubt that most is
+        explained.
 
-        A small excess is no reason to doubt a model, however significant: equivalence is judged by size (Schuirmann
-        1987; ISO 19364).
+        In either case what is left must be that share of the model's own error too: a small excess is no reason to
+        doubt a model, however significant. Equivalence is judged by size (Schuirmann 1987; ISO 19364).
         """
-        return self.ci95[1] < 1 - tolerated and self.left_ci95[0] > tolerated
+        return (self.ci95[1] < 1 - tolerated or self.ci95[0] < MOST) and self.left_ci95[0] > tolerated
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:

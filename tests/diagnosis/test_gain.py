@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
 
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.fit import build_problem, initial_problem, with_noise
-from driftjax.diagnosis.gain import Errors, at_horizons, predict, ratios, skill
+from driftjax.diagnosis.gain import Errors, Share, at_horizons, excess_shares, predict, ratios
 from driftjax.diagnosis.held_out import DiagnoseConfig, split_problem, split_runs
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.verdict import Verdict
@@ -18,6 +18,11 @@ from driftjax.studies.hidden_effects import criteria
 
 SIGMA = np.array([0.05, 0.01, 0.01])
 FLOOR = Errors(np.broadcast_to(SIGMA**2, (200, 2, 3)), (0.01, 1.0), np.arange(200) // 4, np.arange(200) // 40)
+
+
+def skill(before: Errors, after: Errors, least: Errors) -> Share:
+    """The share that `after` removes of what `before` errs by, at the second of two horizons."""
+    return excess_shares({"nominal": before, "after": after}, least, at=1)["after"]
 
 
 def errors(size: float, num: int = 200, seed: int = 0) -> Errors:
@@ -35,21 +40,33 @@ def test_rmse_is_the_root_of_the_mean_over_what_was_measured():
 
 def test_skill_is_one_for_a_model_at_the_noise_floor_and_zero_for_no_change():
     nominal, mended = errors(5.0), errors(0.0, seed=1)
-    value, (low, high) = skill(nominal, mended, FLOOR)
-    assert value == pytest.approx(1.0, abs=0.03) and low < value < high
-    value, (low, high) = skill(nominal, nominal, FLOOR)
+    value, (low, high), *_ = skill(nominal, mended, FLOOR)
+    assert value == pytest.approx(1.0, abs=0.03) and low < value <= high <= 1
+    value, (low, high), *_ = skill(nominal, nominal, FLOOR)
     assert value == pytest.approx(0.0, abs=1e-12) and low == high == pytest.approx(0.0, abs=1e-9)
 
 
 def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_gain():
     assert skill(errors(2.0), errors(3.0, seed=1), FLOOR)[0] < -0.5
     found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
-    assert sum(low < 0 < high for _, (low, high) in found) >= 34
-    assert np.abs([value for value, _ in found]).max() < 0.35
+    assert sum(low < 0 < high for _, (low, high), *_ in found) >= 34
+    assert np.abs([value for value, *_ in found]).max() < 0.35
+
+
+def test_a_floor_above_what_a_model_reaches_makes_no_share_above_one():
+    loud = FLOOR._replace(squares=FLOOR.squares * 2.0)
+    value, (low, high), left, _ = skill(errors(5.0), errors(0.0, seed=1), loud)
+    assert value == pytest.approx(1.0) and low <= high <= 1.0 and left == pytest.approx(0.0)
+
+
+def test_what_is_left_is_told_over_the_error_of_the_model_itself():
+    value, _, left, (low, high) = skill(errors(5.0), errors(1.0, seed=1), FLOOR)
+    assert value == pytest.approx(24 / 25, abs=0.02) and low < left < high
+    assert left == pytest.approx(1 / 2, abs=0.1)
 
 
 def test_no_share_is_told_where_noise_explains_everything():
-    value, interval = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
+    value, interval, *_ = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
     assert np.isnan([value, *interval]).all()
 
 
@@ -93,9 +110,10 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     least = at_horizons(problem, noise_floor(problem, neutral, ahead, seed=3))
     made = at_horizons(problem, ahead.error**2)
     ratio = np.nanmean(made.squares / least.squares.mean(axis=0), axis=0)[:3]
-    assert (0.8 < ratio).all() and (ratio < 1.3).all(), ratio
-    value, _ = skill(made, made, least)
-    assert np.isnan(value)  # nothing is left to explain
+    assert (0.8 < ratio[:2]).all() and (ratio[:2] < 1.3).all(), ratio
+    assert (0.6 < ratio[2]).all() and (ratio[2] < 2.0).all(), ratio  # there a few that spin decide the mean
+    share = excess_shares({"nominal": made}, least)["nominal"]
+    assert np.isnan(share.value) and share.left < 0.1  # nothing is left to explain
 
 
 def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
@@ -110,4 +128,4 @@ def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_
     ]
     told = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
     assert told.gain
-    assert told.verdict is Verdict.UNKNOWN and not told.gain.skills["extended"][1][0] > 0
+    assert told.verdict is Verdict.UNKNOWN and not told.gain.skills["extended"].ci95[0] > 0

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 
-from driftjax.diagnosis.evidence import Cause, effect_probability
+from driftjax.diagnosis.evidence import Cause, effect_probabilities
 from driftjax.diagnosis.fit import Problem, build_problem, evaluate, linearise, refit_to_convergence, with_noise
 from driftjax.diagnosis.propose import in_full_catalogue, propose
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms
-from driftjax.diagnosis.verdict import Judgement, Verdict, decide_verdict
+from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
+from driftjax.diagnosis.worth import Worth
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
+
+ALL = Worth(1.0, (1.0, 1.0))
+MUCH_LEFT = Explained(0.3, (0.2, 0.4), 0.6, (0.5, 0.7), 1.0, True)
 
 
 @functools.cache
@@ -35,7 +39,7 @@ def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
     assert remaining.significant and "Fxr" in list(remaining.drivers)[:4]  # in a drift, sideslip and drive go together
     assert (remaining.term.channel, remaining.term.function, remaining.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
     assert remaining.term.value == pytest.approx(gain * G, rel=0.35) and 0 < remaining.term.half_width < 0.3 * gain * G
-    told = decide_verdict(problem, found, [], remaining, 36.0)
+    told = decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1)
     assert told.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in told.sentence
 
 
@@ -46,7 +50,7 @@ def test_a_missing_bias_of_the_gyro_is_told_as_an_error_of_the_sensor():
     assert remaining.significant and next(iter(remaining.drivers)) == "1" == next(iter(remaining.nominal_drivers))
     assert remaining.term[:3] == ("r", "sensor", "1") and remaining.term.unit == "rad/s"
     assert remaining.term.value == pytest.approx(bias, rel=0.35)
-    assert "in what is measured as r" in decide_verdict(problem, found, [], remaining, 36.0).sentence
+    assert "in what is measured as r" in decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
 
 
 def test_effects_that_one_force_outdoes_only_imitate_it():
@@ -55,9 +59,37 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
     one, two = (find_unexplained(problem, found._replace(selected=useless[:num]), 0) for num in (1, 2))
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
-    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001) for i in useless]
-    told = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0)
+    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL) for i in useless]
+    told = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
     assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
+
+
+@pytest.mark.parametrize(
+    ("high", "left", "verdict"),
+    [
+        (0.89, 0.2, Verdict.UNKNOWN),
+        (0.91, 0.2, Verdict.NAMED),
+        (0.89, 0.09, Verdict.NAMED),
+        (np.nan, 0.0, Verdict.NAMED),
+    ],
+    ids=["too little", "perhaps enough", "a small error", "in doubt that there is any"],
+)
+def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left, verdict):
+    """What remains is significant in each case."""
+    problem, found = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, found, 0)
+    assert remaining.significant
+    cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL)
+    explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
+    told = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
+    assert told.verdict == verdict and next(iter(remaining.drivers)) in told.sentence
+    assert ("of the excess error" in told.sentence) == np.isfinite(high)
+    differing = cause._replace(invariance=1e-6)
+    if verdict == Verdict.NAMED:
+        told = decide_verdict(problem, found, [differing], remaining, 36.0, explained, 0.1)
+        assert told.verdict == Verdict.SET and "differs from run to run" in told.sentence
+        small = decide_verdict(problem, found, [], remaining, 36.0, explained, 0.1)
+        assert small.verdict == Verdict.NOTHING and "too small" in small.sentence
 
 
 def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
@@ -81,10 +113,10 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
     for one in (problem, with_noise(problem, problem.start, third)):
         fit, at = refit_to_convergence(one, evaluate(one, problem.start), columns)
         remaining = scores(one, at, fit.theta, (member,), 0)
-        probability, _, p_value = effect_probability(
+        share, p_value = effect_probabilities(
             one, Selection((member,), fit, at, remaining, one, fit, remaining), member
         )
-        stated.append(probability)
+        stated.append(share[member])
         assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
     assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 
@@ -106,7 +138,7 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
     found = found._replace(selected=(own,), fit=fit)
-    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001)
+    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL)
     ask = lambda verdict: propose(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     told = ask(Verdict.SET)
