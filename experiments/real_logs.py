@@ -128,7 +128,8 @@ def diagnose_question(question: Question, cfg: Config) -> dict[str, Any]:
         write_question(question, cfg, out, plant, car)
     content = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "causes", "gain", "closed_loop")} | {
-        "answer": answer(question, content, {one.effect: one.value for one in car.effects})
+        "answer_car": content["answer"],
+        "answer": answer(question, content, {one.effect: one.value for one in car.effects}),
     }
 
 
@@ -216,6 +217,7 @@ def format_result(question: Question, result: dict[str, Any]) -> str:
         low, high = gain["ratio_ci95"][model][at]
         lines.append(f"  {model}: error after {ahead:.2g} s on held-out runs, over that of the nominal car: "
                      f"{gain['ratio'][model][at]:.2f} [{low:.2f}, {high:.2f}]")  # fmt: skip
+    lines.append(f"  answer: {result['answer_car']} car")
     if (share := gain["skill"].get("extended")) is not None:
         low, high = gain["ci95"]["extended"]
         lines.append(f"  share of the explainable error removed on held-out runs: {share:.2f} [{low:.2f}, {high:.2f}]")

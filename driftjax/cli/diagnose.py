@@ -12,7 +12,7 @@ from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
-from driftjax.report import closed_loop_table, gain_table, parity_words, write_diagnosis
+from driftjax.report import closed_loop_table, gain_table, parity_words, worth_table, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -91,6 +91,8 @@ def work(
         step("done")
     content = folder.read_json("diagnosis")
     print(f"\n{diagnosis.verdict}: {diagnosis.sentence}\n")
+    if worth := worth_table(content):
+        print(worth)
     if diagnosis.proposal:
         print(diagnosis.proposal.sentence + "\n")
     if content["show"]:

@@ -12,3 +12,4 @@ from driftjax.report.table import run_line as run_line
 from driftjax.report.table import table as table
 from driftjax.report.tuning import tuning_words as tuning_words
 from driftjax.report.tuning import write_tuning as write_tuning
+from driftjax.report.worth import worth_table as worth_table

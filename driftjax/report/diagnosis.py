@@ -14,6 +14,7 @@ from driftjax.report.predictions import error_over_horizon, fan
 from driftjax.report.residuals import residual_forces, whiteness
 from driftjax.report.style import save
 from driftjax.report.table import aligned, interval, number
+from driftjax.report.worth import waterfall, worth_table
 from driftjax.store import RunFolder
 
 TITLES = {
@@ -27,6 +28,8 @@ TITLES = {
                         "sensor shows as a force too; kinematic parity tells it from the car's."),
     "scores": ("Scores of all effects", "What the nominal car's errors say of each effect by itself. Where much is "
                "wrong many effects pass the test; the one that is named is worth most once refitted."),
+    "worth": ("What each named effect is worth", "Shares of what all named effects explain of the squared error that a "
+              "right model would not make; effects that explain the same share it alike (Shapley 1953)."),
     "posterior": ("Named effects and their rivals", ""),
     "confusability": ("Which effects look alike in these data", "Labels of named effects are red."),
     "whiteness": ("Whiteness before and after", "Innovations of a right model are not correlated in time."),
@@ -46,7 +49,10 @@ def figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
     if (figure := residual_forces(data)) is not None:
         yield "residual_forces", figure
     yield "scores", scores(data)
-    if (figure := posterior(run.read_json("diagnosis"))) is not None:
+    content = run.read_json("diagnosis")
+    if (figure := waterfall(content)) is not None:
+        yield "worth", figure
+    if (figure := posterior(content)) is not None:
         yield "posterior", figure
     yield "confusability", confusability(data)
     yield "whiteness", whiteness(data)
@@ -64,6 +70,8 @@ def _html(run: RunFolder, pictures: list[Path]) -> str:
     found = run.read_json("diagnosis")
     parts = [heading(found["verdict"]), paragraph(found["sentence"], strong=True)]
     shown = found.get("show")
+    if worth := worth_table(found):
+        parts += [heading("What each is worth"), text(worth)]
     if shown:
         parts += [paragraph(shown["worst"]), paragraph(parity_words(shown["kinematic_parity"]))]
         parts += [heading("Gain"), text(gain_table(found["gain"])), text(show_table(shown))]

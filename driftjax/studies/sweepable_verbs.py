@@ -87,10 +87,11 @@ def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Ite
     """The verdict, and the gain on runs held out."""
     asked = from_dict(LogConfig, config, "a trial")
     log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options, executor=executor)
+    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options)
     told = found.content()
     names = [cause["effect"] for cause in told["causes"]]
-    at = told["gain"]["horizons_s"].index(1.0) if 1.0 in told["gain"].get("horizons_s", []) else None
+    ahead = told["gain"]["skill_horizon_s"]
+    at = None if ahead is None else told["gain"]["horizons_s"].index(ahead)
     ratio, skill = told["gain"].get("ratio", {}).get("extended"), told["gain"].get("skill", {}).get("extended")
     yield [{"verdict": told["verdict"], "named": len(names), "causes": ", ".join(names),
             "error_ratio": ratio[at] if ratio and at is not None else None, "skill": skill}]  # fmt: skip

@@ -65,14 +65,15 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
 
 
 @pytest.mark.parametrize(
-    ("high", "left", "verdict"),
+    ("low", "high", "left", "verdict"),
     [
-        (0.89, 0.2, Verdict.UNKNOWN),
-        (0.91, 0.2, Verdict.NAMED),
-        (0.89, 0.09, Verdict.NAMED),
-        (np.nan, 0.0, Verdict.NAMED),
+        (0.7, 0.89, 0.2, Verdict.UNKNOWN),
+        (0.7, 0.91, 0.2, Verdict.NAMED),
+        (0.4, 0.95, 0.2, Verdict.UNKNOWN),
+        (0.4, 0.89, 0.09, Verdict.NAMED),
+        (np.nan, np.nan, 0.0, Verdict.NAMED),
     ],
-    ids=["too little", "perhaps enough", "a small error", "in doubt that there is any"],
+    ids=["too little", "perhaps enough", "perhaps nothing", "a small error", "in doubt that there is any"],
 )
 def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left, verdict):
     """What remains is significant in each case."""

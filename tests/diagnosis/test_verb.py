@@ -60,11 +60,11 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     nominal = np.array([shown["open_loop"]["in_noises"][name] for name in ("V", "beta", "r")])
     assert nominal.shape == (3, 4) and (nominal[:, 0] < nominal[:, 2]).all()
     first = Path("found/report.html").read_text()
-    assert first.count("data:image/png;base64,") == len(list(Path("found/figures").glob("*.pdf"))) == 7
+    assert first.count("data:image/png;base64,") == len(list(Path("found/figures").glob("*.pdf"))) == 8
     assert sum(path.stat().st_size for path in Path("found").glob("*.nc")) < 1e6
     Path("found/report.html").unlink()
     assert main(["report", "found"]) == 0
-    assert Path("found/report.html").read_text().count("data:image/png;base64,") == 7
+    assert Path("found/report.html").read_text().count("data:image/png;base64,") == 8
     out = capsys.readouterr().out
     assert shown["worst"] in out
     assert "NAMED: The steering lags behind its command" in out and "extended" in out

@@ -21,11 +21,19 @@ def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
     """What `diagnosis.json` says of one named effect, and of gains."""
     rmse = {name: {"V": [0.1, size], "beta": [0.01, size], "r": [0.1, 2 * size]}
             for name, size in (("nominal", 2.0), ("retuned", 1.5), ("extended", 0.5))}  # fmt: skip
-    gain = {"horizons_s": [0.05, 1.0], "rmse": rmse, "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]},
-            "ratio": {name: [0.6, 0.25] for name in ("extended", "extended_gp")},
-            "ratio_ci95": {name: [[0.5, 0.7], [0.2, 0.3]] for name in ("extended", "extended_gp")}}  # fmt: skip
+    gain = {"horizons_s": [0.05, 1.0], "skill_horizon_s": 1.0, "rmse": rmse,
+            "skill": {"extended": 0.9}, "ci95": {"extended": [0.8, 0.95]},
+            "ratio": dict.fromkeys(("retuned", "extended", "extended_gp"), [0.6, 0.25]),
+            "ratio_ci95": dict.fromkeys(("retuned", "extended", "extended_gp"), [[0.5, 0.7], [0.2, 0.3]])}  # fmt: skip
     cause = {"effect": effect, "parameters": {parameter: {"value": value, "ci95": [value - half, value + half]}}}
-    return {"verdict": "NAMED", "sentence": "", "causes": [cause], "gain": gain, "closed_loop": None}
+    return {
+        "verdict": "NAMED",
+        "sentence": "",
+        "causes": [cause],
+        "gain": gain,
+        "closed_loop": None,
+        "answer_car": "extended",
+    }
 
 
 def test_every_question_asks_for_what_there_is():

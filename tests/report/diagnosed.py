@@ -51,13 +51,16 @@ def told(named: tuple[str, ...]) -> dict:
              "explained": dict.fromkeys(DRIVERS, 0.1) | {"slip_rear": 0.6}}  # fmt: skip
     causes = [
         {"effect": name, "probability": 0.9, "p_value": 0.001, "confusable_with": ["stiffness_rear"],
+         "family": "rear tyre", "family_probability": 0.98, "share": 1.0, "share_ci95": [0.9, 1.0],
          "rivals": {"stiffness_rear": 0.08}, "parameters": {"p": {"value": -0.1, "ci95": [-0.12, -0.08], "unit": "1"}}}
         for name in named
     ]  # fmt: skip
     return {
         "schema": 1, "verdict": "NAMED" if named else "NOTHING", "sentence": "Rear friction differs <a lot>.",
-        "causes": causes,
-        "gain": {"held_out_runs": ["drift2"], "horizons_s": [0.01, 0.5, 1.0, 2.0], "skill": {"extended": 0.8},
+        "causes": causes, "explained": {"share": 0.8, "ci95": [0.7, 0.9], "horizon": 1.0},
+        "gain": {"held_out_runs": ["drift2"], "horizons_s": [0.01, 0.5, 1.0, 2.0], "skill_horizon_s": 1.0,
+                 "without": {"friction_rear": channels([1.2, 1.1, 1.3], [1.5, 1.4, 1.6], [None, None, None])},
+                 "skill": {"extended": 0.8},
                  "ci95": {"extended": [0.7, 0.9]}, "ratio": {"extended": [0.5, 0.4, 0.3, None]},
                  "ratio_ci95": {"extended": [[0.4, 0.6], [0.3, 0.5], [0.2, 0.4], [None, None]]},
                  "rmse": {name: channels(four(1.0), four(0.5), [0.1, None, None, None])

@@ -40,7 +40,8 @@ def test_page_holds_every_figure_and_needs_nothing_else(run, capsys):
     assert page.count("data:image/png;base64,") == len(names)
     assert not re.search(r"(src|href)=['\"]?(http|/|figures)", page), "the page must stand alone"
     for words in ("NAMED", "Rear friction differs &lt;a lot&gt;.", "The lateral force of the rear axle is off most.",
-                  "0.80 [0.70, 0.90]", "the log has no ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
+                  "0.80 [0.70, 0.90]", "100 % [90, 100]", "1.50 [1.40, 1.60]",
+                  "the log has no ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
         assert words in page, words
 
 
@@ -53,7 +54,7 @@ def test_what_is_stored_describes_itself(run):
 
 def test_a_diagnosis_that_names_nothing_shows_the_nominal_car_only(tmp_path):
     bare = diagnosed(tmp_path / "bare", named=(), drivers=False)
-    assert {name for name, _ in figures(bare)} == set(TITLES) - {"posterior", "residual_forces"}
+    assert {name for name, _ in figures(bare)} == set(TITLES) - {"posterior", "residual_forces", "worth"}
     data = bare.read_dataset("diagnosis.nc")
     colours = {to_hex(line.get_color()).upper() for axis in fan(data).axes for line in axis.lines}
     assert NOMINAL in colours and EXPLORED not in colours

@@ -14,7 +14,7 @@ from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, Run, write_log
 from driftjax.manoeuvres.campaign import REDRAWS, SPIN, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, vehicle_units
-from driftjax.parallel import BatchExecutor, call
+from driftjax.parallel import call
 from driftjax.sim.record import FILTER, Manoeuvre
 from driftjax.store.files import write_json
 from driftjax.vehicle import DoubleTrack, PlantState, VehicleConfig, load_plant, write_vehicle
@@ -25,14 +25,14 @@ STEP = 5e-4  # of the plant [s]
 JSON, CAR = "diagnosis.json", "extended.yaml"
 
 
-def extend(car: str, vehicle: VehicleConfig, folder: Path, executor: BatchExecutor) -> None:
+def extend(car: str, vehicle: VehicleConfig, folder: Path) -> None:
     """Write log.csv, diagnosis.json and extended.yaml of the central car of `car`'s plants into `folder`."""
     runs = simulated_runs(load_plant(car).build(), vehicle, np.random.default_rng(0))
     folder.mkdir(parents=True, exist_ok=True)
     write_log(folder / "log.csv", runs)
     log = Log(runs, paths=(folder / "log.csv",))
     sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
-    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), executor=executor)
+    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors))
     write_json(folder / JSON, found.content())
     write_vehicle(folder / CAR, found.extended)
 

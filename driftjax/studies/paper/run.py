@@ -10,7 +10,6 @@ from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.run import run as learn
-from driftjax.parallel import process_executor
 from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
@@ -57,16 +56,16 @@ def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
 def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
     """Drive the missing laps of one run."""
     path = out / arm.folder
-    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, num_workers)
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out)
     if not run.has("results.json"):
         learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
 
 
-def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
+def start_run(arm: Arm, out: Path) -> RunFolder:
     """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
-        config = dataclasses.replace(config, vehicle=extended(arm, out, num_workers))
+        config = dataclasses.replace(config, vehicle=extended(arm, out))
     run = RunFolder.create(out / arm.folder, to_dict(config))
     if arm.like:
         other = RunFolder.open(out / arm.like)
@@ -75,13 +74,12 @@ def start_run(arm: Arm, out: Path, num_workers: int) -> RunFolder:
     return run
 
 
-def extended(arm: Arm, out: Path, num_workers: int) -> Path:
+def extended(arm: Arm, out: Path) -> Path:
     """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_combined_slip(arm.learn.combined_slip)
-        with process_executor(min(num_workers, 1)) as executor:
-            extend(arm.car, nominal, folder, executor)
+        extend(arm.car, nominal, folder)
     return (folder / CAR).resolve()
 
 
