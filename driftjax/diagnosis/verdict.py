@@ -54,13 +54,13 @@ class Explained(NamedTuple):
     held_out: bool  # whether measured on runs without which the effects were named
 
     def too_little(self, tolerated: float) -> bool:
-        """Return whether more than the share `tolerated` is left beyond doubt, or whether it is in doubt that most is
-        explained.
+        """Return whether more than `tolerated` is left beyond doubt, or it is in doubt that most is explained.
 
         In either case what is left must be that share of the model's own error too: a small excess is no reason to
         doubt a model, however significant. Equivalence is judged by size (Schuirmann 1987; ISO 19364).
         """
-        return (self.ci95[1] < 1 - tolerated or self.ci95[0] < MOST) and self.left_ci95[0] > tolerated
+        enough = self.ci95[1] >= 1 - tolerated and self.ci95[0] >= MOST  # false where the share is NaN
+        return not enough and self.left_ci95[0] > tolerated
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
