@@ -103,7 +103,8 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """
-    penalised = lambda one: one.gain - penalty * sum(len(model.columns[i]) for i in one.effects)
+    price = lambda effects: penalty * len(parameters_of(model, effects))
+    penalised = lambda one: one.gain - price(one.effects)
     found: list[EffectSet] = []
     beam = [EffectSet((), np.zeros(len(model.g)), 0.0)]
     for size in range(1, most + 1):
@@ -112,7 +113,7 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
             for i, gain in enumerate(gains_of_adding(model, one.effects)):
                 if np.isfinite(gain):
                     grown = tuple(sorted((*one.effects, i)))
-                    promised[grown] = one.gain + gain - penalty * sum(len(model.columns[j]) for j in grown)
+                    promised[grown] = one.gain + gain - price(grown)
         keep = len(promised) if size == 1 else width
         beam = []
         for grown in sorted(promised, key=lambda name: -promised[name]):

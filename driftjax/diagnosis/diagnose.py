@@ -160,10 +160,11 @@ def diagnose(
     names = tuple(run.name for run in log.runs)
     with ThreadPoolExecutor(2) as threads:
         measured = threads.submit(measure_gain, initial, names, config)
-        threads.submit(compile_programs, initial)  # what fails here fails again where it is needed
+        compiled = threads.submit(compile_programs, initial)
         found = _name_causes(initial, config, report)
         report("gain")
         gain = measured.result()
+        compiled.result()  # raises what went wrong there
     return _conclude(vehicle, log, config, duration, found, gain)
 
 

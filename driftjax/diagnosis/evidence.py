@@ -82,17 +82,18 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
 
 
 def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
-    """Return every named effect with its interval, probability and rivals."""
+    """Return every named effect with its interval, probability and rivals, that of the largest share first."""
     columns = problem.columns(selection.selected)
     if not len(columns):
         return []
     constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
-    worth = shapley_shares(problem, selection)
+    model = quadratic_cost(problem, selection.fit, selection.linearisation)
+    worth = shapley_shares(problem, selection, model)
     each = []
-    for member in selection.selected:
+    for member in sorted(selection.selected, key=lambda i: -worth[i].share):
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
-        share, p_value = effect_probabilities(problem, selection, member)
+        share, p_value = effect_probabilities(problem, selection, model, member)
         rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
         alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
         each.append(
@@ -150,13 +151,15 @@ def family_probability(problem: Problem, share: np.ndarray, member: int) -> floa
     return float(sum(p for name, p in zip(family, share, strict=True) if name == family[member]))
 
 
-def effect_probabilities(problem: Problem, selection: Selection, member: int) -> tuple[np.ndarray, float]:
+def effect_probabilities(
+    problem: Problem, selection: Selection, model: QuadraticCost, member: int
+) -> tuple[np.ndarray, float]:
     """Return the probabilities (E,) that `member` or another effect acts in its place, and its p-value.
 
     A rival's cost follows from the quadratic model about the fit; that of a credible one is refitted. The p-value is
     that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
     """
-    at, model = selection.linearisation, quadratic_cost(problem, selection.fit, selection.linearisation)
+    at = selection.linearisation
     rest = tuple(i for i in selection.selected if i != member)
     sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
     costs = model.cost - rival_gains(model, rest)

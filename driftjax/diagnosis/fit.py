@@ -69,14 +69,6 @@ class Fit(NamedTuple):
     e: np.ndarray  # (P, T, 3) whitened innovations
 
 
-def build_problem(
-    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
-) -> Problem:
-    """Build the problem, with the noise estimated from the data as what no active effect explains."""
-    problem = initial_problem(vehicle, effects, runs, without)
-    return with_estimated_noise(problem, problem.start, problem.active)
-
-
 def initial_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:

@@ -188,8 +188,7 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
             continue
         unit = old[keep].mean(axis=0)
         old, new = ((one[keep] / unit).sum(axis=1) for one in (old, new))
-        whole, rest = resample_blocks(before.block[keep], old, new, seed)
-        found[at] = np.sqrt(new.sum() / old.sum()), *np.percentile(np.sqrt(rest / whole), [2.5, 97.5])
+        found[at] = rms_ratio(before.block[keep], old, new, seed)
     return found
 
 
@@ -203,14 +202,14 @@ def channel_ratios(before: Errors, after: Errors, seed: int = 0, at: int = DECIS
         old, new = before.squares[:, at, i], after.squares[:, at, i]
         keep = np.isfinite(old + new)
         if keep.any():
-            whole, rest = resample_blocks(before.block[keep], old[keep], new[keep], seed)
-            found[i] = np.sqrt(new[keep].sum() / old[keep].sum()), *np.percentile(np.sqrt(rest / whole), [2.5, 97.5])
+            found[i] = rms_ratio(before.block[keep], old[keep], new[keep], seed)
     return found
 
 
-def resample_blocks(block: np.ndarray, old: np.ndarray, new: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return bootstrap sums (RESAMPLES,) of `old` and `new` (n,) over blocks, the same draws for both."""
+def rms_ratio(block: np.ndarray, old: np.ndarray, new: np.ndarray, seed: int) -> tuple[float, float, float]:
+    """Return the root of the sum of squares `new` (n,) over that of `old` (n,), with its 95 % interval over blocks."""
     names = np.unique(block, return_inverse=True)[1]
-    old, new = (np.bincount(names, values) for values in (old, new))
-    draws = np.random.default_rng(seed).integers(0, len(old), (RESAMPLES, len(old)))
-    return old[draws].sum(axis=1), new[draws].sum(axis=1)
+    before, after = (np.bincount(names, values) for values in (old, new))
+    draws = np.random.default_rng(seed).integers(0, len(before), (RESAMPLES, len(before)))
+    low, high = np.percentile(np.sqrt(after[draws].sum(axis=1) / before[draws].sum(axis=1)), [2.5, 97.5])
+    return float(np.sqrt(new.sum() / old.sum())), float(low), float(high)

@@ -30,7 +30,8 @@ class Scores(NamedTuple):
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
-    pair_p_value: float  # probability that chance gives any pair of parameters a joint score as large
+    effective: np.ndarray  # (C, k) scores of each block of the k parameters tested, the selected ones projected out
+    seed: int  # of the random signs
 
     @property
     def p_value(self) -> float:
@@ -90,7 +91,7 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
         joint[i] = joint_score(effective[:, c], U[None, c])[0]
     chance = null_max_scores(effective, own, one_sided, seed, list(together.values()))
     gains = np.array([_gain(problem, information, U, T, i, selected) for i in range(len(problem.effects))])
-    return Scores(H, blocks, T, joint, gains, chance, pair_p_value(effective[:, own], seed))
+    return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed)
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from driftjax.diagnosis.beam import EffectSet, beam_search, quadratic_cost
 from driftjax.diagnosis.fit import Fit, Problem, evaluate, refine, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
-from driftjax.diagnosis.score import Scores, scores
+from driftjax.diagnosis.score import Scores, pair_p_value, scores
 
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
 PAIR_LEVEL = 0.01  # and a pair of effects whose single scores hide each other
@@ -51,7 +51,9 @@ def search(
     fit, at = refit_to_convergence(problem, start, problem.columns(selected))
     remaining = first = scores(problem, at, fit.theta, selected, seed)
     while True:
-        more = STRIDE if remaining.p_value < LEVEL or remaining.pair_p_value < PAIR_LEVEL else 0
+        rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
+        more = STRIDE if rejected else 0
+        )
         new, trial = best_set(problem, fit, selected, at, min(len(selected) + more, max(most, len(selected))))
         if new == selected:
             return Selection(selected, fit, at, remaining, problem, start, first)

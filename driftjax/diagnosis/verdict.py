@@ -121,15 +121,15 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     """Return what the named effects explain, and what the rest goes with."""
-    rest = f"the rest goes most with {' and '.join(list(remaining.drivers)[:2])}" if remaining.significant else ""
+    rest = f"rest goes most with {' and '.join(list(remaining.drivers)[:2])}." if remaining.significant else ""
     if explained is None or not np.isfinite(explained.share):
-        return [f"What remains: {rest}."] if rest else []
+        return [f"The {rest}"] if rest else []
     share, (low, high) = 100 * explained.share, (100 * bound for bound in explained.ci95)
     where = "on held-out runs" if explained.held_out else "on these runs"
     text = (
         f"Explained: {share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained.horizon:.2g} s ahead {where}"
     )
-    return [f"{text}; {rest}." if rest else f"{text}."]
+    return [f"{text}; the {rest}" if rest else f"{text}."]
 
 
 def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained) -> str:

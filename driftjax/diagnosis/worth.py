@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import parameters_of, quadratic_cost
+from driftjax.diagnosis.beam import QuadraticCost, parameters_of
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.score import sums_by_block
 from driftjax.diagnosis.select import Selection
@@ -25,13 +25,12 @@ class Worth(NamedTuple):
     ci95: tuple[float, float]  # over blocks of time
 
 
-def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dict[int, Worth]:
-    """Return the share of every named effect in the fall of the cost from the nominal car to the fit."""
+def shapley_shares(problem: Problem, selection: Selection, model: QuadraticCost, seed: int = 0) -> dict[int, Worth]:
+    """Return the share of every named effect in the fall of the cost, which `model` describes about the fit."""
     members = selection.selected
     if not members:
         return {}
     at, moved = selection.linearisation, selection.fit.theta - problem.start
-    model = quadratic_cost(problem, selection.fit, at)
     J = np.asarray(at.J)
     blocks = sums_by_block(problem, np.asarray(at.e) + J @ moved, J)[1]  # (C, K) of the nominal car, to first order
     weights = np.random.default_rng(seed).multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), RESAMPLES)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from driftjax.logs.log import Run
-from driftjax.logs.sampling import fill_gaps
+from driftjax.logs.sampling import fill_gaps, surrounding
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
 MAX_SHIFT = 0.5  # largest time shift, either way [s]
@@ -101,10 +101,8 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
 
 def near_measurements(values: np.ndarray, num: int) -> np.ndarray:
     """Return whether each sample of `values` (n,) lies between measurements at most `num` samples apart, or on one."""
-    at, n = np.arange(len(values)), len(values)
-    last = np.maximum.accumulate(np.where(np.isfinite(values), at, -n))
-    following = np.minimum.accumulate(np.where(np.isfinite(values), at, 2 * n)[::-1])[::-1]
-    return following - last <= num
+    last, following = surrounding(np.isfinite(values))
+    return (last >= 0) & (following < len(values)) & (following - last <= num)
 
 
 def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> Agreement | None:

@@ -28,13 +28,18 @@ def jitter(t: np.ndarray, dt: float) -> float:
 def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `command` held over up to 3 missing samples in a row, and the mask of rows with a value."""
     there = np.isfinite(command)
-    index = np.arange(len(t))
-    last = np.maximum.accumulate(np.where(there, index, -1))
-    following = np.minimum.accumulate(np.where(there, index, len(t))[::-1])[::-1]
+    last, following = surrounding(there)
     since = np.append(t, -np.inf)[last]  # -1, none before, reads the end
     until = np.append(t, np.inf)[following]
     held = ~there & (until - since <= (HOLD + 1 + SLACK) * dt)
     return np.where(held, command[last], command), there | held
+
+
+def surrounding(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of the last and of the next sample that is `there` (n,), itself included; -1, n if none."""
+    index, n = np.arange(len(there)), len(there)
+    last = np.maximum.accumulate(np.where(there, index, -1))
+    return last, np.minimum.accumulate(np.where(there, index, n)[::-1])[::-1]
 
 
 def split_at_gaps(t: np.ndarray, dt: float) -> list[slice]:

@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise
 from driftjax.diagnosis.noise import Noise
 from driftjax.logs import Run
 from driftjax.manoeuvres.campaign import is_lost, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES, RICH
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.vehicle import VehicleConfig, load_vehicle
-from driftjax.vehicle.effect import effects_by_name
+from driftjax.vehicle.effect import Effect, effects_by_name
 from driftjax.vehicle.universal import Universal, universal_car
 
 NAMES = (
@@ -85,3 +86,11 @@ def recorded(
             (V, beta, r), (delta, Fxr) = one.y.T, one.command.T
             runs.append(Run(f"{name}{i}", t, V, beta, r, delta, Fxr, DT, extra))
     return tuple(runs)
+
+
+def build_problem(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
+) -> Problem:
+    """The problem of a diagnosis, with the noise estimated from `runs` as what no active effect explains."""
+    problem = initial_problem(vehicle, effects, runs, without)
+    return with_estimated_noise(problem, problem.start, problem.active)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.cases import Fixed
-from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan, truth
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan, truth
 
 from driftjax.diagnosis.diagnose import diagnose
-from driftjax.diagnosis.fit import build_problem, initial_problem, with_noise
+from driftjax.diagnosis.fit import initial_problem, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, excess_shares, predict, ratios
 from driftjax.diagnosis.held_out import DiagnoseConfig, split_problem, split_runs
 from driftjax.diagnosis.noise_floor import noise_floor

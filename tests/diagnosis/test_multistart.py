@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import build_problem, evaluate, initial_noise, with_noise
+from driftjax.diagnosis.fit import evaluate, initial_noise, with_noise
 from driftjax.diagnosis.multistart import LOST_MISFIT, misfit, nominal_fit, search_from_far, search_multistart
 
 

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import DT, EFFECTS, ORDER, ROWS, catalogue, hidden, recorded, sedan, truth
+from diagnosis.recorded import DT, EFFECTS, ORDER, ROWS, build_problem, catalogue, hidden, recorded, sedan, truth
 from scipy.optimize import minimize
 
-from driftjax.diagnosis.fit import build_problem, initial_noise
+from driftjax.diagnosis.fit import initial_noise
 from driftjax.diagnosis.noise import CORRELATION, LOG_SCALES, estimate_noise, restricted_likelihood
 from driftjax.diagnosis.runs import (
     BLOCK,

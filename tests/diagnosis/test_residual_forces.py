@@ -5,11 +5,10 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
-from driftjax.diagnosis.fit import build_problem
 from driftjax.diagnosis.noise import Noise
 from driftjax.diagnosis.observer import Path, Steps
 from driftjax.diagnosis.residual import (

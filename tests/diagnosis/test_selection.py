@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
-from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, build_problem, evaluate, information, information_and_score
+from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, evaluate, information, information_and_score
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation, Pieces
 from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
