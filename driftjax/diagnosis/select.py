@@ -53,7 +53,6 @@ def search(
     while True:
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected else 0
-        )
         new, trial = best_set(problem, fit, selected, at, min(len(selected) + more, max(most, len(selected))))
         if new == selected:
             return Selection(selected, fit, at, remaining, problem, start, first)
