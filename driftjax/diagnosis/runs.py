@@ -16,6 +16,7 @@ from driftjax.diagnosis.observer import (
     SampleDerivatives,
     Steps,
     command_derivatives,
+    in_run,
     kalman_gains,
     observe_run,
     propagate_derivatives,
@@ -196,16 +197,21 @@ def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gain
 
 
 def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> SampleDerivatives:
-    """Compute the derivatives of every step, leading axes (P, T), in batches of samples."""
+    """Compute the derivatives of every step, leading axes (P, T), in batches of samples; zero in the padding."""
     lead = path.e.shape[:2]
-    num = lead[0] * lead[1]
-    flat = jax.tree.map(lambda a: a.reshape(num, *a.shape[2:]), (path, data.padded.place))
-    rows = [np.minimum(np.arange(k, k + SAMPLES), num - 1) for k in range(0, num, SAMPLES)]
-    parts = []
-    for which in rows:
-        samples, there = take(flat, which)
+    flat = jax.tree.map(lambda a: np.asarray(a).reshape(-1, *a.shape[2:]), (path, data.padded.place))
+    within = np.flatnonzero(jax.vmap(in_run)(data.padded.valid))
+    num, parts = len(within), []
+    for k in range(0, num, SAMPLES):
+        samples, there = take(flat, within[np.minimum(np.arange(k, k + SAMPLES), num - 1)])
         parts.append(call(sample_derivatives, model, theta, samples, there, data.dt))
-    return jax.tree.map(lambda a: a.reshape(*lead, *a.shape[1:]), concatenate_trees(parts, num))
+
+    def spread(a: np.ndarray) -> np.ndarray:
+        whole = np.zeros((lead[0] * lead[1], *a.shape[1:]))
+        whole[within] = a
+        return whole.reshape(*lead, *a.shape[1:])
+
+    return jax.tree.map(spread, concatenate_trees(parts, num))
 
 
 def whiten(gains: Gains, e: Array) -> Array:

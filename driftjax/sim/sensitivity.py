@@ -41,10 +41,10 @@ def join(*parts: Dual) -> Dual:
     return Dual(*(jnp.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def through(f, x: Dual, theta: Array, direct: Array) -> Dual:
-    """Apply f(x, theta): chain the derivatives of `x`, and of theta with `direct` (K, M) = d theta / d variables."""
+def through(f, x: Dual, theta: Array) -> Dual:
+    """Apply f(x, theta): chain the derivatives of `x`; theta (K,) is the last K of the variables."""
     by_x, by_theta = jax.jacrev(f, (0, 1))(x.value, theta)
-    return Dual(f(x.value, theta), by_x @ x.by + by_theta @ direct)
+    return Dual(f(x.value, theta), (by_x @ x.by).at[:, -len(theta) :].add(by_theta))
 
 
 def move_with_derivatives(
@@ -54,12 +54,12 @@ def move_with_derivatives(
 
     The same step as `rollout.move`; `push` is added to the rates.
     """
-    every, num = jnp.eye(13 + len(model.theta)), model.substeps
-    pushed, direct = Dual(push, every[10:13]), every[13:]
+    every, num = jnp.eye(13, 13 + len(model.theta)), model.substeps
+    pushed = Dual(push, every[10:13])
 
     def on(z, middle):
         inputs = Dual(hold_segment(u, middle, num), hold_segment(every[6:10], middle, num))
-        return substep(model, z, inputs, place, dt / num, pushed, direct), None
+        return substep(model, z, inputs, place, dt / num, pushed), None
 
     start = Dual(z, every[:6])
     if num == 1:
@@ -67,9 +67,8 @@ def move_with_derivatives(
     return jax.lax.scan(on, start, midpoints(num))[0]
 
 
-def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual, direct: Array) -> Dual:
-    """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), with `push` (3,) added to the
-    rates."""
+def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual) -> Dual:
+    """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), with the rates `push` (3,) added."""
 
     def at_start(v):
         return StepStart(State(*v[:3]), LaggedState(v[3:5], v[5]), hold_of(v[6:10]), v[10:12], v[12])
@@ -88,17 +87,17 @@ def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, pu
         return jnp.concatenate([v[13:], lagged.slip, lagged.ay[None]])
 
     began = join(z, inputs)
-    began = join(began, through(start, join(began, push), model.theta, direct))
+    began = join(began, through(start, join(began, push), model.theta))
     state = jax.tree.map(lambda a: a[:3], z)
 
     def stage(carry, row):
         k, total = carry
         node, weight = row
         y = jax.tree.map(lambda a, b: a + node * dt * b, state, k)
-        found = through(lambda v, theta: force(v, theta, node), join(began, y), model.theta, direct)
+        found = through(lambda v, theta: force(v, theta, node), join(began, y), model.theta)
         k = jax.tree.map(jnp.add, found, push)
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
 
     nothing = jax.tree.map(jnp.zeros_like, state)
     (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
-    return through(reach, join(began, after), model.theta, direct)
+    return through(reach, join(began, after), model.theta)

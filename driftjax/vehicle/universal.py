@@ -1,6 +1,7 @@
 """The nominal car with any set of effects; at theta = 0 it is exactly the nominal car."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -35,11 +36,12 @@ class Universal(eqx.Module):
         return eqx.tree_at(lambda car: car.theta, self, theta)
 
     def _through(self, station: Station, record, *context):
+        """Apply all effects of a station; a barrier keeps XLA from computing it anew in every derivative it fuses."""
         values = self.values()
         for effect in self.effects:
             if effect.station == station:
                 record = effect.apply(record, *context, values[effect.name])
-        return record
+        return jax.lax.optimization_barrier(record)
 
     @property
     def car(self) -> Car:
