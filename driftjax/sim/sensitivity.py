@@ -68,7 +68,7 @@ def move_with_derivatives(
 
 
 def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual) -> Dual:
-    """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), with the rates `push` (3,) added."""
+    """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), rates `push` (3,) added."""
 
     def at_start(v):
         return StepStart(State(*v[:3]), LaggedState(v[3:5], v[5]), hold_of(v[6:10]), v[10:12], v[12])
