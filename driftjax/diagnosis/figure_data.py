@@ -8,9 +8,9 @@ from driftjax.diagnosis.findings import Findings
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import root_mean_square
 from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.residual import FORCES
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.smooth import samples_in_run
 from driftjax.logs.columns import MEASURED
 from driftjax.store import DIAGNOSIS, dataset
 

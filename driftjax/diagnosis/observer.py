@@ -63,6 +63,11 @@ def in_run(valid: Float[Array, "T 3"]) -> Array:
     return jnp.flip(jax.lax.cummax(jnp.flip(jnp.max(valid, axis=1)))) > 0
 
 
+def samples_in_run(valid: np.ndarray) -> np.ndarray:
+    """Return whether each sample (P, T) is within its run rather than padding after its last measurement."""
+    return np.asarray(jax.vmap(in_run)(jnp.asarray(valid)))
+
+
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:
     """Return the geometric slip angles of front and rear [rad]."""
     return slip_of(model, State(x[0], x[1], x[2]), Control(u[0], u[1]))

@@ -13,9 +13,9 @@ import numpy as np
 from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.noise import Noise, estimate_noise
-from driftjax.diagnosis.observer import Path, Steps
+from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, step_derivatives
-from driftjax.diagnosis.smooth import samples_in_run, smooth
+from driftjax.diagnosis.smooth import smooth
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G

@@ -16,11 +16,11 @@ from driftjax.diagnosis.observer import (
     SampleDerivatives,
     Steps,
     command_derivatives,
-    in_run,
     kalman_gains,
     observe_run,
     propagate_derivatives,
     sample_derivatives,
+    samples_in_run,
 )
 from driftjax.logs import Run
 from driftjax.logs.sampling import fill_gaps
@@ -200,7 +200,7 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Sa
     """Compute the derivatives of every step, leading axes (P, T), in batches of samples; zero in the padding."""
     lead = path.e.shape[:2]
     flat = jax.tree.map(lambda a: np.asarray(a).reshape(-1, *a.shape[2:]), (path, data.padded.place))
-    within = np.flatnonzero(jax.vmap(in_run)(data.padded.valid))
+    within = np.flatnonzero(samples_in_run(np.asarray(data.padded.valid)))
     num, parts = len(within), []
     for k in range(0, num, SAMPLES):
         samples, there = take(flat, within[np.minimum(np.arange(k, k + SAMPLES), num - 1)])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnosis.noise import Noise
-from driftjax.diagnosis.observer import START_VARIANCE, Path, Steps, disturbance_covariance, in_run, transition
+from driftjax.diagnosis.observer import START_VARIANCE, Path, Steps, disturbance_covariance, samples_in_run, transition
 
 
 class LinearModel(NamedTuple):
@@ -33,11 +33,6 @@ class Filtered(NamedTuple):
     covariance: np.ndarray  # (P, T, 6, 6)
     filtered: np.ndarray
     filtered_covariance: np.ndarray
-
-
-def samples_in_run(valid: np.ndarray) -> np.ndarray:
-    """Return whether each sample (P, T) is within its run rather than padding after its last measurement."""
-    return np.asarray(jax.vmap(in_run)(jnp.asarray(valid)))
 
 
 def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: float, dt: float) -> LinearModel:

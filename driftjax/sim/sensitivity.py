@@ -44,7 +44,7 @@ def join(*parts: Dual) -> Dual:
 def through(f, x: Dual, theta: Array) -> Dual:
     """Apply f(x, theta): chain the derivatives of `x`; theta (K,) is the last K of the variables."""
     by_x, by_theta = jax.jacrev(f, (0, 1))(x.value, theta)
-    return Dual(f(x.value, theta), (by_x @ x.by).at[:, -len(theta) :].add(by_theta))
+    return Dual(f(x.value, theta), (by_x @ x.by).at[:, x.by.shape[1] - len(theta) :].add(by_theta))
 
 
 def move_with_derivatives(

@@ -10,7 +10,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.core import Control, State
 from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
 from driftjax.diagnosis.noise import Noise
-from driftjax.diagnosis.observer import Path, Steps
+from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.residual import (
     FORCES,
     Residuals,
@@ -20,7 +20,7 @@ from driftjax.diagnosis.residual import (
     observer_path,
     residual_forces,
 )
-from driftjax.diagnosis.smooth import disturbance_step, kalman_filter, linear_model, samples_in_run, smooth
+from driftjax.diagnosis.smooth import disturbance_step, kalman_filter, linear_model, smooth
 
 DT = 0.02
 NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4)
