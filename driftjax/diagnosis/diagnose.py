@@ -20,7 +20,7 @@ from driftjax.diagnosis.held_out import (
     refit_retuned,
     retuned_effects,
 )
-from driftjax.diagnosis.multistart import search_multistart
+from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, extended_car
@@ -181,7 +181,7 @@ def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str
     """Name the causes from all runs of the problem, its noise estimated from all of them too."""
     problem = with_estimated_noise(initial, initial.start, initial.active)
     report("naming")
-    problem, selection = search_multistart(problem, config.seed, config.most)
+    problem, selection = name_effects(problem, config.seed, config.most)
     causes = find_causes(problem, selection)
     return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed))
 

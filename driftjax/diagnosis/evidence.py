@@ -93,7 +93,8 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     for member in sorted(selection.selected, key=lambda i: -worth[i].share):
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
-        share, p_value = effect_probabilities(problem, selection, model, member)
+        share = effect_probabilities(problem, selection, model, member)
+        p_value = own_p_value(problem, selection, model, member)
         rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
         alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
         each.append(
@@ -151,27 +152,35 @@ def family_probability(problem: Problem, share: np.ndarray, member: int) -> floa
     return float(sum(p for name, p in zip(family, share, strict=True) if name == family[member]))
 
 
-def effect_probabilities(
-    problem: Problem, selection: Selection, model: QuadraticCost, member: int
-) -> tuple[np.ndarray, float]:
-    """Return the probabilities (E,) that `member` or another effect acts in its place, and its p-value.
+def effect_probabilities(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
+    """Return the probabilities (E,) that `member` or another effect acts in its place."""
+    sizes = np.bincount(problem.owner)
+    costs = replacement_costs(problem, selection, model, member)
+    return hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
 
-    A rival's cost follows from the quadratic model about the fit; that of a credible one is refitted. The p-value is
-    that of the score of `member` beside the other members, adjusted for all effects but not for the search itself.
+
+def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
+    """Return the costs (E,) with each effect in the place of `member`, infinite for other members.
+
+    They follow from the quadratic model about the fit; those of credible rivals are refitted, and so is in any case
+    what promises to be more probable than `member`.
     """
-    at = selection.linearisation
     rest = tuple(i for i in selection.selected if i != member)
     sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
     costs = model.cost - rival_gains(model, rest)
     costs[member] = selection.fit.cost
-    share = hypothesis_probabilities(costs, sizes, excess)
-    credible = [int(i) for i in np.argsort(-share) if i != member and share[i] > CREDIBLE][:REFITTED]
-    for i in credible:
-        if (one := minimise_over(model, (*rest, i))) is not None:
-            trial = refine(problem, evaluate(problem, problem.start + one.psi), problem.columns(one.effects), at)
-            costs[i] = trial.cost
-    share = hypothesis_probabilities(costs, sizes, excess)
-    return share, _own_p_value(problem, selection, model, rest, member)
+    promised = set(range(len(costs))) - {member}
+    for num in range(len(promised)):
+        share = hypothesis_probabilities(costs, sizes, excess)
+        best = max(promised, key=lambda i: share[i])
+        if share[best] <= share[member] and (num >= REFITTED or share[best] <= CREDIBLE):
+            break
+        promised.remove(best)
+        one, costs[best] = minimise_over(model, (*rest, best)), np.inf
+        if one is not None:
+            start = evaluate(problem, problem.start + one.psi)
+            costs[best] = refine(problem, start, problem.columns(one.effects), selection.linearisation).cost
+    return costs
 
 
 def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
@@ -184,10 +193,12 @@ def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
     return promised
 
 
-def _own_p_value(
-    problem: Problem, selection: Selection, model: QuadraticCost, rest: tuple[int, ...], member: int
-) -> float:
-    """Return the p-value of `member` where the effects `rest` are fitted without it, to first order."""
+def own_p_value(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> float:
+    """Return the p-value of the score of `member` where the other members are fitted without it, to first order.
+
+    Adjusted for all effects, but not for the search itself.
+    """
+    rest = tuple(i for i in selection.selected if i != member)
     psi, at = minimise(model, rest), selection.linearisation
     back = psi - (selection.fit.theta - problem.start)
     e = np.asarray(at.e) - np.asarray(at.J) @ back
@@ -196,7 +207,9 @@ def _own_p_value(
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:
-    """Return the `overdispersion` of the selected effects at the fit."""
+    """Return the dispersion of the selection: the `overdispersion` of its effects at the fit where none is given."""
+    if selection.dispersion is not None:
+        return selection.dispersion
     return overdispersion(selection.scores.H, selection.scores.blocks, problem.columns(selection.selected))
 
 

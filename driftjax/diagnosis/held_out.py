@@ -10,7 +10,7 @@ from driftjax.diagnosis.beam import minimise, quadratic_cost
 from driftjax.diagnosis.findings import Comparison
 from driftjax.diagnosis.fit import Fit, Problem, refit_to_convergence, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
-from driftjax.diagnosis.multistart import search_multistart
+from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
@@ -102,7 +102,7 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     if not len(held):
         return None
     train, test = split_problem(problem, use, held)
-    near, selection = search_multistart(train, config.seed, config.most)
+    near, selection = name_effects(train, config.seed, config.most)
     followed = test
     if near is not train:
         followed = with_noise(test, selection.nominal.theta, selection.base.noise)

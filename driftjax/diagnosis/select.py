@@ -29,6 +29,7 @@ class Selection(NamedTuple):
     base: Problem  # in which the observer of the nominal car follows it: the one searched in, where that does
     nominal: Fit
     nominal_scores: Scores  # of everything, at the nominal car
+    dispersion: float | None = None  # of innovations, in whose units probabilities count costs; None: that of the fit
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:

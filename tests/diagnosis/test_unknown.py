@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import Cause, effect_probabilities
+from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_p_value
 from driftjax.diagnosis.fit import Problem, evaluate, linearise, refit_to_convergence, with_noise
 from driftjax.diagnosis.propose import in_full_catalogue, propose
 from driftjax.diagnosis.score import scores
@@ -116,8 +116,9 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
         fit, at = refit_to_convergence(one, evaluate(one, problem.start), columns)
         remaining = scores(one, at, fit.theta, (member,), 0)
         whole = Selection((member,), fit, at, remaining, one, fit, remaining)
-        share, p_value = effect_probabilities(one, whole, quadratic_cost(one, fit, at), member)
-        stated.append(share[member])
+        model = quadratic_cost(one, fit, at)
+        stated.append(effect_probabilities(one, whole, model, member)[member])
+        p_value = own_p_value(one, whole, model, member)
         assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
     assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 

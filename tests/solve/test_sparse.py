@@ -39,12 +39,16 @@ def test_second_derivatives_at_the_middle_of_a_step_are_of_second_order():
     rates, _, z = sliding()
     costate = np.array([1.0, -2.0, 0.5])
 
-    def error(dt):
+    pull = [jnp.full(2, c) for c in costate]
+
+    @jax.jit
+    def both(dt):
         step = lambda v: jnp.stack(rk4_step(lambda x: State(*rates(*x, *v[3:])), State(*v[:3]), dt))
-        exact = jax.jit(jax.hessian(lambda v: costate @ step(v)))
-        pull = [jnp.full(2, c) for c in costate]
-        H = midpoint_curvature(rates, z[:3], z[3:], runge_kutta(rates, z[:3], z[3:], dt), dt, pull)
-        bent = [exact(jnp.array([entry[lane] for entry in z])) for lane in range(2)]
+        exact = jax.vmap(jax.hessian(lambda v: costate @ step(v)))(jnp.stack(z, axis=1))
+        return midpoint_curvature(rates, z[:3], z[3:], runge_kutta(rates, z[:3], z[3:], dt), dt, pull), exact
+
+    def error(dt):
+        H, bent = both(jnp.asarray(dt))
         return max(np.abs(dense(H, lane) - bent[lane]).max() for lane in range(2)) / np.abs(bent).max()
 
     assert error(DT) < 0.2

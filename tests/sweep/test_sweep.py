@@ -158,6 +158,7 @@ def test_workers_give_the_same_as_this_process(tmp_path):
     assert results(tmp_path / "here") == results(tmp_path / "beside")
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_replaced_and_a_trial_that_kills_every_worker_fails(tmp_path):
     config = config_of(fields={"kind": ["good", "kills", "kills-once"]})
     counts, _, _ = run(tmp_path, config, workers=1)

@@ -1,0 +1,53 @@
+"""Name the effects of a problem: search for them, then replace each by a rival that is more probable in its place."""
+
+import numpy as np
+
+from driftjax.diagnosis.beam import minimise_over, quadratic_cost
+from driftjax.diagnosis.evidence import fit_dispersion, replacement_costs
+from driftjax.diagnosis.fit import Problem, evaluate, refine, refit_to_convergence
+from driftjax.diagnosis.multistart import search_multistart
+from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
+
+
+def name_effects(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
+    """Search for effects, none of them less probable than a rival; return the problem searched in and the selection."""
+    problem, selection = search_multistart(problem, seed, most)
+    return problem, prefer_probable(problem, selection, seed)
+
+
+def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Selection:
+    """Replace effects by rivals until none has a more probable one.
+
+    The search compares costs as if innovations were independent, probabilities count them in units of their
+    dispersion. That of the first fit is kept, so that every replacement lowers the price and the loop ends.
+    """
+    selection = selection._replace(dispersion=fit_dispersion(problem, selection))
+    while (swap := most_probable_rival(problem, selection)) is not None:
+        selection = replace_effect(problem, selection, *swap, seed)
+    return selection
+
+
+def most_probable_rival(problem: Problem, selection: Selection) -> tuple[int, int] | None:
+    """Return the member and the rival in its place that make the most probable hypothesis; None where all may stay."""
+    model = quadratic_cost(problem, selection.fit, selection.linearisation)
+    sizes, dispersion = np.bincount(problem.owner), fit_dispersion(problem, selection)
+    least, swap = 0.0, None
+    for member in selection.selected:
+        costs = replacement_costs(problem, selection, model, member)
+        rise = (costs - costs[member]) / dispersion + PARAMETER_PENALTY * (sizes - sizes[member])
+        if rise.min() < least:
+            least, swap = float(rise.min()), (member, int(rise.argmin()))
+    return swap
+
+
+def replace_effect(problem: Problem, selection: Selection, member: int, rival: int, seed: int) -> Selection:
+    """Return the selection with `rival` in the place of `member`, all effects refitted."""
+    model, at = quadratic_cost(problem, selection.fit, selection.linearisation), selection.linearisation
+    selected = tuple(sorted((*(i for i in selection.selected if i != member), rival)))
+    start, columns = minimise_over(model, selected), problem.columns(selected)
+    assert start is not None, "a credible rival has a minimum of its own"
+    fit = refine(problem, evaluate(problem, problem.start + start.psi), columns, at)
+    fit, at = refit_to_convergence(problem, fit, columns)
+    last = scores(problem, at, fit.theta, selected, seed + len(selected))
+    return selection._replace(selected=selected, fit=fit, linearisation=at, scores=last)

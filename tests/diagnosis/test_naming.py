@@ -1,0 +1,67 @@
+"""No effect is named in whose place another one is more probable."""
+
+import numpy as np
+import pytest
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
+
+from driftjax.diagnosis.beam import quadratic_cost
+from driftjax.diagnosis.evidence import effect_probabilities, find_causes
+from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.naming import most_probable_rival, prefer_probable
+from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.select import Selection
+
+
+def selection_of(problem, names) -> Selection:
+    """The selection of these effects, fitted, whatever a search would choose."""
+    selected, start = tuple(sorted(ORDER.index(name) for name in names)), evaluate(problem, problem.start)
+    fit, at = refit_to_convergence(problem, start, problem.columns(selected))
+    tested = scores(problem, at, fit.theta, selected, 0)
+    return Selection(selected, fit, at, tested, problem, start, tested)
+
+
+@pytest.mark.parametrize(
+    ("truth", "named"),
+    [
+        ({"steer_lag": 1.0}, ["yaw_inertia"]),
+        ({"steer_lag": 1.0, "drive_gain": 1.2}, ["drive_gain", "yaw_inertia"]),
+        ({"steer_lag": 1.0, "drive_gain": 1.2}, ["stiffness_front", "aero_drag"]),
+    ],
+    ids=lambda names: "-".join(names),
+)
+def test_a_rival_that_is_more_probable_is_named_instead(truth, named):
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(**truth), 21, 22))
+    wrong = selection_of(problem, named)
+    better = prefer_probable(problem, wrong)
+    assert {ORDER[i] for i in better.selected} == set(truth)
+    assert better.fit.cost < wrong.fit.cost
+    for cause in find_causes(problem, better):
+        assert all(cause.probability >= p for p in cause.rivals.values())
+        assert cause.theta[0] == pytest.approx(truth[ORDER[cause.effect]], abs=0.2)
+
+
+def test_from_a_set_far_off_it_ends_where_no_rival_is_more_probable():
+    """One replacement at a time need not lead to the truth; that is for the search."""
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0, drive_gain=1.2), 21, 22))
+    wrong = selection_of(problem, ["drive_gain", "relaxation_length"])
+    better = prefer_probable(problem, wrong)
+    assert len(better.selected) == 2 and better.fit.cost < wrong.fit.cost
+    for cause in find_causes(problem, better):
+        assert all(cause.probability >= p for p in cause.rivals.values())
+
+
+def test_what_is_most_probable_stays():
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    right = selection_of(problem, ["steer_lag"])
+    assert most_probable_rival(problem, right) is None
+    assert prefer_probable(problem, right).fit is right.fit
+
+
+def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
+    """A promise of the quadratic model that refitting does not keep counts for nothing."""
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    right = selection_of(problem, ["steer_lag"])
+    model = quadratic_cost(problem, right.fit, right.linearisation)
+    monkeypatch.setattr("driftjax.diagnosis.evidence.rival_gains", lambda model, rest: np.full(len(ORDER), 1e9))
+    share = effect_probabilities(problem, right, model, right.selected[0])
+    assert share.argmax() == right.selected[0]
