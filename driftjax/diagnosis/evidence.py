@@ -155,7 +155,8 @@ def family_probability(problem: Problem, share: np.ndarray, member: int) -> floa
 def effect_probabilities(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
     """Return the probabilities (E,) that `member` or another effect acts in its place."""
     sizes = np.bincount(problem.owner)
-    costs = replacement_costs(problem, selection, model, member)
+    known = selection.replacements
+    costs = known[member] if known else replacement_costs(problem, selection, model, member)
     return hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
 
 

@@ -30,6 +30,7 @@ class Selection(NamedTuple):
     nominal: Fit
     nominal_scores: Scores  # of everything, at the nominal car
     dispersion: float | None = None  # of innovations, in whose units probabilities count costs; None: that of the fit
+    replacements: dict[int, np.ndarray] | None = None  # costs (E,) with each effect in a member's place, where known
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:

@@ -7,7 +7,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes
 from driftjax.diagnosis.fit import evaluate, refit_to_convergence
-from driftjax.diagnosis.naming import most_probable_rival, prefer_probable
+from driftjax.diagnosis.naming import prefer_probable
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 
@@ -53,7 +53,6 @@ def test_from_a_set_far_off_it_ends_where_no_rival_is_more_probable():
 def test_what_is_most_probable_stays():
     problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
     right = selection_of(problem, ["steer_lag"])
-    assert most_probable_rival(problem, right) is None
     assert prefer_probable(problem, right).fit is right.fit
 
 
