@@ -22,6 +22,8 @@ def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Se
     The search compares costs as if innovations were independent, probabilities count them in units of their
     dispersion. That of the first fit is kept, so that every replacement lowers the price and the loop ends.
     """
+    if not selection.selected:
+        return selection
     selection = selection._replace(dispersion=fit_dispersion(problem, selection))
     while True:
         model = quadratic_cost(problem, selection.fit, selection.linearisation)

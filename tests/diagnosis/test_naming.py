@@ -56,6 +56,11 @@ def test_what_is_most_probable_stays():
     assert prefer_probable(problem, right).fit is right.fit
 
 
+def test_where_nothing_is_named_there_is_nothing_to_replace():
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(), 21, 22))
+    assert prefer_probable(problem, nothing := selection_of(problem, [])) is nothing
+
+
 def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
     """A promise of the quadratic model that refitting does not keep counts for nothing."""
     problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
