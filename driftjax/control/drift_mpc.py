@@ -80,7 +80,6 @@ class DriftMPC(eqx.Module):
         """Number of prediction steps."""
         return self.ocp.horizon
 
-    @eqx.filter_jit
     def solve(
         self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | np.ndarray | None = None
     ) -> MPCSolution:
@@ -97,19 +96,29 @@ class DriftMPC(eqx.Module):
         converged; derivatives are NaN elsewhere.
         """
         warm_start = jnp.asarray(warm_start) if isinstance(warm_start, np.ndarray) else warm_start
-        if state.x.ndim == 1:
-            return self._solve(state, reference, warm_start)
-        shared = reference.V.ndim == 1
-        one_guess = warm_start is None or (isinstance(warm_start, jax.Array) and warm_start.ndim == 2)
-        axes = (0, None if shared else 0, None if one_guess else 0)
-        return eqx.filter_vmap(self._solve, in_axes=axes)(state, reference, warm_start)
+        barrier = WARM_BARRIER if isinstance(warm_start, MPCSolution) else BARRIER
+        options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.asarray(barrier))
+        return self._solve(state, reference, *self._guess(state, reference, warm_start), options)
 
-    def _solve(self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | None) -> MPCSolution:
-        X, U, options = reference.states(), jnp.broadcast_to(state.command, (self.horizon, 2)), self.options
+    @eqx.filter_jit
+    def _guess(
+        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | None
+    ) -> tuple[Array, Array]:
+        """Return states (*batch, N+1, 5) and inputs (*batch, N, 2) to start from; one solver serves all kinds."""
+        batch, N = state.x.shape[:-1], self.horizon
         if isinstance(warm_start, MPCSolution):
-            X, U = shift(warm_start.X), shift(warm_start.U)
-            options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.full_like(self.options.barrier, WARM_BARRIER))
-        elif warm_start is not None:
-            U = warm_start
-        start = (state.x, state.command, state.lagged_input)
-        return solve_mpc(self.ocp, *start, reference, X.at[0].set(state.x), U, options)
+            X, U = (jax.vmap(shift)(a) if batch else shift(a) for a in (warm_start.X, warm_start.U))
+        else:
+            X, U = reference.states(), state.command[..., None, :] if warm_start is None else warm_start
+        X = jnp.broadcast_to(X, (*batch, N + 1, X.shape[-1]))
+        return X.at[..., 0, :].set(state.x), jnp.broadcast_to(U, (*batch, N, 2))
+
+    @eqx.filter_jit
+    def _solve(self, state: MPCState, reference: Reference, X: Array, U: Array, options: Options) -> MPCSolution:
+        def one(state: MPCState, reference: Reference, X: Array, U: Array) -> MPCSolution:
+            return solve_mpc(self.ocp, state.x, state.command, state.lagged_input, reference, X, U, options)
+
+        if state.x.ndim == 1:
+            return one(state, reference, X, U)
+        axes = (0, None if reference.V.ndim == 1 else 0, 0, 0)
+        return eqx.filter_vmap(one, in_axes=axes)(state, reference, X, U)
