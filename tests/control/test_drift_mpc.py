@@ -12,7 +12,7 @@ from driftjax.core import RESULTS
 from driftjax.studies.bench.drift import U_REF, X_REF, car, config
 
 N = 8
-REFERENCE = steady_reference(*X_REF, N)
+REFERENCE = steady_reference(X_REF[0], X_REF[1], X_REF[2], N)
 GUESS = np.tile(U_REF, (N, 1))
 
 
