@@ -13,6 +13,7 @@ from driftjax.diagnosis.findings import Comparison
 from driftjax.diagnosis.fit import (
     Fit,
     Problem,
+    at_bound,
     evaluate,
     initial_problem,
     refit_to_convergence,
@@ -126,8 +127,7 @@ def calibrate(
     last = scores(problem, at, fit.theta, selected, seed)
     on = [f"{problem.effects[i].name}.{p.name}" for i in selected for p in problem.effects[i].parameters]
     columns = problem.columns(selected)
-    ends = (fit.theta == problem.lower) & (problem.lower != 0) | (fit.theta == problem.upper)
-    bound = tuple(name for name, end in zip(on, ends[columns], strict=True) if end)
+    bound = tuple(name for name, end in zip(on, at_bound(problem, fit.theta)[columns], strict=True) if end)
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed)
     return Calibration(vehicle, problem, selected, fit, last, half_widths(problem, last, selected), bound, gain)
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from driftjax.diagnosis.beam import QuadraticCost, gain_of, gains_of_adding, minimise, minimise_over, quadratic_cost
-from driftjax.diagnosis.fit import Problem, evaluate, information, refine
+from driftjax.diagnosis.fit import Problem, at_bound, evaluate, information, refine
 from driftjax.diagnosis.score import CONDITION, Scores, half_widths_from, overdispersion, partial_out, scores
 from driftjax.diagnosis.select import PARAMETER_PENALTY, Selection
 from driftjax.diagnosis.worth import Worth, shapley_shares
@@ -33,6 +33,7 @@ class Cause(NamedTuple):
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
     family_probability: float  # that it or another effect of its family acts
     worth: Worth  # its share in what all named effects explain
+    at_bound: np.ndarray  # (k,) whether these data ask for more than the parameter may be
 
 
 class NamedEffect(NamedTuple):
@@ -41,7 +42,7 @@ class NamedEffect(NamedTuple):
     effect: str
     probability: float  # that it rather than a rival acts
     p_value: float  # of its own score beside the other causes
-    parameters: dict[str, dict[str, Any]]  # name -> value, ci95 (low, high), unit; SI
+    parameters: dict[str, dict[str, Any]]  # name -> value, ci95 (low, high), unit, at_bound; SI
     invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
     confusable_with: list[str]  # effects that these data hardly tell from it
     rivals: dict[str, float]  # effects that might act in its place, with their probabilities
@@ -57,9 +58,10 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
     selection = []
     for cause in causes:
         effect, columns = problem.effects[cause.effect], problem.columns((cause.effect,))
-        rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], strict=True)
+        rows = zip(effect.parameters, cause.theta, cause.half_width, scale[columns], cause.at_bound, strict=True)
         parameters = {
-            p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit} for p, x, w, s in rows
+            p.name: {"value": x * s, "ci95": [(x - w) * s, (x + w) * s], "unit": p.unit, "at_bound": bool(end)}
+            for p, x, w, s, end in rows
         }
         rivals = {problem.effects[i].name: p for i, p in cause.rivals.items()}
         alike = sorted({*rivals, *(problem.effects[i].name for i in cause.alike)})
@@ -109,6 +111,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
                 p_value,
                 family_probability(problem, share, member),
                 worth[member],
+                at_bound(problem, selection.fit.theta)[own],
             )  # fmt: skip
         )
     return each

@@ -152,6 +152,11 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 
+def at_bound(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return whether each parameter (K,) lies on a bound of its own: the data ask for more than it may be."""
+    return (theta == problem.lower) & (problem.lower != 0) | (theta == problem.upper)
+
+
 def information(J: ArrayLike) -> np.ndarray:
     """Return the information matrix (K, K) of derivatives (P, T, 3, K)."""
     J = np.asarray(J)

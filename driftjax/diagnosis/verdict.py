@@ -110,6 +110,8 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     values = [f"{p.name} = {x * s:.3g} ± {w * s:.2g}{p.suffix}" for p, x, w, s in rows]
     text = f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
     text += f"P = {cause.probability:.2f})."
+    if cause.at_bound.any():
+        text += " Its size is at its bound, beyond which it is not plausible: it may stand for something else."
     if cause.probability < SURE_PROBABILITY <= cause.family_probability:
         family = FAMILY_OF[effect.name]
         text += f" That it is the {family} is sure (P = {cause.family_probability:.2f}), which member is not."

@@ -5,11 +5,12 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import effect_probabilities, find_causes
+from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
 from driftjax.diagnosis.fit import evaluate, refit_to_convergence
 from driftjax.diagnosis.naming import prefer_probable
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
+from driftjax.diagnosis.verdict import describe_cause
 
 
 def selection_of(problem, names) -> Selection:
@@ -54,6 +55,18 @@ def test_what_is_most_probable_stays():
     problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
     right = selection_of(problem, ["steer_lag"])
     assert prefer_probable(problem, right).fit is right.fit
+
+
+@pytest.mark.parametrize(("upper", "ends"), [(0.5, True), (3.0, False)])
+def test_a_cause_at_its_bound_is_marked(upper, ends):
+    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    bounds = problem.upper.copy()
+    bounds[ORDER.index("steer_lag")] = upper
+    problem = problem._replace(upper=bounds)
+    (cause,) = find_causes(problem, selection_of(problem, ["steer_lag"]))
+    (named,) = named_effects(problem, [cause])
+    assert named.parameters["tau"]["at_bound"] is ends
+    assert ("at its bound" in describe_cause(problem, cause)) is ends
 
 
 def test_where_nothing_is_named_there_is_nothing_to_replace():

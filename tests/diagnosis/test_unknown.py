@@ -19,6 +19,7 @@ from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
 
 ALL = Worth(1.0, (1.0, 1.0))
+FREE = np.zeros(1, bool)  # not at its bound
 MUCH_LEFT = Explained(0.3, (0.2, 0.4), 0.6, (0.5, 0.7), 1.0, True)
 
 
@@ -60,7 +61,7 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
     one, two = (find_unexplained(problem, found._replace(selected=useless[:num]), 0) for num in (1, 2))
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
-    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL) for i in useless]
+    named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE) for i in useless]
     told = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
     assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
 
@@ -81,7 +82,9 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
     problem, found = nominal_only("drive_gain", 2.5)
     remaining = find_unexplained(problem, found, 0)
     assert remaining.significant
-    cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL)
+    cause = Cause(
+        ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, np.zeros(1, bool)
+    )
     explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
     told = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
     assert told.verdict == verdict and next(iter(remaining.drivers)) in told.sentence
@@ -140,7 +143,7 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
     found = found._replace(selected=(own,), fit=fit)
-    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL)
+    cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL, FREE)
     ask = lambda verdict: propose(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     told = ask(Verdict.SET)
