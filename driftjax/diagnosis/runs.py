@@ -31,10 +31,8 @@ from driftjax.vehicle.effect import Place
 from driftjax.vehicle.effect.flow import heat_rate
 from driftjax.vehicle.universal import Universal
 
-PIECE_LENGTH, SHORT_PIECE_LENGTH = (
-    1000,
-    250,
-)  # samples of one piece: longer runs are followed piece by piece, many short ones in short ones
+PIECE_LENGTH, SHORT_PIECE_LENGTH = 1000, 250  # samples of one piece: a longer run is followed piece by piece
+WORTHWHILE = 0.6  # share of the padded samples that short pieces may leave at most: each begins with a new observer
 BATCH_SIZE = 2  # pieces followed at once: more take longer on a CPU where runs are few
 SAMPLES = 2000  # samples differentiated in one call
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
@@ -92,9 +90,9 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 
 def piece_size(lengths: list[int]) -> int:
-    """Return the samples of one piece for runs of these `lengths`: short where that at least halves the padding."""
+    """Return the samples of one piece for runs of these `lengths`: short where that leaves far fewer to follow."""
     whole = lambda size: sum(-(-n // size) * size for n in lengths)
-    return SHORT_PIECE_LENGTH if 2 * whole(SHORT_PIECE_LENGTH) <= whole(PIECE_LENGTH) else PIECE_LENGTH
+    return SHORT_PIECE_LENGTH if whole(SHORT_PIECE_LENGTH) <= WORTHWHILE * whole(PIECE_LENGTH) else PIECE_LENGTH
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:

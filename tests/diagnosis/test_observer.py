@@ -17,6 +17,7 @@ from driftjax.diagnosis.runs import (
     BLOCK,
     ERROR_BLOCK,
     PIECE_LENGTH,
+    SHORT_PIECE_LENGTH,
     differentiate,
     error_blocks,
     fixed_gain,
@@ -198,6 +199,7 @@ def test_many_short_runs_are_followed_in_short_pieces():
     cut = lambda n: replace(run, **{k: getattr(run, k)[:n] for k in ("t", "V", "beta", "r", "delta", "Fxr")}, extra={})
     assert pieces(sedan(), (cut(120), cut(240), cut(600))).block.shape == (5, 250)
     assert pieces(sedan(), (cut(600), cut(500))).block.shape == (2, PIECE_LENGTH)
+    assert pieces(sedan(), (cut(500), cut(500), cut(550))).block.shape == (7, SHORT_PIECE_LENGTH)  # 58 % of the samples
 
 
 def test_blocks_go_on_from_piece_to_piece_and_not_from_run_to_run():
