@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -107,7 +106,7 @@ class DriftMPC(eqx.Module):
         """Return states (*batch, N+1, 5) and inputs (*batch, N, 2) to start from; one solver serves all kinds."""
         batch, N = state.x.shape[:-1], self.horizon
         if isinstance(warm_start, MPCSolution):
-            X, U = (jax.vmap(shift)(a) if batch else shift(a) for a in (warm_start.X, warm_start.U))
+            X, U = shift(warm_start.X), shift(warm_start.U)
         else:
             X, U = reference.states(), state.command[..., None, :] if warm_start is None else warm_start
         X = jnp.broadcast_to(X, (*batch, N + 1, X.shape[-1]))

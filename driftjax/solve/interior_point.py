@@ -333,6 +333,6 @@ def _plan(problem: Problem, end: Loop, options: Options) -> Plan:
     return Plan(end.it.X, end.it.U, cost, end.kkt, end.violation, end.num_steps, result)
 
 
-def shift(sequence: Float[Array, "N n"]) -> Float[Array, "N n"]:
+def shift(sequence: Float[Array, "*batch N n"]) -> Float[Array, "*batch N n"]:
     """Return the sequence shifted by one stage, last entry repeated: the warm start of the next solve."""
-    return jnp.concatenate([sequence[1:], sequence[-1:]])
+    return jnp.concatenate([sequence[..., 1:, :], sequence[..., -1:, :]], axis=-2)

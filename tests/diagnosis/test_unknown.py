@@ -82,9 +82,7 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
     problem, found = nominal_only("drive_gain", 2.5)
     remaining = find_unexplained(problem, found, 0)
     assert remaining.significant
-    cause = Cause(
-        ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, np.zeros(1, bool)
-    )
+    cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
     explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
     told = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
     assert told.verdict == verdict and next(iter(remaining.drivers)) in told.sentence

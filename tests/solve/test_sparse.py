@@ -38,7 +38,6 @@ def test_second_derivatives_at_the_middle_of_a_step_are_of_second_order():
     """The error of what is proportional to dt falls with its third power."""
     rates, _, z = sliding()
     costate = np.array([1.0, -2.0, 0.5])
-
     pull = [jnp.full(2, c) for c in costate]
 
     @jax.jit
