@@ -90,7 +90,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
         return []
     constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    worth = shapley_shares(problem, selection, model)
+    worth = shapley_shares(problem, selection)
     each = []
     for member in sorted(selection.selected, key=lambda i: -worth[i].share):
         own = problem.columns((member,))

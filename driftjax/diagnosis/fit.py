@@ -6,6 +6,12 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from driftjax.core import BadInput
+from driftjax.diagnosis.motion import (
+    MotionNoise,
+    estimate_motion_noise,
+    whitened_motion_derivatives,
+    whitened_residuals,
+)
 from driftjax.diagnosis.noise import CORRELATION, FIRST_DISTURBANCE, PRIOR, Noise, estimate_noise, measurement_noise
 from driftjax.diagnosis.observer import Gains
 from driftjax.diagnosis.runs import (
@@ -45,6 +51,7 @@ class Problem(NamedTuple):
     active: np.ndarray  # (K,) whether the parameter is in question: others stay where they start
     noise: Noise
     gains: Gains
+    motion: MotionNoise | None = None  # of pose and accelerations, where these count
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -58,7 +65,13 @@ class Problem(NamedTuple):
     def subset(self, runs: np.ndarray) -> "Problem":
         """Return the problem restricted to the runs with these numbers."""
         keep = np.flatnonzero(np.isin(self.data.run, runs))
-        return self._replace(data=self.data.subset(keep), gains=take(self.gains, keep))
+        return self._replace(data=self.data.subset(keep), gains=take(self.gains, keep), motion=None)
+
+    @property
+    def num_measurements(self) -> int:
+        """Number of measurements whose residuals the cost sums."""
+        windows = 0 if self.motion is None else self.motion.used.sum()
+        return int(np.sum(np.asarray(self.data.padded.valid)) + windows)
 
 
 class Fit(NamedTuple):
@@ -66,7 +79,7 @@ class Fit(NamedTuple):
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
-    e: np.ndarray  # (P, T, 3) whitened innovations
+    e: np.ndarray  # (P, T, c) whitened innovations of V, beta, r, and residuals of pose and accelerations if they count
 
 
 def initial_problem(
@@ -122,7 +135,17 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
     path = run_observer(model, data, theta, fixed)
     steps = step_derivatives(model, data, theta, path, profiled)
     noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt)
-    return with_noise(problem, theta, noise)
+    return with_noise(with_motion_noise(problem), theta, noise)
+
+
+def with_motion_noise(problem: Problem) -> Problem:
+    """Return the problem in which pose and accelerations count, where it has them, with their noise estimated."""
+    data, limits = problem.data, (problem.lower, problem.upper)
+    if data.motion is None:
+        return problem
+    sigma = initial_noise(data).sigma
+    noise = estimate_motion_noise(problem.model, data, problem.start, limits, problem.active, sigma)
+    return problem._replace(motion=noise if noise.used.any() else None)
 
 
 def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
@@ -134,8 +157,12 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
-    """Return whitened innovations and their derivatives at `fit`."""
-    return differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
+    at = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    if problem.motion is None:
+        return at
+    J = whitened_motion_derivatives(problem.model, problem.data, fit.theta, problem.motion, problem.active)
+    return at._replace(e=fit.e, J=np.concatenate([np.asarray(at.J), J], axis=2))
 
 
 def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
@@ -148,6 +175,9 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
     cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid - used))
+    if problem.motion is not None:
+        further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
+        e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing
     cost += float(np.sum((theta - problem.start) ** 2)) / PRIOR**2
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
@@ -158,7 +188,7 @@ def at_bound(problem: Problem, theta: np.ndarray) -> np.ndarray:
 
 
 def information(J: ArrayLike) -> np.ndarray:
-    """Return the information matrix (K, K) of derivatives (P, T, 3, K)."""
+    """Return the information matrix (K, K) of derivatives (P, T, c, K)."""
     J = np.asarray(J)
     return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
@@ -194,9 +224,14 @@ def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation,
     return fit
 
 
-def refit_to_convergence(problem: Problem, fit: Fit, columns: np.ndarray, num: int = 6) -> tuple[Fit, Linearisation]:
-    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation."""
-    at = linearise(problem, fit)
+def refit_to_convergence(
+    problem: Problem, fit: Fit, columns: np.ndarray, at: Linearisation | None = None, num: int = 6
+) -> tuple[Fit, Linearisation]:
+    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
+
+    `at` is the linearisation at the given `fit`, where it is known.
+    """
+    at = linearise(problem, fit) if at is None else at
     for _ in range(num):
         better = refine(problem, fit, columns, at)
         if better is fit:

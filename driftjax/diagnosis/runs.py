@@ -40,6 +40,16 @@ ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
 FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
 
+FURTHER = ("psi", "x", "y", "ax", "ay")  # columns that say what the sensors of V, beta and r err by
+
+
+class Motion(NamedTuple):
+    """Further measurements of the motion along pieces, in the order of `FURTHER`."""
+
+    y: np.ndarray  # (P, T, 5), zero where missing
+    valid: np.ndarray  # (P, T, 5) 1 where measured, 0 where not
+
+
 class Pieces(NamedTuple):
     """Runs cut into pieces of one length, padded with invalid samples."""
 
@@ -48,6 +58,7 @@ class Pieces(NamedTuple):
     block: np.ndarray  # (P, T) number of the block of each sample
     num_blocks: int
     dt: float
+    motion: Motion | None = None  # where runs have any of these channels
 
     @property
     def size(self) -> int:
@@ -57,7 +68,8 @@ class Pieces(NamedTuple):
     def subset(self, keep: np.ndarray) -> "Pieces":
         """Return the pieces with the numbers `keep`."""
         names, block = np.unique(self.block[keep], return_inverse=True)
-        return Pieces(take(self.padded, keep), self.run[keep], block.reshape(len(keep), -1), len(names), self.dt)
+        padded, motion = take((self.padded, self.motion), keep)
+        return Pieces(padded, self.run[keep], block.reshape(len(keep), -1), len(names), self.dt, motion)
 
 
 def error_blocks(data: Pieces) -> np.ndarray:
@@ -97,18 +109,32 @@ def piece_size(lengths: list[int]) -> int:
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     """Cut runs into pieces; before its first command a run is assumed to have held that command."""
-    dt, rows, blocks, number = runs[0].dt, [], [], []
+    dt, rows, blocks, number, further = runs[0].dt, [], [], [], []
     size = piece_size([len(run.t) for run in runs])
     for i, (run, lap) in enumerate(zip(runs, lap_lengths(runs), strict=True)):
         n, place = len(run.t), places(vehicle, run, lap)
         for k in range(0, n, size):
             rows.append(_piece_of(run, place, k, size))
+            further.append(_further_of(run, k, size))
             sample = np.minimum(k + np.arange(size), n - 1)  # padding belongs to the run's last block
             blocks.append([(i, int(j * dt // BLOCK)) for j in sample])
             number.append(i)
     names = {name: at for at, name in enumerate(sorted({one for row in blocks for one in row}))}
     block = np.array([[names[b] for b in row] for row in blocks])
-    return Pieces(jax.tree.map(lambda *a: jnp.stack(a), *rows), np.array(number), block, len(names), dt)
+    motion = np.stack(further)
+    valid = np.isfinite(motion)
+    known = Motion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
+    return Pieces(jax.tree.map(lambda *a: jnp.stack(a), *rows), np.array(number), block, len(names), dt, known)
+
+
+def _further_of(run: Run, k: int, size: int) -> np.ndarray:
+    """Return the further measurements (size, 5) from sample `k`, NaN where there is none."""
+    further = np.full((size, len(FURTHER)), np.nan)
+    for i, name in enumerate(FURTHER):
+        if name in run.extra:
+            part = run.extra[name][k : k + size]
+            further[: len(part), i] = part
+    return further
 
 
 def _piece_of(run: Run, place: Place, k: int, size: int) -> PaddedRun:
@@ -149,9 +175,9 @@ def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> t
     return eqx.filter_vmap(command_derivatives, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
 
-def map_pieces(function, num: int, *trees):
-    """Apply `function` to all pieces of `trees` (leading axis) in batches of `BATCH_SIZE`, with one program."""
-    rows = [np.minimum(np.arange(k, k + BATCH_SIZE), num - 1) for k in range(0, num, BATCH_SIZE)]
+def map_pieces(function, num: int, *trees, batch: int = BATCH_SIZE):
+    """Apply `function` to all pieces of `trees` (leading axis) in batches of one size, with one program."""
+    rows = [np.minimum(np.arange(k, k + batch), num - 1) for k in range(0, num, batch)]
     return concatenate_trees([function(*take(trees, row)) for row in rows], num)
 
 

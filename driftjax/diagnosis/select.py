@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import EffectSet, beam_search, quadratic_cost
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, refine, refit_to_convergence
+from driftjax.diagnosis.beam import EffectSet, beam_search, minimise, quadratic_cost
+from driftjax.diagnosis.fit import Fit, Problem, evaluate, linearise, refine, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
+from driftjax.logs.columns import MEASURED
 
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
 PAIR_LEVEL = 0.01  # and a pair of effects whose single scores hide each other
@@ -48,10 +49,13 @@ def search(
 ) -> Selection:
     """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
 
-    The search begins with the effects `selected` of `start`.
+    The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     """
-    fit, at = refit_to_convergence(problem, start, problem.columns(selected))
-    remaining = first = scores(problem, at, fit.theta, selected, seed)
+    nominal = linearise(problem, start)
+    first = scores(problem, nominal, start.theta, (), seed)
+    selected = selected or motion_effects(problem, start, nominal, seed, most)
+    fit, at = refit_to_convergence(problem, start, problem.columns(selected), nominal)
+    remaining = scores(problem, at, fit.theta, selected, seed) if selected else first
     while True:
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected else 0
@@ -61,6 +65,31 @@ def search(
         selected = new
         fit, at = refit_to_convergence(problem, trial, problem.columns(selected))
         remaining = scores(problem, at, fit.theta, selected, seed + len(selected))
+
+
+def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, most: int) -> tuple[int, ...]:
+    """Return the effects that pose and accelerations name by themselves, to first order about the fit `start`.
+
+    These know no car, only sensors and the road: their test has its own error rate.
+    """
+    if problem.motion is None:
+        return ()
+    further = np.arange(np.asarray(at.e).shape[2]) >= len(MEASURED)
+    e, J = np.where(further, at.e, 0.0), np.where(further[:, None], at.J, 0.0)
+    sensors = at._replace(e=e, J=J)
+    model, selected = quadratic_cost(problem, start, sensors), ()
+    while len(selected) < most:
+        psi = minimise(model, selected)
+        left = scores(problem, sensors._replace(e=e - J @ psi), start.theta + psi, selected, seed + len(selected))
+        if left.p_value >= LEVEL:
+            break
+        sets = beam_search(model, len(selected) + 1, PARAMETER_PENALTY)
+        sizes = lambda one: np.array([np.abs(one.psi[model.columns[i]]).max() for i in one.effects])
+        sets = [one for one in sets if (sizes(one) >= MIN_SIZE).all()]
+        if not sets or sets[0].effects == selected:
+            break
+        selected = sets[0].effects
+    return selected
 
 
 def best_set(

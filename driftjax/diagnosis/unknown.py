@@ -67,8 +67,8 @@ class GenericTerms(NamedTuple):
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
     own: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
-    e: np.ndarray  # (P, T, 3) whitened innovations
-    J: np.ndarray  # (P, T, 3, K+n) their derivatives by all effects and terms
+    e: np.ndarray  # (P, T, c) whitened innovations
+    J: np.ndarray  # (P, T, c, K+n) their derivatives by all effects and terms
     P: np.ndarray  # (K+n, n) what takes the hypothesis out of those by the terms
     p_value: float  # that chance gives the largest score of terms and effects
 
@@ -146,7 +146,8 @@ def generic_terms(
     ]  # fmt: skip
     J = _sensitivities(problem, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
     K = len(problem.lower)
-    J = np.concatenate([np.asarray(at.J), J], axis=-1)
+    further = np.asarray(at.J).shape[2] - len(MEASURED)  # channels that no term acts on
+    J = np.concatenate([np.asarray(at.J), np.pad(J, ((0, 0), (0, 0), (0, further), (0, 0)))], axis=-1)
     H, blocks = sums_by_block(problem, at.e, J)
     P = partial_out(H, problem.columns(selected))
     effective, information = blocks @ P, P.T @ H @ P

@@ -1,7 +1,8 @@
 """What each named effect is worth: its share of what all of them explain together.
 
 Effects that explain the same error share it as Shapley (1953) divides a gain: each gets the mean, over all orders of
-adding them, of what it adds. What a set explains follows from the quadratic model of the cost about the fit.
+adding them, of what it adds. What a set explains follows from the derivatives at the fit. Only errors of V, beta and r
+count, which a user wants predicted, and not how well pose and accelerations agree.
 """
 
 from itertools import combinations
@@ -10,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import QuadraticCost, parameters_of
 from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.score import sums_by_block
 from driftjax.diagnosis.select import Selection
+from driftjax.logs.columns import MEASURED
 
 RESAMPLES = 500  # of the blocks of time
 
@@ -25,21 +27,22 @@ class Worth(NamedTuple):
     ci95: tuple[float, float]  # over blocks of time
 
 
-def shapley_shares(problem: Problem, selection: Selection, model: QuadraticCost, seed: int = 0) -> dict[int, Worth]:
-    """Return the share of every named effect in the fall of the cost, which `model` describes about the fit."""
+def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dict[int, Worth]:
+    """Return the share of every named effect in the fall of the cost of V, beta and r, to first order about the fit."""
     members = selection.selected
     if not members:
         return {}
     at, moved = selection.linearisation, selection.fit.theta - problem.start
-    J = np.asarray(at.J)
-    blocks = sums_by_block(problem, np.asarray(at.e) + J @ moved, J)[1]  # (C, K) of the nominal car, to first order
+    e, J = (np.asarray(a)[:, :, : len(MEASURED)] for a in (at.e, at.J))
+    H, blocks = sums_by_block(problem, e + J @ moved, J)  # scores (C, K) of the nominal car, to first order
+    H += np.eye(len(H)) / PRIOR**2
     weights = np.random.default_rng(seed).multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), RESAMPLES)
-    g = np.concatenate([model.g[None], weights @ blocks])  # (1 + RESAMPLES, K), the data themselves first
+    g = np.concatenate([blocks.sum(axis=0)[None], weights @ blocks])  # (1 + RESAMPLES, K), the data themselves first
     value: dict[tuple[int, ...], np.ndarray] = {(): np.zeros(len(g))}
     for size in range(1, len(members) + 1):
         for chosen in combinations(members, size):
-            c = parameters_of(model, chosen)
-            value[chosen] = np.einsum("rk,kr->r", g[:, c], np.linalg.solve(model.H[np.ix_(c, c)], g[:, c].T))
+            c = problem.columns(chosen)
+            value[chosen] = np.einsum("rk,kr->r", g[:, c], np.linalg.solve(H[np.ix_(c, c)], g[:, c].T))
     found = {}
     for i in members:
         others = tuple(j for j in members if j != i)

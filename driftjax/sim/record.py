@@ -59,22 +59,27 @@ class _Now(NamedTuple):
     a: Array
 
 
-def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
-    """Return the specific force at the centre of mass, forwards and to the left [m/s^2], for the rates `dx`.
+def road_acceleration(plant: Universal, x: State, u: Control, place: Place) -> tuple[Array, Array]:
+    """Return the pull of a road that is not level on the car, forwards and to the left [m/s^2].
 
-    It is the acceleration minus the component of gravity along a road that is not level. The road effects are those
-    force effects that appear in kinematic parity.
+    The road effects are those force effects that appear in kinematic parity.
     """
-    sin, cos, turn = jnp.sin(x.beta), jnp.cos(x.beta), x.V * (dx.beta + x.r)
     level = initial_flow(plant.car, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
     road, values = level, plant.values()
     for effect in plant.effects:
         if effect.station == "force" and effect.kinematic:
             road = effect.apply(road, values[effect.name])
-    return jnp.stack([
-        dx.V * cos - turn * sin - (road.X - level.X) / level.car.m,
-        dx.V * sin + turn * cos - (road.Y - level.Y) / level.car.m,
-    ])  # fmt: skip
+    return (road.X - level.X) / level.car.m, (road.Y - level.Y) / level.car.m
+
+
+def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Place) -> Float[Array, "2"]:
+    """Return the specific force at the centre of mass, forwards and to the left [m/s^2], for the rates `dx`.
+
+    It is the acceleration minus the component of gravity along a road that is not level.
+    """
+    sin, cos, turn = jnp.sin(x.beta), jnp.cos(x.beta), x.V * (dx.beta + x.r)
+    along, left = road_acceleration(plant, x, u, place)
+    return jnp.stack([dx.V * cos - turn * sin - along, dx.V * sin + turn * cos - left])
 
 
 def record(

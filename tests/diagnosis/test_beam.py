@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driftjax.diagnosis.beam import QuadraticCost, beam_search, gains_of_adding, minimise_over, quadratic_cost
+from driftjax.diagnosis.beam import QuadraticCost, beam_search, gains_of_adding, minimise_over
 from driftjax.diagnosis.fit import Fit
 from driftjax.diagnosis.score import pair_p_value
 from driftjax.diagnosis.worth import shapley_shares
@@ -93,7 +93,7 @@ def test_shares_add_to_one_and_effects_that_do_the_same_share_alike():
     selection: Any = SimpleNamespace(
         selected=(0, 1, 2), fit=Fit(theta, 1.0, e_of), linearisation=SimpleNamespace(e=e_of, J=J)
     )
-    shares = shapley_shares(problem, selection, quadratic_cost(problem, selection.fit, selection.linearisation))
+    shares = shapley_shares(problem, selection)
     assert sum(one.share for one in shares.values()) == pytest.approx(1.0)
     assert shares[0].share == pytest.approx(shares[1].share, rel=0.1) and shares[0].share > 1.5 * shares[2].share
     assert all(one.ci95[0] < one.share < one.ci95[1] for one in shares.values())

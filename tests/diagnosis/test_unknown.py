@@ -100,9 +100,8 @@ def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
     problem, found = nominal_only("drive_gain", 0.0)
     rng, block = np.random.default_rng(4), problem.data.block
     for _ in range(3):
-        e = np.where(
-            np.asarray(found.linearisation.e) != 0, rng.standard_normal((problem.data.num_blocks, 3))[block], 0.0
-        )
+        e = np.asarray(found.linearisation.e)
+        e = np.where(e != 0, rng.standard_normal((problem.data.num_blocks, e.shape[2]))[block], 0.0)
         _, term = best_term(problem, generic_terms(problem, found.linearisation._replace(e=e), found.scores, (), 0))
         assert 0 < abs(term.value) < 2.5 * term.half_width
 

@@ -1,0 +1,267 @@
+"""Compare the measured motion with pose and accelerations: what sensors err by, without any parameter of the car.
+
+Heading and position are integrals of V, beta and r, and accelerometers measure their rates: psi' = r,
+x' = V cos(psi + beta), ax = vx' - r vy and ay = vy' + r vx hold for any car (Ryu and Gerdes 2004; Bevly, Ryu and
+Gerdes 2006). The changes over windows of time are compared, so that nothing noisy is differentiated. What the further
+channels may err by themselves, such as biases of the accelerometers, is fitted beside and taken out.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from driftjax.core import Control, State
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.observer import PaddedRun, align_measurements
+from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces
+from driftjax.parallel import call
+from driftjax.sim.record import road_acceleration
+from driftjax.vehicle.universal import Universal
+
+BATCH = 16  # pieces compared at once
+SPAN = 0.5  # length of a window [sqrt(L/g)]
+INVERSIONS = 3  # fixed-point iterations for the motion that sensors with given errors measured
+ITERATIONS = 4  # Gauss-Newton steps on the errors of sensors, for the noise
+OUTLIER = 6.0  # standard deviations from which a window is an outlier
+TOO_GOOD = 0.5  # noise over that of V, beta, r below which a channel was computed from them and says nothing new
+REWEIGHTINGS = 3  # of the residuals by their noise in one step
+TINY = 1e-12  # where a scale is zero
+INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is told apart
+
+
+class Residuals(NamedTuple):
+    """Differences of n windows in heading rate [rad/s], velocity along and across [m/s], ax and ay [m/s^2]."""
+
+    e: Array  # (n, 5) measured less computed from V, beta and r
+    own: Array  # (n, 5, Q) derivatives by errors of the further channels themselves
+    valid: Array  # (n, 5) whether all was measured
+
+
+class MotionNoise(NamedTuple):
+    """Noise of the windows."""
+
+    sigma: np.ndarray  # (5,) standard deviation, of means over a block where windows depend on each other
+    used: np.ndarray  # (P, n, 5) windows that count
+
+
+def window_size(model: Universal, dt: float) -> int:
+    """Return the samples from the begin of a window to its end."""
+    return max(round(SPAN * float(model.base.unit_time) / dt), 2)
+
+
+def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Array]:
+    """Return the motion (T,) that the sensors of `model` measured as the `run`, and where it is known (T, 3)."""
+    aligned = align_measurements(model, run, dt)
+    sensors, y = model.split_delays(dt)[1], State(*aligned.y.T)
+    rate = jax.tree.map(lambda a: jnp.gradient(a) / dt, y)
+    x = y
+    for _ in range(INVERSIONS):
+        x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, rate))
+    beside = jnp.pad(aligned.valid, ((1, 1), (0, 0)), mode="edge")
+    return x, aligned.valid * beside[:-2] * beside[2:]
+
+
+def motion_residuals(
+    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: int, dt: float
+) -> Residuals:
+    """Compare one run with its further channels over consecutive windows of `W` samples."""
+    model = model.with_parameters(theta)
+    (V, beta, r), known = true_motion(model, run, dt)
+    n, T = (len(V) - 1) // W, W * dt
+    starts = np.arange(n) * W
+    change = lambda f: (f[starts + W] - f[starts]) / T
+    mean = lambda f: ((f[1:] + f[:-1]) / 2)[: n * W].reshape(n, W).mean(axis=1)
+    psi, x, y, ax, ay = motion.y.T
+    vx, vy, turned = V * jnp.cos(beta), V * jnp.sin(beta), psi + beta
+    across = jnp.stack([-V * jnp.sin(turned), V * jnp.cos(turned)])  # the velocity turned left by 90 degrees
+    middle = psi[starts + W // 2]
+    body = lambda f: jnp.stack([f[0] * jnp.cos(middle) + f[1] * jnp.sin(middle),
+                                f[1] * jnp.cos(middle) - f[0] * jnp.sin(middle)])  # fmt: skip
+    moved = body(jnp.stack([change(x) - mean(across[1]), change(y) + mean(across[0])]))
+    along, left = change(vx) - mean(r * vy), change(vy) + mean(r * vx)
+    still = Control(jnp.zeros_like(V), jnp.zeros_like(V))
+    road = road_acceleration(model, State(V, beta, r), still, run.place)
+    turn = jnp.angle(jnp.exp(1j * (change(psi) - mean(r)) * T)) / T
+    e = jnp.stack([turn, *moved, mean(ax) - along + mean(road[0]), mean(ay) - left + mean(road[1])], axis=1)
+    sideways = body(jnp.stack([mean(across[0]), mean(across[1])]))
+    late = body(jnp.stack([mean(r * across[0]), mean(r * across[1])]))
+    ahead = body(jnp.stack([change(across[1]), -change(across[0])]))
+    arms = [body(jnp.stack([change(jnp.cos(psi)), change(jnp.sin(psi))])),
+            body(jnp.stack([-change(jnp.sin(psi)), change(jnp.cos(psi))]))]  # fmt: skip
+    zero, one, jerk = jnp.zeros(n), jnp.ones(n), [jnp.gradient(a) / T for a in (along, left)]
+    bend = lambda f: jnp.gradient(jnp.gradient(f))
+    own = [
+        [-change(r), *late, zero, zero],  # delay of the heading
+        [zero, *-sideways, zero, zero],  # offset of the heading
+        [zero, *-ahead, zero, zero],  # delay of the position
+        *([zero, *arm, zero, zero] for arm in arms),  # place on the car whose position is measured
+        [zero, zero, zero, one, zero], [zero, zero, zero, zero, one],  # biases of the accelerometers, level road
+        [zero, zero, zero, along, zero], [zero, zero, zero, zero, left],  # their scales, roll and pitch among them
+        [zero, zero, zero, left, -along],  # their angle to the car
+        [zero, zero, zero, -jerk[0], -jerk[1]],  # their delay
+        [zero, zero, zero, -mean(r**2), change(r)], [zero, zero, zero, -change(r), -mean(r**2)],  # their place
+        # smoothing of either side, and the second order of a delay
+        [bend(mean(r)), zero, zero, zero, zero], [zero, bend(mean(vx)), zero, zero, zero],
+        [zero, zero, bend(mean(vy)), zero, zero], [zero, zero, zero, bend(along), bend(left)],
+    ]  # fmt: skip
+    return Residuals(e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n))
+
+
+def _whole_windows(known: Array, motion: Motion, W: int, n: int) -> Array:
+    """Return in which windows (n, 5) all is measured that each channel is compared with."""
+    whole = lambda f: jnp.min(jnp.stack([f[k : k + n * W : W] for k in range(W + 1)]), axis=0)
+    state, (psi, x, y, ax, ay) = whole(known), whole(motion.valid).T
+    moving = jnp.min(state, axis=1)
+    placed = moving * psi * x * y
+    return jnp.stack([state[:, 2] * psi, placed, placed, moving * ax, moving * ay], axis=1)
+
+
+def batched_residuals(model, theta, runs, motion, W, dt):
+    """Apply `motion_residuals` to a batch of pieces."""
+    return eqx.filter_vmap(motion_residuals, in_axes=(None, None, 0, 0, None, None))(
+        model, theta, runs, motion, W, dt
+    )  # fmt: skip
+
+
+def batched_derivatives(model, theta, runs, motion, W, dt):
+    """Return the derivatives (P, n, 5, K) of what is computed from V, beta and r by theta."""
+    columns = np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
+    value = lambda theta: batched_residuals(model, theta, runs, motion, W, dt).e
+    by = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1], out_axes=-1)(jnp.eye(len(theta))[columns])
+    return jnp.zeros((*by.shape[:-1], len(theta))).at[..., columns].set(-by)
+
+
+def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> Residuals:
+    """Compare all pieces with their further channels; leading axes (P, n)."""
+    W, where = window_size(model, data.dt), jnp.asarray(theta)
+    one = lambda run, motion: call(batched_residuals, model, where, run, motion, W, data.dt)
+    return map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+
+
+def piece_derivatives(model: Universal, data: Pieces, theta: np.ndarray) -> np.ndarray:
+    """Return the derivatives (P, n, 5, K) of the computed motion of all pieces by theta."""
+    W, where = window_size(model, data.dt), jnp.asarray(theta)
+    one = lambda run, motion: call(batched_derivatives, model, where, run, motion, W, data.dt)
+    return map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+
+
+def window_blocks(model: Universal, data: Pieces) -> np.ndarray:
+    """Return the number (P, n) of the block in which each window ends."""
+    W = window_size(model, data.dt)
+    return data.block[:, W : W * ((data.size - 1) // W) + 1 : W]
+
+
+def estimate_motion_noise(
+    model: Universal, data: Pieces, start: np.ndarray, limits: tuple[np.ndarray, np.ndarray], active: np.ndarray,
+    sigma: np.ndarray,
+) -> MotionNoise:  # fmt: skip
+    """Estimate the noise of the windows as what no error of a sensor explains; `sigma` (3,) is that of V, beta, r.
+
+    Errors of the sensors and of the further channels are fitted together, outliers are left out. A channel that
+    agrees better than the noise of V, beta and r lets it was computed from them, and is not used.
+    """
+    theta = start
+    for _ in range(ITERATIONS):
+        found = piece_residuals(model, data, theta)
+        J = np.where(active, np.asarray(piece_derivatives(model, data, theta)), 0.0)
+        e, own = np.asarray(found.e), np.asarray(found.own)
+        step, left, used = robust_step(e, J, own, np.asarray(found.valid) > 0, (theta - start) / PRIOR)
+        theta = np.clip(theta + step, *limits)
+    noise = np.array([robust_scale(left[..., c][used[..., c]]) for c in range(len(FURTHER))])
+    noise *= dependence(np.where(used, left / noise, 0.0), used, window_blocks(model, data))
+    used &= noise > TOO_GOOD * noise_of_sensors(data, window_size(model, data.dt), sigma)
+    return MotionNoise(noise, used)
+
+
+def robust_scale(values: np.ndarray) -> float:
+    """Return the standard deviation of `values` about zero, from the median of their size; 1 without any."""
+    return max(1.4826 * float(np.median(np.abs(values))), TINY) if len(values) else 1.0
+
+
+def robust_step(
+    e: np.ndarray, J: np.ndarray, own: np.ndarray, valid: np.ndarray, moved: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit residuals (P, n, 5) by errors of sensors, derivatives (P, n, 5, K), and by `own` ones; outliers count less.
+
+    Return the step (K,) from the present errors, which are `moved` by so many standard deviations of their prior, the
+    residuals left and which are no outliers.
+    """
+    K, Q, used, left = J.shape[-1], own.shape[-1], valid, e
+    for _ in range(REWEIGHTINGS):
+        scale = np.array([robust_scale(left[..., c][valid[..., c]]) for c in range(len(FURTHER))])
+        used = valid & (np.abs(left) < OUTLIER * scale)
+        A = (np.concatenate([J, own], axis=-1) / scale[:, None])[used]
+        size = np.maximum(np.sqrt((A[:, K:] ** 2).sum(axis=0)), TINY)
+        A[:, K:] /= size
+        ridge = np.diag(np.r_[np.full(K, 1 / PRIOR**2), np.full(Q, INDEPENDENT)])
+        rest = A.T @ (e / scale)[used] - np.r_[moved / PRIOR, np.zeros(Q)]
+        x = np.linalg.solve(A.T @ A + ridge, rest)
+        left = e - J @ x[:K] - own @ (x[K:] / size)
+    return x[:K], left, used
+
+
+def dependence(e: np.ndarray, used: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return how many times their standard deviation residuals (P, n, 5) count in the sum over a block, at least 1."""
+    sums, num = np.zeros((2, block.max() + 1, e.shape[-1]))
+    np.add.at(sums, block, e)
+    np.add.at(num, block, used)
+    return np.sqrt(np.maximum((sums**2).sum(axis=0) / np.maximum(num.sum(axis=0), 1), 1.0))
+
+
+def noise_of_sensors(data: Pieces, W: int, sigma: np.ndarray) -> np.ndarray:
+    """Return the noise (5,) that the noise `sigma` of V, beta and r alone gives the residuals of windows."""
+    V = np.asarray(data.padded.y)[..., 0][np.asarray(data.padded.valid)[..., 0] > 0]
+    velocity = np.array([sigma[0], np.sqrt(np.mean(V**2)) * sigma[1]])
+    return np.r_[sigma[2] / np.sqrt(W), velocity / np.sqrt(W), np.sqrt(2) * velocity / (W * data.dt)]
+
+
+def orthonormal(own: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (P, n, 5, q) of what the columns of `own` (P, n, 5, Q) span."""
+    A = own.reshape(-1, own.shape[-1])
+    size = np.sqrt((A**2).sum(axis=0))
+    U, s, _ = np.linalg.svd(A[:, size > 0] / size[size > 0], full_matrices=False)
+    return U[:, s > INDEPENDENT * s.max(initial=0.0)].reshape(*own.shape[:-1], -1)
+
+
+def whitened_residuals(model: Universal, data: Pieces, theta: np.ndarray, noise: MotionNoise) -> tuple[np.ndarray, int]:
+    """Return the whitened residuals (P, T, 5) of a car `theta`, at the ends of windows, and how many windows it lacks.
+
+    What the further channels may err by themselves is projected out at each theta (Golub and Pereyra 1973).
+    """
+    e, own, there = _whitened(piece_residuals(model, data, theta), noise)
+    e = e - np.einsum("pnic,c->pni", own, np.einsum("pnic,pni->c", own, e))
+    return _at_ends(e, model, data), int(noise.used.sum() - there.sum())
+
+
+def whitened_motion_derivatives(
+    model: Universal, data: Pieces, theta: np.ndarray, noise: MotionNoise, active: np.ndarray
+) -> np.ndarray:
+    """Return the derivatives (P, T, 5, K) of what is computed by the `active` parameters, as `whitened_residuals`.
+
+    Those of the projection are left out (Kaufman 1975).
+    """
+    _, own, there = _whitened(piece_residuals(model, data, theta), noise)
+    J = np.asarray(piece_derivatives(model, data, theta)) / noise.sigma[:, None]
+    J = np.where(there[..., None] & active, J, 0.0)
+    J -= np.einsum("pnic,ck->pnik", own, np.einsum("pnic,pnik->ck", own, J, optimize=True), optimize=True)
+    return _at_ends(J, model, data)
+
+
+def _whitened(found: Residuals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return whitened residuals (P, n, 5), a basis (P, n, 5, q) of own errors, and which windows there are."""
+    there = noise.used & (np.asarray(found.valid) > 0)
+    e = np.where(there, np.asarray(found.e) / noise.sigma, 0.0)
+    return e, orthonormal(np.where(there[..., None], np.asarray(found.own) / noise.sigma[:, None], 0.0)), there
+
+
+def _at_ends(windows: np.ndarray, model: Universal, data: Pieces) -> np.ndarray:
+    """Place values of windows (P, n, ...) at the samples (P, T, ...) at which these end, zero elsewhere."""
+    W, num = window_size(model, data.dt), windows.shape[1]
+    whole = np.zeros((len(windows), data.size, *windows.shape[2:]))
+    whole[:, W : W * num + 1 : W] = windows
+    return whole
