@@ -76,7 +76,7 @@ def test_forgotten_effects_are_removed_from_the_calibrated_car(tmp_path):
     effects = {"steer_lag": {"tau": 0.05}, "friction": {"p": -0.2}} | car.pop("effects")
     (folder / "calibrated.yaml").write_text(yaml.safe_dump({"nominal": car, "effects": effects}))
     car = nominal_car(STEERING, Config(out=tmp_path))
-    assert {one.effect for one in car.effects} == {"friction", "drive_split"}
+    assert {one.effect for one in car.effects} == {"friction", "drive_split", "brake_split"}
     assert load_vehicle(tmp_path / "dart_steering_nominal.yaml") == car
     assert nominal_car(LOW, Config(out=tmp_path)) == load_vehicle(folder / "calibrated.yaml")
 

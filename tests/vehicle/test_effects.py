@@ -23,7 +23,7 @@ NAMES = (
     "engine_drag drive_gain drive_lag power_limit wheel_spin differential_moment torque_vectoring mass yaw_inertia "
     "cog_shift roll_lag roll_steer steer_offset steer_gain steer_compliance steer_lag steer_delay steer_backlash "
     "road_bank road_grade side_wind friction_patch friction_fade gyro_bias gyro_scale sideslip_bias speed_scale "
-    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit"
+    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split"
 ).split()
 OWNER = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
 BOUNDS = np.array([(p.lower, p.upper) for effect in EFFECTS.values() for p in effect.parameters])
@@ -262,10 +262,22 @@ def test_front_share_of_the_drive_leaves_its_sum():
     assert turned[2] == pytest.approx(1.4 * 0.4 * 3000 * np.sin(0.2) / 3234)
 
 
+@pytest.mark.parametrize("name", ["drive_split", "brake_split"])
+def test_the_whole_force_may_be_on_the_front_axle_but_only_of_its_own_sign(name):
+    """At the upper bound a front-driven car, or one that brakes with its front axle only."""
+    (p,) = EFFECTS[name].parameters
+    whole = p.bounds(load_vehicle("sedan"))[1]
+    assert whole == pytest.approx(1.0)
+    for F in (3000.0, -3000.0):
+        flow = car_with(**{name: whole}).flow(state(), control(0.2, F), STILL, NONE)
+        front = F if (F > 0) == (name == "drive_split") else 0.0
+        np.testing.assert_allclose([flow.Fxf, flow.Fxr], [front, F - front], atol=1e-9)
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_an_axle_passes_on_no_more_than_its_friction(side):
     """Drive and brake, each axle: a small force passes on whole, and however much is asked for, it is never more."""
-    limited, free = (car_with(traction_limit=p, drive_split=0.5) for p in (1.0, 0.0))
+    limited, free = (car_with(traction_limit=p, drive_split=0.5, brake_split=0.5) for p in (1.0, 0.0))
     for F in (3000.0, 9000.0, 1e8):
         x, u = state(10.0, 0.05, 0.2), control(0.05, side * F)
         flow, plain = limited.flow(x, u, STILL, NONE), free.flow(x, u, STILL, NONE)

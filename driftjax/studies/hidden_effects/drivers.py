@@ -52,6 +52,7 @@ _TABLE = {
     "channel_delay": "r delta delta_rate beta V ay",
     "imu_lever_arm": "r beta delta",
     "drive_split": "Fxr ax delta",
+    "brake_split": "Fxr ax delta",
     "yaw_moment": "1",
     "traction_limit": "Fxr ax alpha_r beta",
 }

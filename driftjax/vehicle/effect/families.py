@@ -7,7 +7,7 @@ FAMILIES = {
     "load transfer": ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "roll_lag",
                       "roll_steer"),
     "drive and brake": ("drive_gain", "drive_lag", "power_limit", "wheel_spin", "differential_moment",
-                        "torque_vectoring", "drive_split", "engine_drag", "rolling_resistance",
+                        "torque_vectoring", "drive_split", "brake_split", "engine_drag", "rolling_resistance",
                         "aero_drag"),
     "steering": ("steer_offset", "steer_gain", "steer_compliance", "steer_lag", "steer_delay", "steer_backlash"),
     "chassis": ("mass", "yaw_inertia", "cog_shift", "yaw_moment"),
