@@ -16,6 +16,7 @@ CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 BOUNDED = 12  # rivals whose bounds are looked at
 RIVAL_PROBABILITY = 0.01  # probability from which a rival is worth telling of
+TOLERANCE = 0.2  # standard deviation between runs, over its size, by which a cause may vary
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
 
@@ -29,7 +30,7 @@ class Cause(NamedTuple):
     probability: float
     rivals: dict[int, float]  # effects that might act in its place, with their probabilities
     alike: tuple[int, ...]  # effects whose signature is nearly the same
-    invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
+    invariance: float  # probability that chance makes its size differ as much between runs; 1 for a single run
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
     family_probability: float  # that it or another effect of its family acts
     worth: Worth  # its share in what all named effects explain
@@ -43,7 +44,7 @@ class NamedEffect(NamedTuple):
     probability: float  # that it rather than a rival acts
     p_value: float  # of its own score beside the other causes
     parameters: dict[str, dict[str, Any]]  # name -> value, ci95 (low, high), unit, at_bound; SI
-    invariance: float  # probability that chance makes the runs differ as much in it; 1 for a single run
+    invariance: float  # probability that chance makes its size differ as much between runs; 1 for a single run
     confusable_with: list[str]  # effects that these data hardly tell from it
     rivals: dict[str, float]  # effects that might act in its place, with their probabilities
     family: str  # part of the car or of the measurement that it belongs to
@@ -123,10 +124,11 @@ def half_widths(problem: Problem, last: Scores, selected: tuple[int, ...]) -> np
 
 
 def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
-    """Return per effect the smallest p-value of the hypothesis that its parameters are the same in all runs.
+    """Return per effect the smallest p-value of the hypothesis that its parameters are nearly the same in all runs.
 
-    A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016). Scores of each run, all other
-    members taken out, over their information make Cochran's Q (1954), in units of what blocks vary by.
+    A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016), up to `TOLERANCE` of it: no model
+    is exact, and much data would show any difference. Scores of each run, all other members taken out, over their
+    information are estimates, whose spread makes Cochran's Q (1954); blocks say how far noise makes them vary.
     """
     columns, runs = problem.columns(selection.selected), np.unique(problem.data.run)
     if len(runs) < 2:
@@ -135,18 +137,29 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     H = np.array([information(J[problem.data.run == run]) for run in runs])
     U = np.array([np.einsum("ptij,pti->j", J[problem.data.run == run], e[problem.data.run == run]) for run in runs])
     total, blocks = H.sum(axis=0), selection.scores.blocks[:, columns]
+    size = (selection.fit.theta - problem.start)[columns]
     least = dict.fromkeys(selection.selected, 1.0)
     for k, column in enumerate(columns):
         other = np.arange(len(columns)) != k
         w = np.zeros(len(columns))
         w[k], w[other] = 1.0, -np.linalg.solve(total[np.ix_(other, other)], total[other, k])
-        size, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
-        excess = max(np.sum((blocks @ w) ** 2) / size.sum(), 1.0)
-        known = size > MIN_SHARE * size.sum()
-        Q = np.sum(score[known] ** 2 / size[known]) - score[known].sum() ** 2 / size[known].sum()
+        known, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
+        excess = max(np.sum((blocks @ w) ** 2) / known.sum(), 1.0)
         member = int(problem.owner[column])
-        least[member] = min(least[member], float(chi2.sf(Q / excess, max(known.sum() - 1, 1))))
+        least[member] = min(least[member], homogeneity_p_value(score, known / excess, TOLERANCE * size[k], excess))
     return least
+
+
+def homogeneity_p_value(score: np.ndarray, known: np.ndarray, tolerance: float, excess: float = 1.0) -> float:
+    """Return the p-value of one size in all runs, from the scores (R,) and the information (R,) in each.
+
+    Sizes may differ by a standard deviation `tolerance`; scores vary by `excess` times the information.
+    """
+    which = known > MIN_SHARE * known.sum()
+    estimate = score[which] / (known[which] * excess)
+    weight = 1 / (1 / known[which] + tolerance**2)
+    Q = float(weight @ (estimate - weight @ estimate / weight.sum()) ** 2)
+    return float(chi2.sf(Q, max(which.sum() - 1, 1)))
 
 
 def family_probability(problem: Problem, share: np.ndarray, member: int) -> float:

@@ -1,0 +1,37 @@
+"""A cause has nearly the same size in every run: what differs is told from what merely is not exact."""
+
+import numpy as np
+
+from driftjax.diagnosis.evidence import TOLERANCE, homogeneity_p_value
+
+SIZE, RUNS, CASES = 0.5, 8, 400
+
+
+def p_values(spread: float, known: float, tolerance: float, excess: float = 1.0) -> np.ndarray:
+    """For sizes that vary by `spread` between runs, and scores that vary by `excess` times their information."""
+    rng = np.random.default_rng(0)
+    size = SIZE + spread * rng.standard_normal((CASES, RUNS))
+    noise = np.sqrt(excess / known) * rng.standard_normal((CASES, RUNS))
+    score = known * (size + noise - SIZE)
+    information = np.full(RUNS, known / excess)
+    return np.array([homogeneity_p_value(row, information, tolerance, excess) for row in score])
+
+
+def test_equal_sizes_are_refused_at_the_level_of_the_test():
+    for excess in (1.0, 4.0):
+        assert abs(np.mean(p_values(0.0, 100.0, 0.0, excess) < 0.05) - 0.05) < 0.03
+
+
+def test_a_size_that_varies_as_much_as_tolerated_is_refused_at_that_level_however_much_data_there_are():
+    for known in (1e4, 1e8):
+        assert np.mean(p_values(TOLERANCE * SIZE, known, TOLERANCE * SIZE) < 0.05) < 0.08
+    assert np.mean(p_values(TOLERANCE * SIZE, 1e4, 0.0) < 0.05) > 0.95  # which a test for equality would not bear
+
+
+def test_a_size_that_is_another_in_each_run_is_refused():
+    assert np.mean(p_values(2 * SIZE, 1e4, TOLERANCE * SIZE) < 1e-3) > 0.95
+
+
+def test_runs_that_say_nothing_do_not_count():
+    score, known = np.array([0.1, -0.1, 0.0, 1e-6]), np.array([100.0, 100.0, 100.0, 1e-9])
+    assert homogeneity_p_value(score, known, 0.0) == homogeneity_p_value(score[:3], known[:3], 0.0)
