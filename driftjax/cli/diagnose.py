@@ -84,7 +84,7 @@ def work(
     for note in log.notes:
         print(f"note: {note}")
     with progress() as report:
-        step = lambda text: report(text, STEPS.index(text), len(STEPS) - 1)
+        step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
         diagnosis = diagnose(vehicle, log, config, report=step)
         step("show")
         diagnosis.save(folder.path)

@@ -181,7 +181,7 @@ def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str
     """Name the causes from all runs of the problem, its noise estimated from all of them too."""
     problem = with_estimated_noise(initial, initial.start, initial.active)
     report("naming")
-    problem, selection = name_effects(problem, config.seed, config.most)
+    problem, selection = name_effects(problem, config.seed, config.most, report)
     causes = find_causes(problem, selection)
     return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed))
 

@@ -1,5 +1,7 @@
 """Search from far: with an observer whose disturbances absorb the errors of the nominal car."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from driftjax.core import BadInput
@@ -29,17 +31,19 @@ def require_finite(fit: Fit) -> Fit:
     return fit
 
 
-def search_multistart(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
+def search_multistart(
+    problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
+) -> tuple[Problem, Selection]:
     """Search for effects, from far where that fails; return the problem searched in and the selection.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about.
     """
     start = nominal_fit(problem)
-    close = search(problem, start, seed, most=most) if misfit(problem, start) < LOST_MISFIT else None
+    close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
         return problem, close
-    anew, selection = search_from_far(problem, seed, most)
+    anew, selection = search_from_far(problem, seed, most, report)
     if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
         return problem, close
     return anew, selection
@@ -50,12 +54,14 @@ def with_nominal_noise(problem: Problem) -> Problem:
     return with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
 
 
-def search_from_far(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
+def search_from_far(
+    problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
+) -> tuple[Problem, Selection]:
     """Search with the noise of the nominal car, then search again with that of the fitted car."""
     loose = with_nominal_noise(problem)
     start = require_finite(nominal_fit(loose))
-    rough = search(loose, start, seed, most=most)
+    rough = search(loose, start, seed, most=most, report=report)
     anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
-    selection = search(anew, require_finite(fit), seed, rough.selected, most)
+    selection = search(anew, require_finite(fit), seed, rough.selected, most, report)
     return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores)

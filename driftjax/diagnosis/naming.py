@@ -1,5 +1,7 @@
 """Name the effects of a problem: search for them, then replace each by a rival that is more probable in its place."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from driftjax.diagnosis.beam import QuadraticCost, minimise_over, quadratic_cost
@@ -10,9 +12,14 @@ from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
 
 
-def name_effects(problem: Problem, seed: int = 0, most: int = MAX_EFFECTS) -> tuple[Problem, Selection]:
-    """Search for effects, none of them less probable than a rival; return the problem searched in and the selection."""
-    problem, selection = search_multistart(problem, seed, most)
+def name_effects(
+    problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
+) -> tuple[Problem, Selection]:
+    """Search for effects, none of them less probable than a rival; return the problem searched in and the selection.
+
+    `report` hears of the effects named at each step.
+    """
+    problem, selection = search_multistart(problem, seed, most, report)
     return problem, prefer_probable(problem, selection, seed)
 
 

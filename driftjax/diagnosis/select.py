@@ -1,5 +1,6 @@
 """Select effects: sets from a beam search, refitted in the whole nonlinear model, while a test finds something left."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -45,11 +46,13 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
 
 
 def search(
-    problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS
-) -> Selection:
+    problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS,
+    report: Callable[[str], None] = lambda text: None,
+) -> Selection:  # fmt: skip
     """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
 
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
+    `report` hears of the effects named at each step.
     """
     nominal = linearise(problem, start)
     first = scores(problem, nominal, start.theta, (), seed)
@@ -57,6 +60,8 @@ def search(
     fit, at = refit_to_convergence(problem, start, problem.columns(selected), nominal)
     remaining = scores(problem, at, fit.theta, selected, seed) if selected else first
     while True:
+        if selected:
+            report(f"naming: {', '.join(problem.effects[i].name for i in selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected else 0
         new, trial = best_set(problem, fit, selected, at, min(len(selected) + more, max(most, len(selected))))
