@@ -15,12 +15,24 @@ from driftjax.diagnosis.runs import differentiate, fixed_gain, observer_gains, p
 from driftjax.diagnosis.score import partial_out
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.verdict import Judgement, Verdict, detectable_share
+from driftjax.logs import Run
 from driftjax.manoeuvres.campaign import Campaign, record_runs
-from driftjax.manoeuvres.library import MANOEUVRES
+from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
 DURATION = 10.0  # of a proposed run [s]
+
+
+def drivable_runs(vehicle: VehicleConfig, theta: np.ndarray, rate: float, seed: int) -> tuple[Run, ...]:
+    """Record every manoeuvre of the library that the car can drive; one without a drift equilibrium holds no drift."""
+    runs: list[Run] = []
+    for name in MANOEUVRES:
+        try:
+            runs += record_runs(vehicle, theta, Campaign((name,), DURATION, rate, seed=seed))[0]
+        except NoDrift:
+            continue
+    return tuple(runs)
 
 
 class Proposal(NamedTuple):
@@ -43,9 +55,7 @@ def propose(
     """
     if judgement.verdict not in (Verdict.SET, Verdict.DATA_INSUFFICIENT):
         return None
-    rate = round(1 / problem.data.dt)
-    campaign = Campaign(tuple(MANOEUVRES), DURATION, rate, seed=seed)
-    runs, _ = record_runs(vehicle, in_full_catalogue(problem, selection.fit.theta), campaign)
+    runs = drivable_runs(vehicle, in_full_catalogue(problem, selection.fit.theta), round(1 / problem.data.dt), seed)
     if not runs:
         return None
     value = lambda H: (

@@ -28,6 +28,10 @@ class VehicleUnits(NamedTuple):
     weight: float  # [N]
 
 
+class NoDrift(BadInput):
+    """A car without the drift equilibrium that a manoeuvre holds."""
+
+
 def vehicle_units(vehicle: VehicleConfig) -> VehicleUnits:
     """Return the units of a car."""
     return VehicleUnits(*(reference(vehicle, of) for of in ("length", "time", "speed", "force")))
@@ -55,7 +59,7 @@ def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excit
     R_u = jnp.array([10.0**2, (5 / unit.weight) ** 2])
     x, u, K, found = call(_hold, nominal, jnp.array([beta, R]), Q, R_u, jnp.asarray(t[1] - t[0]))
     if not found:
-        raise BadInput(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
+        raise NoDrift(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
     wiggle = np.zeros((len(t), 2))
     if excited:
         low, high = 0.12 / unit.time, 0.9 / unit.time

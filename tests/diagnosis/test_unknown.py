@@ -1,11 +1,13 @@
 """What the catalogue lacks: generic terms find the variable and the size; and what to drive next when names compete."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
+from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_p_value
 from driftjax.diagnosis.fit import Problem, evaluate, linearise, refit_to_convergence, with_noise
@@ -15,6 +17,7 @@ from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms
 from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
 from driftjax.diagnosis.worth import Worth
+from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
 
@@ -147,6 +150,23 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     assert told is not None and told.now == pytest.approx(0.6) and told.now < told.after <= 1
     assert told.after == max(told.others.values()) == told.others[told.manoeuvre] and told.manoeuvre in told.sentence
     assert min(told.others.values()) < told.after  # coasting straight tells little of load transfer in a drift
+
+
+def test_a_car_that_cannot_drift_is_offered_what_it_can_drive(monkeypatch):
+    def record(vehicle, theta, campaign):
+        if "drift" in campaign.manoeuvres[0]:
+            raise NoDrift("it has no drift equilibrium.")
+        return campaign.manoeuvres, None
+
+    monkeypatch.setattr(next_manoeuvre, "record_runs", record)
+    names = next_manoeuvre.drivable_runs(sedan(), np.zeros(1), 100, 0)
+    assert names == tuple(name for name in MANOEUVRES if "drift" not in name) and names
+
+
+def test_a_drift_that_there_is_not_is_refused_by_its_name():
+    soft = replace(sedan(), B=1.0)
+    with pytest.raises(NoDrift, match="it has no drift equilibrium; give 'combined_slip' or another tyre"):
+        MANOEUVRES["drift"](soft, np.random.default_rng(0), np.arange(10) * 0.01)
 
 
 def test_parameters_keep_their_effects_in_the_whole_catalogue():

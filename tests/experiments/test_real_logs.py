@@ -93,5 +93,9 @@ def test_unknown_and_premature_questions_are_refused(tmp_path):
 def test_the_recording_of_the_sedan_shows_its_sensors(tmp_path):
     assert SHARED.is_dir(), "this test needs the measured log of ../shared/data"
     found = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
-    assert found["answer"] and found["gain"]["ci95"]["extended"][0] > 0
+    value = {name: one["value"] for name, one in found["answer"].items()}
+    assert value["sideslip_bias.p"] == pytest.approx(-0.01, abs=0.001)  # as others found
+    assert value["gyro_bias.p"] == pytest.approx(0.005, abs=0.001)
+    assert value["steer_gain.p"] == pytest.approx(0.1, abs=0.05)
+    assert found["verdict"] != "UNKNOWN" and found["gain"]["ci95"]["extended"][0] > 0.5
     assert (tmp_path / "real_logs.png").is_file()
