@@ -49,6 +49,11 @@ class MotionNoise(NamedTuple):
     used: np.ndarray  # (P, n, 5) windows that count
 
 
+def slope(f: Array) -> Array:
+    """Return the change of `f` (n,) from one sample to the next, central."""
+    return jnp.asarray(jnp.gradient(f))
+
+
 def window_size(model: Universal, dt: float) -> int:
     """Return the samples from the begin of a window to its end."""
     return max(round(SPAN * float(model.base.unit_time) / dt), 2)
@@ -58,7 +63,7 @@ def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Arr
     """Return the motion (T,) that the sensors of `model` measured as the `run`, and where it is known (T, 3)."""
     aligned = align_measurements(model, run, dt)
     sensors, y = model.split_delays(dt)[1], State(*aligned.y.T)
-    rate = jax.tree.map(lambda a: jnp.gradient(a) / dt, y)
+    rate = jax.tree.map(lambda a: slope(a) / dt, y)
     x = y
     for _ in range(INVERSIONS):
         x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, rate))
@@ -93,8 +98,8 @@ def motion_residuals(
     ahead = body(jnp.stack([change(across[1]), -change(across[0])]))
     arms = [body(jnp.stack([change(jnp.cos(psi)), change(jnp.sin(psi))])),
             body(jnp.stack([-change(jnp.sin(psi)), change(jnp.cos(psi))]))]  # fmt: skip
-    zero, one, jerk = jnp.zeros(n), jnp.ones(n), [jnp.gradient(a) / T for a in (along, left)]
-    bend = lambda f: jnp.gradient(jnp.gradient(f))
+    zero, one, jerk = jnp.zeros(n), jnp.ones(n), [slope(a) / T for a in (along, left)]
+    bend = lambda f: slope(slope(f))
     own = [
         [-change(r), *late, zero, zero],  # delay of the heading
         [zero, *-sideways, zero, zero],  # offset of the heading
@@ -165,7 +170,7 @@ def estimate_motion_noise(
     Errors of the sensors and of the further channels are fitted together, outliers are left out. A channel that
     agrees better than the noise of V, beta and r lets it was computed from them, and is not used.
     """
-    theta = start
+    theta, left, used = start, np.zeros(0), np.zeros(0, bool)
     for _ in range(ITERATIONS):
         found = piece_residuals(model, data, theta)
         J = np.where(active, np.asarray(piece_derivatives(model, data, theta)), 0.0)
@@ -192,6 +197,7 @@ def robust_step(
     residuals left and which are no outliers.
     """
     K, Q, used, left = J.shape[-1], own.shape[-1], valid, e
+    x, size = np.zeros(K + Q), np.ones(Q)
     for _ in range(REWEIGHTINGS):
         scale = np.array([robust_scale(left[..., c][valid[..., c]]) for c in range(len(FURTHER))])
         used = valid & (np.abs(left) < OUTLIER * scale)

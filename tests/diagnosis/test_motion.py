@@ -53,6 +53,7 @@ def problem_of(run: Run) -> Problem:
 def estimate(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
     """Values and standard deviations [SI] of all parameters, from the channels beside V, beta and r alone."""
     scale, fit = np.asarray(problem.model.scale), evaluate(problem, problem.start)
+    H = np.eye(len(scale))
     for _ in range(4):
         at = linearise(problem, fit)
         e, J = (np.asarray(a)[:, :, 3:] for a in (at.e, at.J))

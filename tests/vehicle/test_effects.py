@@ -269,7 +269,7 @@ def test_the_whole_force_may_be_on_the_front_axle_but_only_of_its_own_sign(name)
     whole = p.bounds(load_vehicle("sedan"))[1]
     assert whole == pytest.approx(1.0)
     for F in (3000.0, -3000.0):
-        flow = car_with(**{name: whole}).flow(state(), control(0.2, F), STILL, NONE)
+        flow = car_with("sedan", **{name: whole}).flow(state(), control(0.2, F), STILL, NONE)
         front = F if (F > 0) == (name == "drive_split") else 0.0
         np.testing.assert_allclose([flow.Fxf, flow.Fxr], [front, F - front], atol=1e-9)
 
