@@ -146,11 +146,8 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     diagnosis.save(out)
     print(diagnosis.sentence, flush=True)
     if course and diagnosis.evidence:
-        try:
-            laps = closed_loop(course, car, diagnosis.extended)
-            folder.write_json("diagnosis", folder.read_json("diagnosis") | {"closed_loop": laps})
-        except dj.BadInput as error:  # such as a car that cannot drift: the diagnosis stands without laps
-            print(f"note: no closed-loop laps: {error}", flush=True)
+        laps = closed_loop(course, car, diagnosis.extended)
+        folder.write_json("diagnosis", folder.read_json("diagnosis") | {"closed_loop": laps})
     print(f"report: {write_diagnosis(folder)}", flush=True)
 
 

@@ -146,7 +146,7 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
         known, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
         excess = max(np.sum((blocks @ w) ** 2) / known.sum(), 1.0)
         member = int(problem.owner[column])
-        least[member] = min(least[member], homogeneity_p_value(score, known / excess, TOLERANCE * size[k], excess))
+        least[member] = min(least[member], homogeneity_p_value(score, known, TOLERANCE * size[k], excess))
     return least
 
 
@@ -156,8 +156,8 @@ def homogeneity_p_value(score: np.ndarray, known: np.ndarray, tolerance: float, 
     Sizes may differ by a standard deviation `tolerance`; scores vary by `excess` times the information.
     """
     which = known > MIN_SHARE * known.sum()
-    estimate = score[which] / (known[which] * excess)
-    weight = 1 / (1 / known[which] + tolerance**2)
+    estimate = score[which] / known[which]
+    weight = 1 / (excess / known[which] + tolerance**2)
     Q = float(weight @ (estimate - weight @ estimate / weight.sum()) ** 2)
     return float(chi2.sf(Q, max(which.sum() - 1, 1)))
 

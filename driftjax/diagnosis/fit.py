@@ -139,9 +139,12 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
 
 
 def with_motion_noise(problem: Problem) -> Problem:
-    """Return the problem in which pose and accelerations count, where it has them, with their noise estimated."""
+    """Return the problem in which pose and accelerations count, where it has them, with their noise estimated.
+
+    That noise depends on no car: a problem that has it keeps it.
+    """
     data, limits = problem.data, (problem.lower, problem.upper)
-    if data.motion is None:
+    if data.motion is None or problem.motion is not None:
         return problem
     sigma = initial_noise(data).sigma
     noise = estimate_motion_noise(problem.model, data, problem.start, limits, problem.active, sigma)

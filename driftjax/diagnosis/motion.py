@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
 from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces
 from driftjax.parallel import call
@@ -184,8 +184,8 @@ def estimate_motion_noise(
 
 
 def robust_scale(values: np.ndarray) -> float:
-    """Return the standard deviation of `values` about zero, from the median of their size; 1 without any."""
-    return max(1.4826 * float(np.median(np.abs(values))), TINY) if len(values) else 1.0
+    """Return the `robust_deviation` of `values`, to divide by: never zero, and 1 without any."""
+    return max(robust_deviation(values), TINY) if len(values) else 1.0
 
 
 def robust_step(

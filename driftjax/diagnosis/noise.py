@@ -45,8 +45,13 @@ def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return an initial guess (c,) from third differences of y (P, T, c), robust to outliers."""
     d = np.diff(y, n=3, axis=1)
     whole = np.min([valid[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
-    spread = [np.median(np.abs(d[..., i][whole[..., i]])) if whole[..., i].any() else 0.0 for i in range(y.shape[2])]
-    return np.maximum(1.4826 * np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
+    spread = [robust_deviation(d[..., i][whole[..., i]]) for i in range(y.shape[2])]
+    return np.maximum(np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
+
+
+def robust_deviation(values: np.ndarray) -> float:
+    """Return the standard deviation of normal `values` (n,) about zero, from the median of their size; 0 of none."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def restricted_likelihood(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float) -> Float[Array, ""]:

@@ -54,10 +54,10 @@ def search(
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     `report` hears of the effects named at each step.
     """
-    nominal = linearise(problem, start)
-    first = scores(problem, nominal, start.theta, (), seed)
-    selected = selected or motion_effects(problem, start, nominal, seed, most)
-    fit, at = refit_to_convergence(problem, start, problem.columns(selected), nominal)
+    at = linearise(problem, start)
+    first = scores(problem, at, start.theta, (), seed)
+    selected = selected or motion_effects(problem, start, at, seed, most)
+    fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
     remaining = scores(problem, at, fit.theta, selected, seed) if selected else first
     while True:
         if selected:
@@ -79,8 +79,7 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
     """
     if problem.motion is None:
         return ()
-    further = np.arange(np.asarray(at.e).shape[2]) >= len(MEASURED)
-    e, J = np.where(further, at.e, 0.0), np.where(further[:, None], at.J, 0.0)
+    e, J = (np.asarray(a)[:, :, len(MEASURED) :] for a in (at.e, at.J))
     sensors = at._replace(e=e, J=J)
     model, selected = quadratic_cost(problem, start, sensors), ()
     while len(selected) < most:

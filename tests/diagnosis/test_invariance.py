@@ -13,8 +13,7 @@ def p_values(spread: float, known: float, tolerance: float, excess: float = 1.0)
     size = SIZE + spread * rng.standard_normal((CASES, RUNS))
     noise = np.sqrt(excess / known) * rng.standard_normal((CASES, RUNS))
     score = known * (size + noise - SIZE)
-    information = np.full(RUNS, known / excess)
-    return np.array([homogeneity_p_value(row, information, tolerance, excess) for row in score])
+    return np.array([homogeneity_p_value(row, np.full(RUNS, known), tolerance, excess) for row in score])
 
 
 def test_equal_sizes_are_refused_at_the_level_of_the_test():

@@ -6,13 +6,12 @@
 import jax.numpy as jnp
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Flow
+from driftjax.vehicle.effect.flow import Flow, move_to_front
 
 
 def apply(flow: Flow, p) -> Flow:
     """Move brake force from the rear to the front axle."""
-    front = p[0] * jnp.minimum(flow.u.Fxr, 0.0)
-    return flow._replace(Fxf=flow.Fxf + front, Fxr=flow.Fxr - front)
+    return move_to_front(flow, p[0] * jnp.minimum(flow.u.Fxr, 0.0))
 
 
 EFFECT = Effect(

@@ -109,6 +109,11 @@ def axle_forces(flow: Flow) -> Flow:
     return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
 
 
+def move_to_front(flow: Flow, force: Array) -> Flow:
+    """Return `flow` with this longitudinal force [N] on the front instead of the rear axle."""
+    return flow._replace(Fxf=flow.Fxf + force, Fxr=flow.Fxr - force)
+
+
 def forward_sign(flow: Flow) -> Array:
     """Return the smooth sign of the forward speed, for resistances to rolling [-]."""
     along = flow.x.V * jnp.cos(flow.x.beta)
