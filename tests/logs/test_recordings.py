@@ -251,8 +251,8 @@ def test_inspect_takes_a_recording(tmp_path, monkeypatch, capsys, name):
     assert "needs a column map" in said and "Traceback" not in said
 
 
-def test_the_map_of_the_readme_is_read(tmp_path):
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+def test_the_map_of_the_documentation_is_read(tmp_path):
+    text = (Path(__file__).parents[2] / "docs/how-to/own-log.md").read_text(encoding="utf-8")
     blocks = [block.split("```")[0] for block in text.split("```yaml")[1:]]
     (tmp_path / "map.yaml").write_text(next(block for block in blocks if "/odom." in block))
     ns = every(0.01, 2.0)

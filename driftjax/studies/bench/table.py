@@ -1,4 +1,4 @@
-"""The rows as Markdown: what the screen shows and README holds."""
+"""The rows as Markdown: what the screen shows and docs/results/speed.md holds."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
