@@ -1,0 +1,136 @@
+"""Reference of the command line and of the configuration files as MyST Markdown, from the options themselves."""
+
+import argparse
+import dataclasses
+import importlib
+import inspect
+import re
+import warnings
+from collections.abc import Iterator
+from typing import Any
+from unittest import mock
+
+import tyro
+from api import definition, markdown
+
+from driftjax.cli.front import VERBS
+from driftjax.control.mpc import MPCConfig, Weights
+from driftjax.diagnosis.held_out import DiagnoseConfig
+from driftjax.learning.config import LearnConfig
+from driftjax.logs.columns import Channel, ColumnMap, Condition, Drive
+from driftjax.planner.config import PlanConfig
+from driftjax.sim.sensors import SensorConfig
+from driftjax.sweep.config import Range, SweepConfig
+from driftjax.track.load import CornerConfig, PlaygroundConfig
+from driftjax.vehicle.parameters import VehicleConfig
+from driftjax.vehicle.plant_config import PlantConfig
+
+FILES = {
+    "Learning: `configs/learn/`, `driftjax learn --config`": (LearnConfig,),
+    "Planner: `configs/plan/`, `--plan`": (PlanConfig,),
+    "Car: `configs/vehicle/`, `--vehicle`": (VehicleConfig,),
+    "Plant: `configs/plant/`, `--plant`": (PlantConfig,),
+    "Sensor noise: `configs/sensors/`, `--sensors`": (SensorConfig,),
+    "Track: `configs/track/`, `--track`": (CornerConfig, PlaygroundConfig),
+    "Column map: `configs/columns/`, `--columns`": (ColumnMap, Channel, Condition, Drive),
+    "Diagnosis: options of `driftjax diagnose` and of `dj.diagnose`": (DiagnoseConfig,),
+    "Sweep: `configs/sweep/`, `driftjax sweep`": (SweepConfig, Range),
+}
+REPEATED = (MPCConfig, Weights)  # stand once though several keys hold one
+
+
+class _Caught(Exception):
+    """Carries the arguments of `tyro.cli` out of a verb."""
+
+
+def command_pages() -> dict[str, str]:
+    """Return a page for each verb: its options by group, with meaning and default."""
+    return {verb: _command_page(verb) for verb in VERBS}
+
+
+def configuration_page() -> str:
+    """Return a table of keys for each kind of configuration file."""
+    parts = []
+    for heading, classes in FILES.items():
+        parts.append(f"## {heading}\n")
+        for cls in classes:
+            parts += list(_class_tables(cls, "", classes.index(cls) > 0))
+    return "\n".join(parts)
+
+
+def cell(text: str) -> str:
+    """Return `text` as one cell of a table."""
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a Markdown table."""
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join(f"| {' | '.join(row)} |" for row in lines) + "\n"
+
+
+def _parser(verb: str) -> argparse.ArgumentParser:
+    def catch(cls: Any, args: Any = None, prog: str | None = None, **given: Any) -> None:
+        raise _Caught(cls, prog, given)
+
+    with mock.patch.object(tyro, "cli", catch), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            importlib.import_module(f"driftjax.cli.{verb}").run(["--help"])
+        except _Caught as caught:
+            cls, prog, given = caught.args
+            return tyro.extras.get_parser(cls, prog=prog, **given)
+    raise AssertionError(f"driftjax {verb} does not parse its flags with tyro.cli")
+
+
+def _command_page(verb: str) -> str:
+    parser = _parser(verb)
+    parts = [f"# driftjax {verb}\n", markdown(parser.description or "") + "\n"]
+    for group in parser._action_groups:
+        rows = [_option(action) for action in group._group_actions if action.dest != "help"]
+        if rows:
+            parts += [f"## {_title(group.title or '')}\n", f"{group.description or ''}\n",
+                      table(("option", "meaning", "default"), rows)]  # fmt: skip
+    return "\n".join(parts)
+
+
+def _title(group: str) -> str:
+    return {"positional arguments": "Arguments", "options": "Options"}.get(group, f"`--{group.split()[0]}.*`")
+
+
+def _option(action: argparse.Action) -> tuple[str, str, str]:
+    told = re.fullmatch(r"(.*?)\s*(?:\((default: .*|required|optional|repeatable)\))?", action.help or "", re.DOTALL)
+    assert told is not None
+    default = (told[2] or "").removeprefix("default:").strip()
+    value = str(action.metavar or "").replace("{None}|", "")
+    names = ", ".join(action.option_strings) or action.dest
+    return f"`{cell(f'{names} {value}')}`", cell(told[1]), "" if default in ("", "None") else f"`{cell(default)}`"
+
+
+def _class_tables(cls: type, prefix: str, named: bool) -> Iterator[str]:
+    """Yield heading, sentence and table of a class of options, then of those nested in it."""
+    if prefix or named:
+        yield f"### `{prefix.rstrip('.')}`\n" if prefix else f"### {cls.__name__}\n"
+    yield markdown(inspect.getdoc(cls) or "") + "\n"
+    source, rows, nested = definition(cls), [], dict[str, type]()
+    for field in dataclasses.fields(cls):
+        one = source.members[field.name]
+        default = _default(field)
+        if isinstance(default, REPEATED) or (dataclasses.is_dataclass(default) and not isinstance(default, type)):
+            nested[field.name] = type(default)
+        doc = one.docstring.value if one.docstring else "see below" if field.name in nested else ""
+        shown = "" if field.name in nested else _value(default)
+        rows.append((f"`{prefix}{field.name}`", cell(doc), f"`{cell(str(one.annotation))}`", shown))
+    yield table(("key", "meaning", "type", "default"), rows)
+    for name, inner in nested.items():
+        yield from _class_tables(inner, f"{prefix}{name}.", True)
+
+
+def _default(field: dataclasses.Field) -> Any:
+    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+
+
+def _value(default: Any) -> str:
+    if default is dataclasses.MISSING:
+        return "(required)"
+    return "" if default is None or default in ((), "", {}) else f"`{cell(str(default))}`"
