@@ -25,7 +25,7 @@ class Diagnose:
     """Show and name what a simulation gets wrong, from measured logs: diagnosis.json, extended.yaml, report.html."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
-    """CSV or Parquet files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s); with
+    """CSV, Parquet or MATLAB files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s); with
     `--columns` in any other, and ROS bags, MCAP and MDF files."""
     options: Annotated[DiagnoseConfig, tyro.conf.arg(name="")] = DiagnoseConfig()
     vehicle: Path = Path("sedan")

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.logs.series import similar_names
 from driftjax.logs.table import Table
 
 CHANNELS = ("t", "V", "beta", "r", "delta", "Fxr")
@@ -164,7 +165,7 @@ def standard_columns(table: Table) -> ColumnMap:
         instead = " (or vx and vy)" if lacks in ("V", "beta") else ""
         raise BadInput(
             f"{table.path}: column '{lacks}' is missing; add it{instead}, "
-            "or name the column that holds it in a column map."
+            f"or name the column that holds it in a column map. There are {similar_names(lacks, table.names)}."
         )
     return ColumnMap(tuple(Channel(name, name) for name in names), (RUN,) if RUN in table else ())
 

@@ -94,7 +94,8 @@ def read_log(
     `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.select_runs`) after `cut`
     has split long runs into parts of so many seconds (see `Log.split_runs`).
 
-    A log is a CSV or Parquet file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or MDF file.
+    A log is a CSV, Parquet or MATLAB file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or an
+    MDF file.
     A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
     a command is missing for longer than that; the parts are called name, name+1, ...
     """
@@ -140,7 +141,12 @@ def _cut(run: Run, num: int) -> list[Run]:
 def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | None, notes: list[str]) -> Table:
     if kind is not None:
         return read_recording(path, kind, columns, notes)
-    return parse_table(path, content, columns.skips if columns else lambda line: False)
+    time = next((channel.column for channel in columns.columns if channel.name == "t"), None) if columns else "t"
+    table = parse_table(path, content, columns.skips if columns else lambda line: False, time)
+    if table.units:
+        shown = ", ".join(f"{name} {unit}" for name, unit in zip(table.names, table.units, strict=True) if unit)
+        notes.append(f"{path}: the line of units ({shown}) was passed over; factors stand in the column map.")
+    return table
 
 
 def _pieces(path: Path) -> Iterator[bytes]:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.matfile import mat_columns
+from driftjax.logs.series import similar_names
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})  # cells that hold no value, in lower case
 DELIMITERS = (",", ";", "\t")
@@ -26,6 +28,8 @@ class Table:
     columns: tuple[Sequence[str] | np.ndarray, ...]
     lines: np.ndarray
     """Where each row stands: line of the CSV, header included, row of the Parquet file or sample; from 1."""
+    units: tuple[str, ...] = ()
+    """What a line of units below the header of a CSV says of each column; empty without one."""
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
@@ -33,7 +37,7 @@ class Table:
     def select_rows(self, mask: np.ndarray) -> "Table":
         """Return the rows where `mask` is true."""
         columns = (c[mask] if isinstance(c, np.ndarray) else list(compress(c, mask)) for c in self.columns)
-        return Table(self.path, self.names, tuple(columns), self.lines[mask])
+        return Table(self.path, self.names, tuple(columns), self.lines[mask], self.units)
 
     def numbers(self, name: str) -> np.ndarray:
         """Return column `name` as floats, NaN where a value is missing; raises `BadInput` that names the row."""
@@ -53,7 +57,10 @@ class Table:
 
     def _column(self, name: str) -> Sequence[str] | np.ndarray:
         if name not in self.names:
-            raise BadInput(f"{self.path}: column '{name}' is missing; add it or correct the column map.")
+            there = similar_names(name, self.names)
+            raise BadInput(
+                f"{self.path}: column '{name}' is missing; add it or correct the column map. There are {there}."
+            )
         if self.names.count(name) > 1:
             raise BadInput(f"{self.path}: column '{name}' is there {self.names.count(name)} times; leave one.")
         return self.columns[self.names.index(name)]
@@ -93,9 +100,20 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
-def parse_table(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
-    """Parse a CSV or Parquet file to a table; `skip` says which lines of a CSV to skip."""
-    table = _parquet(path, content) if content.startswith(b"PAR1") else _csv(path, content, skip)
+def parse_table(path: Path, content: bytes, skip: Callable[[int], bool], time: str | None = None) -> Table:
+    """Parse a CSV, Parquet or MATLAB file to a table.
+
+    `skip` says which lines of a CSV to skip, `time` which vector of a MATLAB file gives the length.
+    """
+    if content.startswith(b"PAR1"):
+        table = _parquet(path, content)
+    elif content.startswith(b"MATLAB"):
+        columns = mat_columns(path, content, time)
+        table = Table(
+            path, tuple(columns), tuple(columns.values()), np.arange(1, len(next(iter(columns.values()))) + 1)
+        )
+    else:
+        table = _csv(path, content, skip)
     if not table.lines.size:
         raise BadInput(f"{path}: holds names of columns but no rows; give a log with rows of numbers.")
     return table
@@ -105,27 +123,47 @@ def _csv(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise BadInput(f"{path}: is neither text in UTF-8 nor Parquet, ROS bag, MCAP or MDF; save it so.") from None
-    lines, rows = [], []
+        kinds = "Parquet, MATLAB, ROS bag, MCAP or MDF"
+        raise BadInput(f"{path}: is neither text in UTF-8 nor {kinds}; save it so.") from None
+    names, lines, rows = _header_and_rows(path, text, skip)
+    for line, cells in zip(lines, rows, strict=True):
+        if len(cells) != len(names):
+            raise BadInput(f"{path}, row {line}: has {len(cells)} cells for {len(names)} columns; correct the row.")
+    units: list[str] = []
+    if len(rows) > 1 and not any(map(_is_number, rows[0])) and any(map(_is_number, rows[1])):
+        units, *rows = rows
+        lines = lines[1:]
+    stripped = lambda cells: tuple(cell.strip() for cell in cells)
+    return Table(path, stripped(names), tuple(zip(*rows, strict=True)), np.array(lines, int), stripped(units))
+
+
+def _header_and_rows(path: Path, text: str, skip: Callable[[int], bool]) -> tuple[list[str], list[int], list[list]]:
+    """Return the names, and line and cells of each row; the header may be the last comment before numbers."""
+    lines, rows, comment = [], [], []
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(text, skip))
     try:
         for cells in reader:
-            if not skip(reader.line_num) and not _is_blank(cells):
+            if skip(reader.line_num) or not any(cell.strip() for cell in cells):
+                continue
+            if cells[0].lstrip().startswith("#"):
+                comment = comment if rows else cells
+            else:
                 lines.append(reader.line_num)
                 rows.append(cells)
     except csv.Error as error:
         raise BadInput(f"{path}, row {reader.line_num}: is no CSV ({error}); correct the row.") from None
     if not rows:
         raise BadInput(f"{path}: is empty; give a log with a row of names and rows of numbers.")
-    names, *rows = rows
-    for line, cells in zip(lines[1:], rows, strict=True):
-        if len(cells) != len(names):
-            raise BadInput(f"{path}, row {line}: has {len(cells)} cells for {len(names)} columns; correct the row.")
-    return Table(path, tuple(name.strip() for name in names), tuple(zip(*rows, strict=True)), np.array(lines[1:], int))
+    if len(comment) == len(rows[0]) and any(map(_is_number, rows[0])):
+        return [comment[0].lstrip().lstrip("#"), *comment[1:]], lines, rows
+    return rows[0], lines[1:], rows[1:]
 
 
-def _is_blank(cells: list[str]) -> bool:
-    return not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#")
+def _is_number(cell: str) -> bool:
+    try:
+        return cell.strip().lower() not in MISSING and np.isfinite(float(cell))
+    except ValueError:
+        return False
 
 
 def _delimiter(text: str, skip: Callable[[int], bool]) -> str:

@@ -399,7 +399,6 @@ def test_column_maps_that_do_not_fit_the_file_are_told(tmp_path):
             "column 'okay' is missing; add it or correct the column map",
         ),
         (replace(fits, Fxr_from=Drive("gas")), "column 'gas' is missing"),
-        (replace(fits, skip_rows=0), r"row 2: column 'speed' holds 'm/s'"),
         (
             replace(fits, columns=tuple(replace(c, factor=1.0) for c in fits.columns)),
             r"column 'millis' \(t\) steps by 10",
@@ -436,6 +435,25 @@ def test_logs_of_the_shipped_maps_are_read_as_they_were_made(file, columns, rate
         middle = run.t + (run.dt - 0.01) / 2  # a command is the mean over the sample that it leads
         np.testing.assert_allclose(run.delta[inner], 0.1 * np.sin(2 * np.pi * 0.25 * middle)[inner], atol=1e-3)
         assert run.Fxr[len(run.t) // 2] == pytest.approx(Fxr, rel=5e-3)
+
+
+def test_a_header_behind_a_hash_and_a_line_of_units_are_read_as_they_are(tmp_path):
+    header, *rows = write(tmp_path / "plain.csv", columns()).read_text().splitlines()
+    units = ",".join(["m/s"] * len(header.split(",")))
+    (tmp_path / "hash.csv").write_text("\n".join(["# made by hand", f"# {header}", *rows]))
+    (tmp_path / "units.csv").write_text("\n".join([header, units, *rows]))
+    plain, behind_hash, with_units = (read_log([tmp_path / f"{name}.csv"]) for name in ("plain", "hash", "units"))
+    assert not plain.notes and not behind_hash.notes and "the line of units (t m/s" in with_units.notes[0]
+    for name in CHANNELS:
+        expected = getattr(plain.runs[0], name)
+        np.testing.assert_array_equal(getattr(behind_hash.runs[0], name), expected)
+        np.testing.assert_array_equal(getattr(with_units.runs[0], name), expected)
+
+
+def test_a_missing_column_is_told_with_those_that_there_are(tmp_path):
+    path = write(tmp_path / "log.csv", {{"r": "yaw_rate"}.get(k, k): v for k, v in columns().items()})
+    with pytest.raises(BadInput, match="column 'r' is missing; .* There are '.*'yaw_rate'"):
+        read_log([path])
 
 
 def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):

@@ -1,0 +1,92 @@
+"""MATLAB files of both versions, as SciPy and h5py write them: nested structs, cells, matrices; damaged files."""
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from driftjax.core import BadInput
+from driftjax.logs import read_log
+
+N = 50
+T = np.arange(N) * 0.02
+CHANNELS = {"V": 10 + T, "beta": -0.1 * T, "r": 0.4 * T, "delta": 0.05 * T, "Fxr": 1000 * T}
+MAP = """
+columns:
+  t: car.clock.t
+  V: car.imu.V
+  beta: {column: 'car.runs.1.beta', factor: 2.0}
+  r: car.matrix.0
+  delta: car.matrix.1
+  Fxr: car.F
+"""
+
+
+def version_5(path, car):
+    scipy.io.savemat(path, {"car": car, "note": "text", "one": 3.0})
+
+
+def version_7_3(path, car):
+    """As MATLAB does: columns of a matrix are rows in the file, cells are references to `#refs#`, text has a class."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["note"] = np.array([72, 105], "u2")
+        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
+        for name in ("clock/t", "imu/V", "F", "matrix"):
+            value = car
+            for part in name.split("/"):
+                value = value[part]
+            file[f"car/{name}"] = np.atleast_2d(np.asarray(value).T)
+        refs = [file.create_dataset(f"#refs#/{k}/beta", data=one["beta"][None]) for k, one in enumerate(car["runs"])]
+        file["car/runs"] = np.array([ref.parent.ref for ref in refs], h5py.ref_dtype)[None]
+    with path.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+
+
+def nested() -> dict:
+    runs = np.empty(2, object)
+    runs[:] = [{"beta": np.zeros(7)}, {"beta": CHANNELS["beta"] / 2}]
+    matrix = np.stack([CHANNELS["r"], CHANNELS["delta"]], axis=1)
+    return {"clock": {"t": T}, "imu": {"V": CHANNELS["V"]}, "F": CHANNELS["Fxr"], "matrix": matrix, "runs": runs}
+
+
+@pytest.mark.parametrize("write", [version_5, version_7_3])
+def test_vectors_of_nested_structs_and_cells_are_columns(tmp_path, write):
+    write(tmp_path / "log.mat", nested())
+    (tmp_path / "map.yaml").write_text(MAP)
+    run = read_log(tmp_path / "log.mat", str(tmp_path / "map.yaml")).runs[0]
+    assert run.dt == pytest.approx(0.02)
+    for name, values in CHANNELS.items():
+        np.testing.assert_allclose(getattr(run, name), values, atol=1e-12)
+
+
+def test_a_file_in_the_log_format_needs_no_map(tmp_path):
+    scipy.io.savemat(tmp_path / "log.mat", {"t": T, **CHANNELS, "other": np.zeros(N + 1)})
+    np.testing.assert_array_equal(read_log(tmp_path / "log.mat").runs[0].V, CHANNELS["V"])
+
+
+@pytest.mark.parametrize("write", [version_5, version_7_3])
+def test_the_length_is_that_of_the_time(tmp_path, write):
+    """The other run of the file is shorter, so its columns are not among those to choose from."""
+    write(tmp_path / "log.mat", nested())
+    (tmp_path / "map.yaml").write_text(MAP.replace("runs.1", "runs.0"))
+    with pytest.raises(BadInput, match=r"column 'car\.runs\.0\.beta' is missing.*There are 'car\.runs\.1\.beta'"):
+        read_log(tmp_path / "log.mat", str(tmp_path / "map.yaml"))
+
+
+@pytest.mark.parametrize("write", [version_5, version_7_3])
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, write):
+    path = tmp_path / "log.mat"
+    write(path, nested())
+    content = path.read_bytes()
+    for size in (10, 200, len(content) // 2):
+        path.write_bytes(content[:size])
+        with pytest.raises(
+            BadInput, match=r"log\.mat: (is no readable MATLAB file \(.*save it again|holds no numeric)"
+        ):
+            read_log(path)
+
+
+def test_a_file_without_vectors_is_refused(tmp_path):
+    scipy.io.savemat(tmp_path / "log.mat", {"note": "text"})
+    with pytest.raises(BadInput, match=r"log\.mat: holds no numeric vector; save structs and arrays"):
+        read_log(tmp_path / "log.mat")
