@@ -18,7 +18,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 # Files that compile what others load: begun first, one on each worker, and the others that share their programs last.
 COMPILING = ("learning/test_loop.py", "studies/hidden_effects/test_hidden_effects.py")
-SHARING = ("sweep/test_sweep_cli.py", "diagnosis/")
+SHARING = ("sweep/test_sweep_cli.py", "diagnosis/", "experiments/test_examples.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

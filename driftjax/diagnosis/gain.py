@@ -1,5 +1,6 @@
 """Open-loop prediction errors on held-out runs: what naming the causes gains."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 
 from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
@@ -22,6 +24,8 @@ SPANS = (1.0, 2.0, 4.0)  # horizons beside one step [sqrt(L/g)]: about 0.5, 1 an
 DECISIVE = 2  # number of the horizon, one step first, at which shares of the error are measured
 START_INTERVAL = 1.0  # time between the starts of predictions [sqrt(L/g)]
 SETTLED = 0.5  # time after the start of a piece from which its observer has settled [s]
+STARTS = 20  # starts predicted from in one call
+ROOM = 256  # steps that any program of predictions has room for
 RESAMPLES = 2000
 TINY = 1e-9  # below which an error over that of noise is none
 
@@ -49,39 +53,75 @@ class Errors(NamedTuple):
         return root_mean_square(self.squares, 0)
 
 
-def predict_run(
-    model: Universal, theta: Array, run: PaddedRun, z: Array, starts: Array, num: int, dt: float,
-    residual: GP | None,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return the predicted V, beta, r 1..num steps after samples `starts` at states `z` (T, 6), and what sensors read.
+def march(step: Callable, state: PyTree, num: Array, room: int) -> Array:
+    """Apply `step(j, state) -> (state, row)` for j < `num`; return the rows (room, ...), zero from row `num` on.
 
-    Both (starts, num, 3), SI. A `residual` is added to the rates.
+    One program serves any number of steps up to `room`, which depends on the size of the car and the sample rate.
+    """
+    row = jax.eval_shape(step, 0, state)[1]
+
+    def on(j, carry):
+        state, rows = carry
+        state, row = step(j, state)
+        return state, rows.at[j].set(row)
+
+    return jax.lax.fori_loop(0, num, on, (state, jnp.zeros((room, *row.shape))))[1]
+
+
+def predict_run(
+    model: Universal, theta: Array, run: PaddedRun, z: Array, starts: Array, num: Array, room: int, dt: float,
+    residual: GP | None,
+) -> Array:  # fmt: skip
+    """Return V, beta, r 1..num steps after samples `starts` at states `z` (T, 6) (starts, room, 2, 3), SI.
+
+    They are those of the car, and those that sensors read. A `residual` is added to the rates.
     """
     model = model.with_parameters(theta)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
     step = jnp.asarray(dt)
 
     def one(k):
-        def on(z, j):
+        def on(j, z):
             row = jnp.minimum(k + j, len(run.y) - 1)
             at = features(State(*z[:3]), hold_of(u[row]).mean)
             push = None if residual is None else State(*residual.bounded_mean(at))
             after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
-            return after.z, (after.z[:3], sensor_reading(model, after.z[:3], after.rates, step))
+            return after.z, jnp.stack([after.z[:3], sensor_reading(model, after.z[:3], after.rates, step)])
 
-        return jax.lax.scan(on, z[k], jnp.arange(num))[1]
+        return march(on, z[k], num, room)
 
     return jax.vmap(one)(starts)
 
 
-def run_predictions(model, theta, runs, z, starts, num, dt, residual):
-    axes = (None, None, 0, 0, None, None, None, None)
-    return eqx.filter_vmap(predict_run, in_axes=axes)(model, theta, runs, z, starts, num, dt, residual)
+def run_predictions(model, theta, runs, z, starts, num, room, dt, residual):
+    axes = (None, None, 0, 0, None, None, None, None, None)
+    return eqx.filter_vmap(predict_run, in_axes=axes)(model, theta, runs, z, starts, num, room, dt, residual)
 
 
-def predict_pieces(*args) -> tuple[Array, Array]:
-    """Apply `predict_run` to a batch of pieces with their states `z` (P, T, 6)."""
-    return call(run_predictions, *args)
+def predict_pieces(
+    problem: Problem, theta: np.ndarray, z: Array, starts: np.ndarray, num: int, residual: GP | None = None
+) -> np.ndarray:
+    """Apply `predict_run` to all pieces with their states `z` (P, T, 6); return (P, S, num, 2, 3)."""
+    data, count, room = problem.data, jnp.asarray(num), room_for(num)
+
+    def some(first: Array) -> np.ndarray:
+        of = lambda run, z: call(
+            run_predictions, problem.model, jnp.asarray(theta), run, z, first, count, room, data.dt, residual
+        )
+        return map_pieces(of, len(data.run), data.padded, z)
+
+    return map_starts(some, starts)[:, :, :num]
+
+
+def map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
+    """Apply `function` to `STARTS` starts at a time; return its values (P, S, ...) for all."""
+    rows = [np.minimum(np.arange(k, k + STARTS), len(starts) - 1) for k in range(0, len(starts), STARTS)]
+    return np.concatenate([function(jnp.asarray(starts[row])) for row in rows], axis=1)[:, : len(starts)]
+
+
+def room_for(num: int) -> int:
+    """Return the room for `num` steps: of few sizes, so that one program serves many cars and sample rates."""
+    return max(ROOM, 1 << (num - 1).bit_length())
 
 
 def horizon_steps(problem: Problem) -> np.ndarray:
@@ -100,10 +140,8 @@ def prediction_starts(problem: Problem) -> tuple[np.ndarray, int]:
 def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> Predictions:
     """Predict with the model `theta` and a `residual` rate, from the states of its own observer."""
     data, (starts, num) = problem.data, prediction_starts(problem)
-    where, first = jnp.asarray(theta), jnp.asarray(starts)
     path = run_observer(problem.model, data, theta, problem.gains)
-    one = lambda run, z: predict_pieces(problem.model, where, run, z, first, num, data.dt, residual)
-    told = np.asarray(map_pieces(one, len(data.run), data.padded, path.z)[1])
+    told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
     valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None]

@@ -25,6 +25,7 @@ from driftjax.vehicle.universal import Universal
 
 BATCH = 16  # pieces compared at once
 SPAN = 0.5  # length of a window [sqrt(L/g)]
+ROOM = 128  # windows that any program has room for
 INVERSIONS = 3  # fixed-point iterations for the motion that sensors with given errors measured
 ITERATIONS = 4  # Gauss-Newton steps on the errors of sensors, for the noise
 OUTLIER = 6.0  # standard deviations from which a window is an outlier
@@ -49,7 +50,7 @@ class MotionNoise(NamedTuple):
     used: np.ndarray  # (P, n, 5) windows that count
 
 
-def slope(f: Array) -> Array:
+def central_difference(f: Array) -> Array:
     """Return the change of `f` (n,) from one sample to the next, central."""
     return jnp.asarray(jnp.gradient(f))
 
@@ -63,7 +64,7 @@ def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Arr
     """Return the motion (T,) that the sensors of `model` measured as the `run`, and where it is known (T, 3)."""
     aligned = align_measurements(model, run, dt)
     sensors, y = model.split_delays(dt)[1], State(*aligned.y.T)
-    rate = jax.tree.map(lambda a: slope(a) / dt, y)
+    rate = jax.tree.map(lambda a: central_difference(a) / dt, y)
     x = y
     for _ in range(INVERSIONS):
         x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, rate))
@@ -72,19 +73,23 @@ def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Arr
 
 
 def motion_residuals(
-    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: int, dt: float
+    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: Array, room: int, dt: float
 ) -> Residuals:
-    """Compare one run with its further channels over consecutive windows of `W` samples."""
+    """Compare one run with its further channels over consecutive windows of `W` samples.
+
+    There are `room` rows; those from the first window on that the run does not hold whole count for nothing.
+    """
     model = model.with_parameters(theta)
     (V, beta, r), known = true_motion(model, run, dt)
-    n, T = (len(V) - 1) // W, W * dt
-    starts = np.arange(n) * W
-    change = lambda f: (f[starts + W] - f[starts]) / T
-    mean = lambda f: ((f[1:] + f[:-1]) / 2)[: n * W].reshape(n, W).mean(axis=1)
+    n, T, last = room, W * dt, len(V) - 1
+    starts, ends = (jnp.minimum(k * W, last) for k in (jnp.arange(n), jnp.arange(n) + 1))
+    change = lambda f: (f[ends] - f[starts]) / T
+    mean = lambda f: jax.ops.segment_sum((f[1:] + f[:-1]) / 2, jnp.arange(last) // W, n) / W
+    slope = lambda f: (lambda g: g.at[last // W - 1].set(f[last // W - 1] - f[last // W - 2]))(central_difference(f))
     psi, x, y, ax, ay = motion.y.T
     vx, vy, turned = V * jnp.cos(beta), V * jnp.sin(beta), psi + beta
     across = jnp.stack([-V * jnp.sin(turned), V * jnp.cos(turned)])  # the velocity turned left by 90 degrees
-    middle = psi[starts + W // 2]
+    middle = psi[jnp.minimum(starts + W // 2, last)]
     body = lambda f: jnp.stack([f[0] * jnp.cos(middle) + f[1] * jnp.sin(middle),
                                 f[1] * jnp.cos(middle) - f[0] * jnp.sin(middle)])  # fmt: skip
     moved = body(jnp.stack([change(x) - mean(across[1]), change(y) + mean(across[0])]))
@@ -117,42 +122,54 @@ def motion_residuals(
     return Residuals(e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n))
 
 
-def _whole_windows(known: Array, motion: Motion, W: int, n: int) -> Array:
+def _whole_windows(known: Array, motion: Motion, W: Array, n: int) -> Array:
     """Return in which windows (n, 5) all is measured that each channel is compared with."""
-    whole = lambda f: jnp.min(jnp.stack([f[k : k + n * W : W] for k in range(W + 1)]), axis=0)
+    begin = jnp.arange(n) * W
+
+    def whole(f):
+        gaps = jnp.concatenate([jnp.zeros((1, f.shape[1])), jnp.cumsum(1 - f, axis=0)])
+        lost = gaps[jnp.minimum(begin + W + 1, len(f))] - gaps[jnp.minimum(begin, len(f))]
+        return jnp.where((begin + W < len(f))[:, None] & (lost == 0), 1.0, 0.0)
+
     state, (psi, x, y, ax, ay) = whole(known), whole(motion.valid).T
     moving = jnp.min(state, axis=1)
     placed = moving * psi * x * y
     return jnp.stack([state[:, 2] * psi, placed, placed, moving * ax, moving * ay], axis=1)
 
 
-def batched_residuals(model, theta, runs, motion, W, dt):
+def batched_residuals(model, theta, runs, motion, W, room, dt):
     """Apply `motion_residuals` to a batch of pieces."""
-    return eqx.filter_vmap(motion_residuals, in_axes=(None, None, 0, 0, None, None))(
-        model, theta, runs, motion, W, dt
+    return eqx.filter_vmap(motion_residuals, in_axes=(None, None, 0, 0, None, None, None))(
+        model, theta, runs, motion, W, room, dt
     )  # fmt: skip
 
 
-def batched_derivatives(model, theta, runs, motion, W, dt):
+def batched_derivatives(model, theta, runs, motion, W, room, dt):
     """Return the derivatives (P, n, 5, K) of what is computed from V, beta and r by theta."""
     columns = np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
-    value = lambda theta: batched_residuals(model, theta, runs, motion, W, dt).e
+    value = lambda theta: batched_residuals(model, theta, runs, motion, W, room, dt).e
     by = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1], out_axes=-1)(jnp.eye(len(theta))[columns])
     return jnp.zeros((*by.shape[:-1], len(theta))).at[..., columns].set(-by)
 
 
 def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> Residuals:
     """Compare all pieces with their further channels; leading axes (P, n)."""
-    W, where = window_size(model, data.dt), jnp.asarray(theta)
-    one = lambda run, motion: call(batched_residuals, model, where, run, motion, W, data.dt)
-    return map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+    return _map_windows(batched_residuals, model, data, theta)
 
 
 def piece_derivatives(model: Universal, data: Pieces, theta: np.ndarray) -> np.ndarray:
     """Return the derivatives (P, n, 5, K) of the computed motion of all pieces by theta."""
+    return _map_windows(batched_derivatives, model, data, theta)
+
+
+def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
+    """Apply `function` to all pieces, with room for windows of few sizes, and return those windows that there are."""
     W, where = window_size(model, data.dt), jnp.asarray(theta)
-    one = lambda run, motion: call(batched_derivatives, model, where, run, motion, W, data.dt)
-    return map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+    n = (data.size - 1) // W
+    room = max(ROOM, 1 << (n - 1).bit_length())
+    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), room, data.dt)
+    found = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+    return jax.tree.map(lambda a: a[:, :n], found)
 
 
 def window_blocks(model: Universal, data: Pieces) -> np.ndarray:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import Predictions
+from driftjax.diagnosis.gain import Predictions, map_starts, march, room_for
 from driftjax.diagnosis.observer import PaddedRun, set_state
 from driftjax.diagnosis.runs import map_pieces
 from driftjax.parallel import call
@@ -31,12 +31,13 @@ def covariance_root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 def disturbed_rollouts(
     model: Universal, theta: Array, run: PaddedRun, z: Float[Array, "T 6"], P: Float[Array, "T 6 6"],
-    ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], noise: Float[Array, "7"], dt: float,
-    seed: Array,
+    ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], num: Array, noise: Float[Array, "7"],
+    dt: float, seed: Array,
 ) -> Float[Array, "S N 3"]:  # fmt: skip
     """Return the mean squared difference between sensor readings of disturbed roll-outs and the predictions `ahead`.
 
-    Drives start at samples `starts` about the states `z` with the covariances `P`; predictions know no disturbance.
+    Drives of `num` steps start at samples `starts` about the states `z` with the covariances `P`; predictions know no
+    disturbance.
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
@@ -48,30 +49,40 @@ def disturbed_rollouts(
         w = covariance_root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
         start = set_state(model, z[k], z[k, :3] + w[:3], u[k])
 
-        def on(carry, row):
-            (z, d), (j, kicked) = carry, row
+        kicks = jax.random.normal(later, (len(ahead), 3))
+
+        def on(j, carry):
+            z, d = carry
             at = jnp.minimum(k + j, len(run.y) - 1)
             after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
-            return (after.z, decay * d + kick * kicked), sensor_reading(model, after.z[:3], after.rates, step)
+            off = sensor_reading(model, after.z[:3], after.rates, step) - ahead[j]
+            return (after.z, decay * d + kick * kicks[j]), off.at[1].set(jnp.angle(jnp.exp(1j * off[1]))) ** 2
 
-        rows = jnp.arange(len(ahead)), jax.random.normal(later, (len(ahead), 3))
-        off = jax.lax.scan(on, (start, w[3:]), rows)[1] - ahead
-        return off.at[:, 1].set(jnp.angle(jnp.exp(1j * off[:, 1]))) ** 2
+        return march(on, (start, w[3:]), num, len(ahead))
 
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), number), (DRAWS, len(starts)))
+    key = jax.random.fold_in(jax.random.key(seed), number)
+    keys = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(key, k), DRAWS), out_axes=1)(starts)
     return jax.vmap(jax.vmap(drive), (None, None, 0))(starts, ahead, keys).mean(axis=0) + noise[:3] ** 2
 
 
-def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, noise, dt, seed):
-    axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None)
+def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, num, noise, dt, seed):
+    axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None, None)
     return eqx.filter_vmap(disturbed_rollouts, in_axes=axes)(
-        model, theta, runs, z, P, ahead, number, starts, noise, dt, seed
+        model, theta, runs, z, P, ahead, number, starts, num, noise, dt, seed
     )
 
 
 def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int) -> np.ndarray:
     """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
-    data, where, starts = problem.data, jnp.asarray(theta), jnp.asarray(ahead.starts)
+    data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
-    one = lambda *rows: call(batched_rollouts, problem.model, where, *rows, starts, noise, data.dt, jnp.asarray(seed))
-    return np.asarray(map_pieces(one, len(data.run), data.padded, ahead.z, problem.gains.P, ahead.readings, number))
+    readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, room_for(num) - num), (0, 0)))
+
+    def some(first: Array) -> np.ndarray:
+        there = readings[:, np.searchsorted(ahead.starts, first)]
+        of = lambda *rows: call(
+            batched_rollouts, problem.model, where, *rows, first, jnp.asarray(num), noise, data.dt, jnp.asarray(seed)
+        )
+        return map_pieces(of, len(data.run), data.padded, ahead.z, problem.gains.P, there, number)
+
+    return map_starts(some, ahead.starts)[:, :, :num]

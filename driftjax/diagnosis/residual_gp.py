@@ -8,7 +8,7 @@ from jax import Array
 from driftjax.core import Control, State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import predict_pieces
-from driftjax.diagnosis.runs import fixed_gain, map_pieces, run_observer
+from driftjax.diagnosis.runs import fixed_gain, run_observer
 from driftjax.gp import GP, fit, select_dictionary
 
 WINDOW = 0.2  # time over which a residual rate is measured: shorter drowns in noise, longer blurs [s]
@@ -25,10 +25,7 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
     data, num = problem.data, max(round(WINDOW / problem.data.dt), 1)
     starts = np.arange(num, data.size - num, num)
     path = run_observer(problem.model, data, theta, fixed_gain(data))
-    one = lambda run, z: predict_pieces(
-        problem.model, jnp.asarray(theta), run, z, jnp.asarray(starts), num, data.dt, None
-    )
-    predicted = map_pieces(one, len(data.run), data.padded, path.z)[0][:, :, -1]
+    predicted = predict_pieces(problem, theta, path.z, starts, num)[:, :, -1, 0]
     missed = np.array(path.z[:, starts + num, :3] - predicted)
     missed[..., 1] = np.angle(np.exp(1j * missed[..., 1]))  # the car may spin round
     lacking = missed / (num * data.dt)  # a window is a whole number of steps, not WINDOW

@@ -263,7 +263,13 @@ def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gain
     return Linearisation(whiten(gains, path.e), whitened_derivatives(steps, gains, data), path, steps)
 
 
-def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces) -> Array:
-    """Return the derivatives (P, T, 3, K) of the whitened predictions."""
-    one = lambda steps, gains: call(_chain, steps, gains, data.dt)
-    return -whiten(gains, map_pieces(one, len(data.run), steps, gains))
+def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces, width: int | None = None) -> Array:
+    """Return the derivatives (P, T, 3, K) of the whitened predictions, computed `width` columns at a time."""
+    num = steps.C.shape[-1]
+    width = width or num
+    parts = []
+    for k in range(0, num, width):
+        pad = lambda a: np.pad(a[..., k : k + width], [(0, 0)] * (a.ndim - 1) + [(0, max(k + width - num, 0))])  # noqa: B023
+        part = steps._replace(C=pad(steps.C), F=pad(steps.F), first=pad(steps.first))
+        parts.append(map_pieces(lambda steps, gains: call(_chain, steps, gains, data.dt), len(data.run), part, gains))
+    return -whiten(gains, jnp.asarray(np.concatenate(parts, axis=-1)[..., :num]))

@@ -197,7 +197,8 @@ def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: 
     C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
     F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
     terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
-    return np.asarray(whitened_derivatives(terms, problem.gains, problem.data))
+    # in the program of the catalogue's own derivatives
+    return np.asarray(whitened_derivatives(terms, problem.gains, problem.data, len(problem.lower)))
 
 
 def _penalised_gain(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:

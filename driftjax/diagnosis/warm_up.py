@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import prediction_starts, run_predictions
+from driftjax.diagnosis.gain import STARTS, prediction_starts, room_for, run_predictions
 from driftjax.diagnosis.noise_floor import batched_rollouts
 from driftjax.diagnosis.runs import BATCH_SIZE, by_commands, take
 from driftjax.parallel import compile_ahead
@@ -18,11 +18,11 @@ def compile_programs(problem: Problem) -> None:
     """Compile the roll-outs, the predictions and the derivatives by commands for the shapes of `problem`."""
     model, dt, theta = problem.model, problem.data.dt, jnp.asarray(problem.start)
     runs = take(problem.data.padded, np.zeros(BATCH_SIZE, int))
-    starts, num = prediction_starts(problem)
-    states = (BATCH_SIZE, problem.data.size, 6)
-    z, P, ahead = np.zeros(states), np.zeros((*states, 6)), np.zeros((BATCH_SIZE, len(starts), num, 3))
-    first, noise = jnp.asarray(starts), jnp.asarray(problem.noise.as_vector())
+    num = jnp.asarray(prediction_starts(problem)[1])
+    states, room = (BATCH_SIZE, problem.data.size, 6), room_for(int(num))
+    z, P, ahead = np.zeros(states), np.zeros((*states, 6)), np.zeros((BATCH_SIZE, STARTS, room, 3))
+    first, noise = jnp.arange(STARTS), jnp.asarray(problem.noise.as_vector())
     number = np.arange(BATCH_SIZE)
-    compile_ahead(batched_rollouts, model, theta, runs, z, P, ahead, number, first, noise, dt, jnp.asarray(0))
-    compile_ahead(run_predictions, model, theta, runs, z, first, num, dt, None)
+    compile_ahead(batched_rollouts, model, theta, runs, z, P, ahead, number, first, num, noise, dt, jnp.asarray(0))
+    compile_ahead(run_predictions, model, theta, runs, z, first, num, room, dt, None)
     compile_ahead(by_commands, model, theta, runs, dt)

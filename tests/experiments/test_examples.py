@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from diagnosis.recorded import EFFECTS
 
 import driftjax as dj
 
@@ -18,6 +19,9 @@ def test_an_example_runs_as_it_stands(path, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", [str(path), str(tmp_path / "out.csv" if path.stem == "read_log" else tmp_path)])
     monkeypatch.setattr(dj, "setup", lambda cache: None)  # the cache of the tests stays
+    # the small catalogue, whose programs other tests compile; the whole one runs with the wheel (-m slow)
+    monkeypatch.setitem(dj.calibrate.__kwdefaults__, "catalogue", EFFECTS)
+    monkeypatch.setitem(dj.diagnose.__kwdefaults__, "effects", EFFECTS)
     runpy.run_path(str(path), run_name="__main__")
     said = capsys.readouterr().out
     assert said and "nan" not in said.lower()

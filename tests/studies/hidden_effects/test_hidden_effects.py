@@ -13,6 +13,7 @@ import pytest
 from diagnosis.cases import Fixed, foreign
 from diagnosis.recorded import EFFECTS, sedan
 
+from driftjax.parallel import programs
 from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.trial import diagnose_case
 
@@ -43,6 +44,14 @@ def of(kind: str) -> list:
     cases = [one for one in CASES if one.case().condition in kind.split()]
     marks = lambda one: [pytest.mark.slow] if one.number in SLOW else []
     return [pytest.param(one, id="-".join([one.car, *(one.truth or ("nothing",))]), marks=marks(one)) for one in cases]
+
+
+def test_a_car_of_another_size_compiles_nothing():
+    """Horizons and windows follow sqrt(L/g), and are no shapes. First of the file: results are kept."""
+    result(1), result(7)
+    before = len(programs._programs)
+    result(2), result(8)
+    assert len(programs._programs) == before
 
 
 @pytest.mark.parametrize("case", of("none"))
