@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.export
 import jax.numpy as jnp
+import numpy as np
 from jax.stages import Compiled, Lowered
 from jaxtyping import PyTree
 
@@ -59,6 +60,7 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     if "<" in function.__qualname__:
         raise ValueError(f"{function.__qualname__}: only functions at the top level of a module can be stored")
     leaves, structure = jax.tree.flatten(args)
+    leaves = list(map(_strongly_typed, leaves))
     traced = tuple(map(eqx.is_array, leaves))
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
@@ -74,6 +76,15 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
                 _programs[key] = _compiled(_Plain(function, structure, static, traced), arrays, around)
     run, skeleton, _ = _programs[key]
     return run, arrays, skeleton
+
+
+def _strongly_typed(leaf: Any) -> Any:
+    """Return an integer that came from a Python number as one of fixed type, which else were a program of its own.
+
+    Floats stay: a Python number does not make single precision double, a number of type float64 does.
+    """
+    weak = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.integer) and leaf.weak_type
+    return np.asarray(leaf) if weak and len(leaf.devices()) == 1 else leaf
 
 
 def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:

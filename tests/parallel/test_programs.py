@@ -64,6 +64,13 @@ def test_other_shapes_types_and_static_values_are_other_programs(folder):
     assert len(traced) == 5 == len(list((folder / "programs").iterdir()))
 
 
+def test_an_integer_from_python_is_the_same_program_as_an_array(folder):
+    weak, strong = jnp.asarray(3), jnp.asarray(np.array(4))
+    assert weak.weak_type and not strong.weak_type
+    assert [int(call(scaled, factor, jnp.arange(3))[1]) for factor in (weak, strong)] == [3, 4]
+    assert len(traced) == 1
+
+
 def test_what_prints_as_an_address_is_not_stored(folder):
     assert [float(call(applied, jnp.ones(()), times(k))) for k in (4.0, 5.0)] == [4.0, 5.0]
     assert not (folder / "programs").exists()
