@@ -21,20 +21,20 @@ from driftjax.logs.columns import Channel, ColumnMap, Condition, Drive
 from driftjax.planner.config import PlanConfig
 from driftjax.sim.sensors import SensorConfig
 from driftjax.sweep.config import Range, SweepConfig
-from driftjax.track.load import CornerConfig, PlaygroundConfig
+from driftjax.track.load import CornerConfig, CsvConfig, PlaygroundConfig
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.plant_config import PlantConfig
 
 FILES = {
-    "Learning: `configs/learn/`, `driftjax learn --config`": (LearnConfig,),
-    "Planner: `configs/plan/`, `--plan`": (PlanConfig,),
-    "Car: `configs/vehicle/`, `--vehicle`": (VehicleConfig,),
-    "Plant: `configs/plant/`, `--plant`": (PlantConfig,),
-    "Sensor noise: `configs/sensors/`, `--sensors`": (SensorConfig,),
-    "Track: `configs/track/`, `--track`": (CornerConfig, PlaygroundConfig),
-    "Column map: `configs/columns/`, `--columns`": (ColumnMap, Channel, Condition, Drive),
-    "Diagnosis: options of `driftjax diagnose` and of `dj.diagnose`": (DiagnoseConfig,),
-    "Sweep: `configs/sweep/`, `driftjax sweep`": (SweepConfig, Range),
+    "Learning": ("`configs/learn/`, used by `driftjax learn --config`", (LearnConfig,)),
+    "Planner": ("`configs/plan/`, used by `--plan`", (PlanConfig,)),
+    "Car": ("`configs/vehicle/`, used by `--vehicle`", (VehicleConfig,)),
+    "Plant": ("`configs/plant/`, used by `--plant`", (PlantConfig,)),
+    "Sensor noise": ("`configs/sensors/`, used by `--sensors`", (SensorConfig,)),
+    "Track": ("`configs/track/`, used by `--track`", (CornerConfig, PlaygroundConfig, CsvConfig)),
+    "Column map": ("`configs/columns/`, used by `--columns`", (ColumnMap, Channel, Condition, Drive)),
+    "Diagnosis": ("Options of `driftjax diagnose` and of `dj.diagnose`", (DiagnoseConfig,)),
+    "Sweep": ("`configs/sweep/`, used by `driftjax sweep`", (SweepConfig, Range)),
 }
 REPEATED = (MPCConfig, Weights)  # stand once though several keys hold one
 
@@ -51,8 +51,8 @@ def command_pages() -> dict[str, str]:
 def configuration_page() -> str:
     """Return a table of keys for each kind of configuration file."""
     parts = []
-    for heading, classes in FILES.items():
-        parts.append(f"## {heading}\n")
+    for heading, (place, classes) in FILES.items():
+        parts.append(f"## {heading}\n\n{place}.\n")
         for cls in classes:
             parts += list(_class_tables(cls, "", classes.index(cls) > 0))
     return "\n".join(parts)
@@ -120,8 +120,8 @@ def _class_tables(cls: type, prefix: str, named: bool) -> Iterator[str]:
             nested[field.name] = type(default)
         doc = one.docstring.value if one.docstring else "see below" if field.name in nested else ""
         shown = "" if field.name in nested else _value(default)
-        rows.append((f"`{prefix}{field.name}`", cell(doc), f"`{cell(str(one.annotation))}`", shown))
-    yield table(("key", "meaning", "type", "default"), rows)
+        rows.append((f"`{prefix}{field.name}`", cell(doc), shown, f"`{cell(str(one.annotation))}`"))
+    yield table(("key", "meaning", "default", "type"), rows)
     for name, inner in nested.items():
         yield from _class_tables(inner, f"{prefix}{name}.", True)
 

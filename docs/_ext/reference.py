@@ -7,6 +7,7 @@ from catalogue import effects_page, variables_page
 from docutils import nodes
 from docutils.utils.math import latex2mathml
 from options import command_pages, configuration_page
+from results import learn_tables
 from sphinx.application import Sphinx
 
 
@@ -16,7 +17,7 @@ def write_pages(app: Sphinx) -> None:
     folder.mkdir(exist_ok=True)
     pages = {f"driftjax-{verb}": text for verb, text in command_pages().items()}
     pages |= {"api": api_page(), "configuration": configuration_page(), "effects": effects_page()}
-    pages |= {"variables": variables_page()}
+    pages |= {"variables": variables_page(), "learn": learn_tables(Path(app.srcdir))}
     for old in folder.glob("*.md"):
         if old.stem not in pages:
             old.unlink()
@@ -30,7 +31,7 @@ def _math(self, node) -> None:
     """Write a formula as MathML."""
     block = node.tagname == "math_block"
     markup = latex2mathml.tex2mathml(node.astext(), as_block=block)
-    self.body.append(f'<div class="math">{markup}</div>' if block else markup)
+    self.body.append(f'<div class="formula">{markup}</div>' if block else markup)
     raise nodes.SkipNode
 
 

@@ -16,8 +16,8 @@ from driftjax.vehicle import VehicleConfig
 OUTLINES = 12  # about how many cars are drawn through the corner
 
 
-def _outline(x: ArrayLike, y: ArrayLike, psi: ArrayLike, vehicle: VehicleConfig) -> np.ndarray:
-    """Corners of the car, its nose drawn in, (6, 2) [m]; overhangs equal in front and behind."""
+def outline(x: ArrayLike, y: ArrayLike, psi: ArrayLike, vehicle: VehicleConfig) -> np.ndarray:
+    """Return the corners (6, 2) of the car [m], its nose drawn in; overhangs equal in front and behind."""
     middle = (vehicle.a - vehicle.b) / 2
     front, back, half = middle + vehicle.length / 2, middle - vehicle.length / 2, vehicle.width / 2
     u = np.array([back, front - half, front, front, front - half, back])
@@ -34,7 +34,7 @@ def _draw(axis: Axes, lap: Lap, vehicle: VehicleConfig, window: tuple[float, flo
         wanted = np.linspace(*window, OUTLINES)
         wanted = wanted[wanted <= lap["s"][index[-1]] + 1e-9]
         for k in dict.fromkeys(index[np.abs(lap["s"][index][None, :] - wanted[:, None]).argmin(axis=1)].tolist()):
-            corners = _outline(lap["x"][k], lap["y"][k], lap["psi"][k], vehicle)
+            corners = outline(lap["x"][k], lap["y"][k], lap["psi"][k], vehicle)
             axis.add_patch(Polygon(corners, closed=True, fc=colour, ec=colour, alpha=0.35, lw=1.0, zorder=4))
     if not lap.completed:
         axis.plot(lap["x"][-1], lap["y"][-1], "x", color="black", ms=9, mew=2.5, zorder=6)

@@ -8,7 +8,7 @@ from driftjax.sim import LapCode, LapConfig, batch_of, drive
 from driftjax.sim.sensors import load_sensors
 
 track, num = dj.load_track("sedan_corner"), 3
-plants = batch_of(dj.draw_plants("sedan", num, seed=1), track.length, step=0.001)  # double-track cars
+plants = batch_of(dj.draw_plants("sedan", num, seed=1), float(track.length), step=0.001)  # double-track cars
 paths = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * num), track)
 
 

@@ -11,7 +11,7 @@ import driftjax as dj
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "experiments" / "examples").glob("*.py"))
 LEARN = "learn.py"  # minutes of compiling: run with the other tests that learn, in tests/learning/test_loop.py
-LINES = 12
+LINES = 22  # of statements, classes and functions with their docstrings
 
 
 @pytest.mark.parametrize("path", [path for path in EXAMPLES if path.name != LEARN], ids=lambda path: path.stem)
@@ -39,6 +39,18 @@ def test_the_examples_show_what_the_package_is_for():
     shown = ("setup", "load_vehicle", "load_plant", "draw_plants", "simulate", "load_track", "plan", "equilibria",
              "fit_gp", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose")  # fmt: skip
     assert [name for name in shown if f"dj.{name}(" not in text] == []
+
+
+def test_the_readme_is_short_and_its_code_is_that_of_the_examples():
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = [
+        line.split("  # ")[0]
+        for block in readme.split("```python\n")[1:]
+        for line in block.split("```")[0].splitlines()
+    ]
+    lines = {line for path in EXAMPLES for line in path.read_text(encoding="utf-8").splitlines()}
+    assert len(readme.encode()) <= 6000 and len(shown) >= 4
+    assert [line for line in shown if line not in lines] == []
 
 
 def test_every_public_name_is_there_and_documented():

@@ -12,7 +12,7 @@ from driftjax.report import table, write_report
 from driftjax.report.laps import best_laps, laps_of, mean_curve, mean_of
 from driftjax.report.page import figures
 from driftjax.report.plan import spans_of, states, trajectory
-from driftjax.report.posture import _outline
+from driftjax.report.posture import outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
 from driftjax.report.table import best_errors, interval
 from driftjax.report.tracking import lateral_error
@@ -153,7 +153,7 @@ def test_a_plan_without_drift_is_drawn_too(run):
 def test_outline_has_the_cars_size_and_heading():
     car = load_vehicle("sedan")
     for psi in (0.0, 0.7, -2.0):
-        shape = _outline(3.0, -2.0, psi, car) - np.array([3.0, -2.0])
+        shape = outline(3.0, -2.0, psi, car) - np.array([3.0, -2.0])
         along = shape @ np.array([np.cos(psi), np.sin(psi)])
         across = shape @ np.array([-np.sin(psi), np.cos(psi)])
         assert np.ptp(along) == pytest.approx(car.length) and np.ptp(across) == pytest.approx(car.width)
