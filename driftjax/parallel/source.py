@@ -37,8 +37,9 @@ def source_hash(*modules: str) -> bytes:
 def source_files(*modules: str) -> dict[str, Path]:
     """Return the files, by module, of `modules` and of the local modules that these import, directly or not.
 
-    Imports inside functions and the packages above a module are followed too; those by a computed name are not seen.
-    Local are this package, that of the first module, and all that is neither installed nor in the standard library.
+    Imports inside functions and the packages above a module are followed too, those by a computed name only where a
+    package imports all its modules by `iter_modules(__path__)`. Local are this package, that of the first module, and
+    all that is neither installed nor in the standard library.
     """
     return _closure(modules)[0]
 
@@ -75,7 +76,10 @@ def _closure(modules: tuple[str, ...]) -> tuple[dict[str, Path], set[str]]:
 def _imports(module: str, file: Path) -> set[str]:
     """Return the modules that a file imports, and what may be one: `b` of `from a import b` where `a` is a package."""
     package, names = module if file.name == "__init__.py" else module.rpartition(".")[0], set()
-    for origin, members, plain in IMPORT.findall(COMMENT.sub(b"", file.read_bytes())):
+    text = COMMENT.sub(b"", file.read_bytes())
+    if b"iter_modules(__path__)" in text:  # a package that imports all its modules, whatever their names
+        names |= {f"{module}.{one.stem}" for one in file.parent.glob("*.py")} - {f"{module}.__init__"}
+    for origin, members, plain in IMPORT.findall(text):
         if plain:
             names |= {name.decode() for name in NAME.findall(plain)}
             continue

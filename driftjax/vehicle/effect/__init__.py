@@ -1,4 +1,4 @@
-"""Catalogue of effects: every module here that defines `EFFECT` is one; modules are discovered automatically."""
+"""Catalogue of effects: those of `linear`, and of every module here that defines `EFFECT`, found by itself."""
 
 import importlib
 import pkgutil
@@ -7,12 +7,11 @@ from driftjax.core import BadInput
 from driftjax.vehicle.effect.base import Effect as Effect
 from driftjax.vehicle.effect.base import Parameter as Parameter
 from driftjax.vehicle.effect.base import reference as reference
-from driftjax.vehicle.effect.flow import Car as Car
-from driftjax.vehicle.effect.flow import Flow as Flow
 from driftjax.vehicle.effect.flow import Place as Place
+from driftjax.vehicle.effect.linear import LINEAR
 
 _MODULES = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-_EFFECTS: list[Effect] = [module.EFFECT for module in _MODULES if hasattr(module, "EFFECT")]
+_EFFECTS: list[Effect] = [*LINEAR, *(module.EFFECT for module in _MODULES if hasattr(module, "EFFECT"))]
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in sorted(_EFFECTS, key=lambda effect: effect.number)}
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from types import FunctionType
 from typing import Any, Literal
 
 from driftjax.vehicle.parameters import VehicleConfig
@@ -107,5 +108,5 @@ class Effect:
 
 
 def _named(value: Any) -> str:
-    own = callable(value) and value.__module__.startswith(f"{__name__.partition('.')[0]}.")
+    own = isinstance(value, FunctionType) and value.__module__.startswith(f"{__name__.partition('.')[0]}.")
     return f"{value.__module__}.{value.__qualname__}" if own and "<" not in value.__qualname__ else repr(value)

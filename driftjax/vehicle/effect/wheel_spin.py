@@ -5,21 +5,15 @@ Wheel inertia I_w and radius R_w with force C_kappa kappa at the slip kappa = (o
 of the tyre's at rest. Its growth with speed distinguishes it from `drive_lag`.
 """
 
-import jax.numpy as jnp
-
 from driftjax.core import Control, lag_step
 from driftjax.vehicle.effect.base import Effect, Parameter
+from driftjax.vehicle.effect.linear import at_rest
 
 
 def apply(memory, u: Control, V, dt, p):
     """Return the mean force over the step; `memory` is the lagged force."""
     mean, end = lag_step(memory, u.Fxr, p[0] * V, dt)
     return end, u._replace(Fxr=mean)
-
-
-def start(dt: float):
-    """Return the memory at rest."""
-    return jnp.zeros(())
 
 
 EFFECT = Effect(
@@ -30,5 +24,5 @@ EFFECT = Effect(
     apply=apply,
     source="Goh, Goel and Gerdes 2020",
     sentence="the wheels first have to spin up, so that the drive force lags the more the faster the car is",
-    start=start,
+    start=at_rest,
 )

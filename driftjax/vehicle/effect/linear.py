@@ -1,0 +1,119 @@
+"""Effects that are linear in one quantity: gains (1 + p), offsets + p and first-order lags tau x_dot + x = command."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.core import Control, lag_step
+from driftjax.vehicle.effect.base import Effect, Parameter
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Scale the fields of a station's record by 1 + p."""
+
+    fields: tuple[str, ...]
+
+    def change(self, record: Any, p: Array) -> Any:
+        """Return the record with the fields changed."""
+        return record._replace(**{name: getattr(record, name) * (1 + p) for name in self.fields})
+
+    def __call__(self, record: Any, *context_and_p: Any) -> Any:
+        """Apply to the car, the flow or the measured state."""
+        return self.change(record, context_and_p[-1][0])
+
+
+@dataclass(frozen=True)
+class Offset(Gain):
+    """Shift the fields of a station's record by p."""
+
+    def change(self, record: Any, p: Array) -> Any:
+        """Return the record with the fields changed."""
+        return record._replace(**{name: getattr(record, name) + p for name in self.fields})
+
+
+@dataclass(frozen=True)
+class OnCommand:
+    """Apply a gain or an offset to the command, which has no memory."""
+
+    effect: Gain
+
+    def __call__(self, memory: Any, u: Control, V: Array, dt: Array, p: tuple[Array, ...]) -> tuple[Any, Control]:
+        """Return the memory unchanged, and the changed command."""
+        return memory, self.effect(u, p)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Let a field of the command lag by the time constant p [s]."""
+
+    field: str
+
+    def __call__(self, memory: Array, u: Control, V: Array, dt: Array, p: tuple[Array, ...]) -> tuple[Array, Control]:
+        """Return the lagged value at the end of the step, and the command with the mean over the step."""
+        mean, end = lag_step(memory, getattr(u, self.field), p[0], dt)
+        return end, u._replace(**{self.field: mean})
+
+
+def at_rest(dt: float) -> Array:
+    """Return the lagged value at rest."""
+    return jnp.zeros(())
+
+
+FRICTION, STIFFNESS, LAG = (-14.0, 10.0), (-5.5, 12.0), (0.0, 12.0)  # bounds in typical sizes
+
+# fmt: off
+LINEAR = (
+    Effect("friction", 1, "friction", (Parameter("p", "1", 0.06, "1", *FRICTION),), Gain(("muf", "mur")),
+           "Pacejka 2012, Sec. 4", "the tyres have another friction than the model's"),
+    Effect("friction_front", 2, "friction", (Parameter("p", "1", 0.06, "1", *FRICTION),), Gain(("muf",)),
+           "Pacejka 2012, Sec. 4", "the front tyres have another friction than the model's"),
+    Effect("friction_rear", 3, "friction", (Parameter("p", "1", 0.06, "1", *FRICTION),), Gain(("mur",)),
+           "Pacejka 2012, Sec. 4", "the rear tyres have another friction than the model's"),
+    # the cornering stiffness of an axle is B C mu F_z
+    Effect("stiffness_front", 4, "car", (Parameter("p", "1", 0.15, "1", *STIFFNESS),), Gain(("Bf",)),
+           "Pacejka 2012, Sec. 4.3",
+           "the front tyres build up their side force with slip faster or slower than the model's"),
+    Effect("stiffness_rear", 5, "car", (Parameter("p", "1", 0.15, "1", *STIFFNESS),), Gain(("Br",)),
+           "Pacejka 2012, Sec. 4.3",
+           "the rear tyres build up their side force with slip faster or slower than the model's"),
+    Effect("tyre_shape", 6, "car", (Parameter("p", "1", 0.06),), Gain(("Cf", "Cr")), "Pacejka 2012, Sec. 4.3",
+           "past its peak the side force of the tyres falls more or less than the model's"),
+    # the roll-out lets the slip angles lag: sigma alpha_lag_dot + V alpha_lag = V alpha
+    Effect("relaxation_length", 12, "car", (Parameter("sigma", "m", 0.13, "length", lower=0.0),),
+           Offset(("relaxation",)), "Pacejka 2012, Ch. 7",
+           "the tyres need some distance to build up their side force", transient=True),
+    Effect("drive_gain", 17, "command", (Parameter("p", "1", 0.06, lower=-12.0, upper=15.0),),
+           OnCommand(Gain(("Fxr",))), "Rajamani 2012, Ch. 5", "the drive force is another than the one commanded"),
+    Effect("drive_lag", 18, "command", (Parameter("tau", "s", 0.14, "time", *LAG),), Lag("Fxr"),
+           "first-order actuator; Rajamani 2012, Ch. 5", "the drive force lags behind its command", start=at_rest),
+    # the axle loads go with the mass, the yaw inertia does not
+    Effect("mass", 23, "car", (Parameter("p", "1", 0.06),), Gain(("m",)), "Gillespie 1992, Ch. 1",
+           "the car is heavier or lighter than the model"),
+    Effect("yaw_inertia", 24, "car", (Parameter("p", "1", 0.15, upper=8.0),), Gain(("Iz",)), "Gillespie 1992, Ch. 1",
+           "the car resists turning more or less than the model"),
+    # the roll-out lets a_roll lag: tau a_roll_dot + a_roll = a_y; `roll_grip` and `load_transfer_lat` use it
+    Effect("roll_lag", 26, "car", (Parameter("tau", "s", 0.2, "time", lower=0.0),), Offset(("roll_lag",)),
+           "Milliken and Milliken 1995, Ch. 18", "the body takes time to roll, so that the grip follows a turn late",
+           transient=True),
+    Effect("steer_offset", 28, "command", (Parameter("p", "rad", 0.02),), OnCommand(Offset(("delta",))),
+           "Gillespie 1992, Ch. 8", "the wheels do not point straight ahead when the steering command says so"),
+    Effect("steer_gain", 29, "command", (Parameter("p", "1", 0.06),), OnCommand(Gain(("delta",))),
+           "Gillespie 1992, Ch. 8", "the wheels turn by more or less than the steering command"),
+    Effect("steer_lag", 31, "command", (Parameter("tau", "s", 0.13, "time", *LAG),), Lag("delta"),
+           "first-order actuator; Pacejka 2012, Sec. 1.3", "the steering lags behind its command", start=at_rest),
+    Effect("gyro_bias", 39, "sensor", (Parameter("p", "rad/s", 0.01, "yaw_rate"),), Offset(("r",)),
+           "Ryu, Rossetter and Gerdes 2002", "the measured yaw rate is off by a constant", kinematic=True),
+    Effect("gyro_scale", 40, "sensor", (Parameter("p", "1", 0.03),), Gain(("r",)),
+           "Ryu, Rossetter and Gerdes 2002", "the measured yaw rate is off by a factor", kinematic=True),
+    Effect("sideslip_bias", 41, "sensor", (Parameter("p", "rad", 0.02),), Offset(("beta",)),
+           "Ryu, Rossetter and Gerdes 2002", "the measured sideslip is off by a constant", kinematic=True),
+    # as of another wheel radius
+    Effect("speed_scale", 42, "sensor", (Parameter("p", "1", 0.03),), Gain(("V",)), "Carlson and Gerdes 2005",
+           "the measured speed is off by a factor", kinematic=True),
+    Effect("yaw_moment", 46, "force", (Parameter("M", "N m", 0.01, "moment"),), Offset(("N",)),
+           "Gillespie 1992, Ch. 3", "a constant moment turns the car, as of a brake that drags on one side"),
+)
+# fmt: on
