@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, early_flags, parse, progress, run_in
-from driftjax.core import BadInput, from_dict
+from driftjax.core import BadInput, from_dict, require_at_least
 from driftjax.core.config import to_dict
 from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
@@ -28,8 +28,7 @@ class Paper:
     """Processes that drive side by side; one per core where left out, none on a GPU. Results do not depend on it."""
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise BadInput(f"key 'workers' is {self.workers}; give at least 1.")
+        require_at_least(self, 1, "workers")
 
 
 def run(argv: list[str]) -> int:

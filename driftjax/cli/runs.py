@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from driftjax.cli.console import parse
-from driftjax.core import require
+from driftjax.core import require, require_at_least
 from driftjax.report import run_line
 from driftjax.report.table import aligned, cell
 from driftjax.store import list_runs
@@ -26,7 +26,7 @@ class Runs:
     """Instead: options and figures in which two runs differ, each a run folder or the id of a sweep's trial."""
 
     def __post_init__(self) -> None:
-        require(self.limit >= 1, f"key 'limit' is {self.limit}; give at least 1.")
+        require_at_least(self, 1, "limit")
         require(self.where is None or self.compare is None, "give --where or --compare, not both.")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import default_out, parse, progress, run_in
-from driftjax.core import BadInput, require
+from driftjax.core import BadInput, require, require_at_least
 from driftjax.report.table import aligned
 from driftjax.studies.sweepable_verbs import WORKS
 from driftjax.sweep import SweepResult, check, finish_sweep, load_sweep, open_sweep
@@ -31,7 +31,7 @@ class Sweep:
     JAX_PROCESS_ID): each runs a share of the trials, into one --out that all see."""
 
     def __post_init__(self) -> None:
-        require(self.workers is None or self.workers >= 1, f"key 'workers' is {self.workers}; give at least 1.")
+        require_at_least(self, 1, "workers")
         require(not self.hosts or self.out is not None, "--hosts needs --out, a folder that all of them see.")
         require(not self.hosts or self.ray is None, "give --hosts or --ray, not both.")
 

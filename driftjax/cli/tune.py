@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, early_flags, parse, progress, run_in
-from driftjax.core import BadInput, from_dict, merge_config, read_yaml
+from driftjax.core import from_dict, merge_config, read_yaml, require_at_least
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.run import check_files
@@ -35,8 +35,7 @@ class Tune:
     """Processes that drive side by side; one per core where left out, none on a GPU. Results do not depend on it."""
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise BadInput(f"key 'workers' is {self.workers}; give at least 1.")
+        require_at_least(self, 1, "workers")
 
 
 def run(argv: list[str]) -> int:

@@ -14,7 +14,7 @@ from driftjax.control.lqr import LQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
-from driftjax.core import Control, State, as_float, lag_step, require
+from driftjax.core import Control, State, as_float, lag_step, require_at_least, require_positive
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Sensed, where_tree
 from driftjax.solve import Options, shift
@@ -37,9 +37,8 @@ class SwitchConfig:
     """It also keeps driving, up to three times as far, until the sideslip is below this [rad]."""
 
     def __post_init__(self) -> None:
-        require(self.lead >= 0, f"key 'lead' is {self.lead}; it must not be negative.")
-        require(self.trail >= 0, f"key 'trail' is {self.trail}; it must not be negative.")
-        require(self.handover_beta > 0, f"key 'handover_beta' is {self.handover_beta}; it must be positive.")
+        require_at_least(self, 0, "lead", "trail")
+        require_positive(self, "handover_beta")
 
 
 class DriverState(NamedTuple):

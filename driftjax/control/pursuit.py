@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import Control, as_float, require
+from driftjax.core import Control, as_float, require_at_least, require_positive
 from driftjax.track import Track
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
@@ -24,9 +24,8 @@ class PursuitConfig:
     """Acceleration command per speed error [1/s]."""
 
     def __post_init__(self) -> None:
-        require(self.preview_time >= 0, f"key 'preview_time' is {self.preview_time}; it must not be negative.")
-        require(self.preview_min > 0, f"key 'preview_min' is {self.preview_min}; it must be positive.")
-        require(self.speed_gain > 0, f"key 'speed_gain' is {self.speed_gain}; it must be positive.")
+        require_at_least(self, 0, "preview_time")
+        require_positive(self, "preview_min", "speed_gain")
 
 
 class PurePursuit(eqx.Module):

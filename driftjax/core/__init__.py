@@ -7,13 +7,14 @@ from driftjax.core.config import from_dict as from_dict
 from driftjax.core.config import merge_config as merge_config
 from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
+from driftjax.core.config import require_at_least as require_at_least
+from driftjax.core.config import require_positive as require_positive
 from driftjax.core.config import set_option as set_option
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
 from driftjax.core.integrate import rk4_loop as rk4_loop
 from driftjax.core.integrate import rk4_step as rk4_step
 from driftjax.core.records import Control as Control
-from driftjax.core.records import Scalar as Scalar
 from driftjax.core.records import State as State
 from driftjax.core.records import as_float as as_float
 from driftjax.core.records import features as features

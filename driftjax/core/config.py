@@ -184,6 +184,22 @@ def _key(branch: Any, part: str, name: str) -> Any:
     return keys[part]
 
 
+def require_at_least(config: Any, least: int, *names: str) -> None:
+    """Raise `BadInput` for the first option of `names` below `least`; None passes."""
+    for name in names:
+        value = getattr(config, name)
+        zero = "it must not be negative" if isinstance(value, float) else "give 0 or more"
+        remedy = f"give at least {least}" if least else zero
+        require(value is None or value >= least, f"key '{name}' is {value}; {remedy}.")
+
+
+def require_positive(config: Any, *names: str) -> None:
+    """Raise `BadInput` for the first option of `names` that is not above 0; None passes."""
+    for name in names:
+        value = getattr(config, name)
+        require(value is None or value > 0, f"key '{name}' is {value}; it must be positive.")
+
+
 def require(condition: bool, sentence: str) -> None:
     """Raise `BadInput(sentence)` unless `condition` holds: for `__post_init__` of configs."""
     if not condition:

@@ -5,9 +5,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
-from jaxtyping import Float
-
-Scalar = Float[Array, ""]
 
 
 def as_float(value: ArrayLike) -> Array:

@@ -7,7 +7,7 @@ from typing import Literal
 from driftjax.control.driver import SwitchConfig
 from driftjax.control.mpc import MPCConfig, Weights
 from driftjax.control.pursuit import PursuitConfig
-from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.core import find_config, from_dict, read_yaml, require, require_at_least, require_positive
 from driftjax.sim import LapConfig
 
 Controller = Literal["path", "paper"]
@@ -39,9 +39,8 @@ class GPConfig:
     def __post_init__(self) -> None:
         require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
         require(self.num_fit >= 10, f"key 'num_fit' is {self.num_fit}; give at least 10 points.")
-        require(self.shortest > 0, f"key 'shortest' is {self.shortest}; it must be positive.")
-        require(self.restarts >= 1, f"key 'restarts' is {self.restarts}; give at least 1.")
-        require(self.max_iterations >= 1, f"key 'max_iterations' is {self.max_iterations}; give at least 1.")
+        require_positive(self, "shortest")
+        require_at_least(self, 1, "restarts", "max_iterations")
 
     @property
     def program(self) -> "GPConfig":
@@ -145,14 +144,11 @@ class LearnConfig:
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
 
     def __post_init__(self) -> None:
-        require(self.plants >= 1, f"key 'plants' is {self.plants}; give at least 1.")
-        require(self.first_plant >= 0, f"key 'first_plant' is {self.first_plant}; give 0 or more.")
-        require(self.noise_seeds >= 1, f"key 'noise_seeds' is {self.noise_seeds}; give at least 1.")
-        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
+        require_at_least(self, 1, "plants", "noise_seeds")
+        require_at_least(self, 0, "first_plant", "seed", "gpr_laps")
         require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")
-        require(self.gpr_laps >= 0, f"key 'gpr_laps' is {self.gpr_laps}; give 0 or more.")
-        require(self.converged >= 0, f"key 'converged' is {self.converged}; it must not be negative.")
-        require(self.entry_error > 0, f"key 'entry_error' is {self.entry_error}; it must be positive.")
+        require_at_least(self, 0, "converged")
+        require_positive(self, "entry_error")
         require(0 < self.drift_beta < 1.2, f"key 'drift_beta' is {self.drift_beta}; give radians between 0 and 1.2.")
 
 

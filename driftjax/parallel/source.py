@@ -78,7 +78,7 @@ def _imports(module: str, file: Path) -> set[str]:
     package, names = module if file.name == "__init__.py" else module.rpartition(".")[0], set()
     text = COMMENT.sub(b"", file.read_bytes())
     if b"iter_modules(__path__)" in text:  # a package that imports all its modules, whatever their names
-        names |= {f"{module}.{one.stem}" for one in file.parent.glob("*.py")} - {f"{module}.__init__"}
+        names |= {f"{module}.{one.stem}" for one in file.parent.glob("[!_]*.py")}
     for origin, members, plain in IMPORT.findall(text):
         if plain:
             names |= {name.decode() for name in NAME.findall(plain)}

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.core import find_config, from_dict, read_yaml, require, require_at_least, require_positive
 from driftjax.vehicle import VehicleConfig
 
 
@@ -72,44 +72,17 @@ class PlanConfig:
     """Solver iterations allowed."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "entry_speed",
-            "V_min",
-            "V_max",
-            "beta_max",
-            "beta_normal",
-            "end_slip",
-            "drift_radius",
-            "friction_share",
-            "steer_share",
-            "tolerance",
-        ):
-            value = getattr(self, name)
-            require(value > 0, f"key '{name}' is {value}; it must be positive.")
-        for name in (
-            "margin",
-            "beta_d",
-            "drift_angle",
-            "drift_reach",
-            "label_beta",
-            "rate_weight",
-            "course_weight",
-            "front_slip",
-            "brake_share",
-        ):
-            value = getattr(self, name)
-            require(value >= 0, f"key '{name}' is {value}; it must not be negative.")
-        require(
-            self.num_nodes is None or self.num_nodes >= 20, f"key 'num_nodes' is {self.num_nodes}; give at least 20."
-        )
+        require_positive(self, "entry_speed", "V_fair", "V_min", "V_max", "beta_max", "beta_normal", "end_slip",
+                         "drift_radius", "drift_ramp", "friction_share", "steer_share", "tolerance")  # fmt: skip
+        require_at_least(self, 0, "margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight",
+                             "course_weight", "front_slip", "brake_share")  # fmt: skip
+        require_at_least(self, 20, "num_nodes")
+        require_at_least(self, 1, "max_steps")
         require(0 < self.lead <= 0.9, f"key 'lead' is {self.lead}; give a share of the lap up to 0.9.")
-        require(self.max_steps >= 1, f"key 'max_steps' is {self.max_steps}; give at least 1.")
-        require(self.V_fair is None or self.V_fair > 0, f"key 'V_fair' is {self.V_fair}; it must be positive.")
         require(self.V_min < self.V_max, f"key 'V_min' is {self.V_min}; it must be below 'V_max'.")
         require(self.beta_max < 1.4, f"key 'beta_max' is {self.beta_max}; give radians below 1.4.")
         require(self.beta_normal <= self.beta_max, f"key 'beta_normal' is {self.beta_normal}; it exceeds 'beta_max'.")
         require(self.beta_d < self.beta_max, f"key 'beta_d' is {self.beta_d}; it must be below 'beta_max'.")
-        require(self.drift_ramp > 0, f"key 'drift_ramp' is {self.drift_ramp}; it must be positive.")
         ordered = 0 <= self.drift_from < self.drift_to - 2 * self.drift_ramp and self.drift_to <= 1
         require(ordered, "keys 'drift_from' and 'drift_to' must lie in 0..1, with room between them for two ramps.")
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core import Control, as_float, require
+from driftjax.core import Control, as_float, require_positive
 from driftjax.parallel import vmap_batch
 from driftjax.sim.sensors import SensorConfig, measure
 from driftjax.sim.travel import Travel
@@ -47,9 +47,7 @@ class LapConfig:
     """Distance from the planned path at which the lap is lost [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("time_limit", "substeps", "spin_beta", "lost_error"):
-            value = getattr(self, name)
-            require(value > 0, f"key '{name}' is {value}; it must be positive.")
+        require_positive(self, "time_limit", "substeps", "spin_beta", "lost_error")
 
 
 class Sensed(NamedTuple):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from driftjax.core import BadInput, from_dict, read_yaml, require
+from driftjax.core import BadInput, from_dict, read_yaml, require, require_at_least
 
 Value = bool | int | float | str | None
 
@@ -85,8 +85,8 @@ class SweepConfig:
 
     def __post_init__(self) -> None:
         require(len(self.fields) > 0, "key 'fields' is empty; name at least one field with its values.")
-        require(self.num >= 1, f"key 'num' is {self.num}; give at least 1.")
-        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
+        require_at_least(self, 1, "num")
+        require_at_least(self, 0, "seed")
         for name, found in self.varied.items():
             lists = isinstance(found, Choices)
             require(lists or self.design != "grid", f"key 'fields.{name}': a grid needs a list of values.")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from driftjax.core import require
+from driftjax.core import require, require_at_least
 from driftjax.learning.config import LearnConfig
 from driftjax.tune.parameters import NAMES
 
@@ -49,9 +49,8 @@ class TuneConfig:
     """Car, track and controller as in `driftjax learn`: nominal laps; what concerns learning is without effect."""
 
     def __post_init__(self) -> None:
-        require(self.training >= 1, f"key 'training' is {self.training}; give at least 1.")
-        require(self.held_out >= 2, f"key 'held_out' is {self.held_out}; give at least 2.")
-        require(self.budget >= 2, f"key 'budget' is {self.budget}; give at least 2.")
+        require_at_least(self, 1, "training")
+        require_at_least(self, 2, "held_out", "budget")
         require(self.weights > 1, f"key 'weights' is {self.weights}; give a factor above 1.")
         require(self.lead > 1, f"key 'lead' is {self.lead}; give a factor above 1.")
         require(self.blend > 0, f"key 'blend' is {self.blend}; give a length in metres above 0.")

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from driftjax.core import require
+from driftjax.core import require, require_at_least
 
 Part = Literal["mpc", "simulator", "gp", "plan", "laps", "compile"]
 PARTS: tuple[Part, ...] = ("mpc", "simulator", "gp", "plan", "laps", "compile")
@@ -37,10 +37,8 @@ class Config:
     def __post_init__(self) -> None:
         require(len(self.only) > 0, "key 'only' is empty; name at least one part.")
         require(len(self.dtype) > 0, "key 'dtype' is empty; name at least one.")
-        for name in ("batch", "cars", "repeats", "threads"):
-            value = getattr(self, name)
-            require(value >= 1, f"key '{name}' is {value}; give at least 1.")
-        require(self.workers >= 0, f"key 'workers' is {self.workers}; give 0 or more.")
+        require_at_least(self, 1, "batch", "cars", "repeats", "threads")
+        require_at_least(self, 0, "workers")
 
     def reduced(self) -> "Config":
         """The sizes of `quick`."""

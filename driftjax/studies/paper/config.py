@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from driftjax.core import require
+from driftjax.core import require, require_at_least
 
 Car = Literal["sedan", "rc"]
 
@@ -32,10 +32,8 @@ class Config:
 
     def __post_init__(self) -> None:
         require(len(self.cars) > 0, "key 'cars' is empty; name sedan, rc or both.")
-        for name in ("plants", "noise_seeds", "ablation_plants"):
-            value = getattr(self, name)
-            require(value >= 1, f"key '{name}' is {value}; give at least 1.")
-        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
+        require_at_least(self, 1, "plants", "noise_seeds", "ablation_plants")
+        require_at_least(self, 0, "seed")
 
     @property
     def first_plant(self) -> int:
