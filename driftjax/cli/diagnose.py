@@ -12,7 +12,7 @@ from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
-from driftjax.report import closed_loop_table, gain_table, parity_words, worth_table, write_diagnosis
+from driftjax.report import closed_loop_table, gain_table, parity_statement, worth_table, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -96,7 +96,7 @@ def work(
     if diagnosis.proposal:
         print(diagnosis.proposal.sentence + "\n")
     if content["show"]:
-        print(f"{content['show']['worst']}\n{parity_words(content['show']['kinematic_parity'])}\n")
+        print(f"{content['show']['worst']}\n{parity_statement(content['show']['kinematic_parity'])}\n")
         print(gain_table(content["gain"]))
     if case and diagnosis.evidence:
         print(f"closed loop: driving on {case.name}", flush=True)

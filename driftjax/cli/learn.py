@@ -65,13 +65,13 @@ def defaults(car: str | None, file: str | None) -> LearnConfig:
 
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     """Run or resume; then write and print the report."""
-    from driftjax.report import table, write_report
+    from driftjax.report import results_table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
     print_notes(load_vehicle(config.vehicle))
     with progress() as report:
         results = learn(config, folder.path, workers=workers, report=report).results
     page = write_report(folder)
-    print(table(results))
+    print(results_table(results))
     print(f"report: {page}")
     return 0

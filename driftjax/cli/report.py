@@ -7,7 +7,7 @@ import tyro
 
 from driftjax.cli.console import parse
 from driftjax.core import BadInput, from_dict
-from driftjax.report import table, write_diagnosis, write_plan_figures, write_report
+from driftjax.report import results_table, write_diagnosis, write_plan_figures, write_report
 from driftjax.store import RunFolder
 
 
@@ -34,7 +34,7 @@ def run(argv: list[str]) -> int:
         raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}` has no report; run that verb again.")
     page = write_report(folder)
     if folder.has("results.json"):
-        print(table(folder.read_json("results")))
+        print(results_table(folder.read_json("results")))
     print(f"report: {page}")
     return 0
 

@@ -59,13 +59,13 @@ def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
 
 def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:
     """Run; then write and print the results."""
-    from driftjax.report import tuning_words, write_tuning
+    from driftjax.report import tuning_summary, write_tuning
     from driftjax.tune.run import run as tune
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:
         num = num_workers(config.training * config.budget) if workers is None else workers
         results = tune(config, folder, report, num if num > 1 else 0)
-    print(tuning_words(results))
+    print(tuning_summary(results))
     print(f"report: {write_tuning(folder)}")
     return 0

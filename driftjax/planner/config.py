@@ -75,7 +75,7 @@ class PlanConfig:
         require_positive(self, "entry_speed", "V_fair", "V_min", "V_max", "beta_max", "beta_normal", "end_slip",
                          "drift_radius", "drift_ramp", "friction_share", "steer_share", "tolerance")  # fmt: skip
         require_at_least(self, 0, "margin", "beta_d", "drift_angle", "drift_reach", "label_beta", "rate_weight",
-                             "course_weight", "front_slip", "brake_share")  # fmt: skip
+                         "course_weight", "front_slip", "brake_share")  # fmt: skip
         require_at_least(self, 20, "num_nodes")
         require_at_least(self, 1, "max_steps")
         require(0 < self.lead <= 0.9, f"key 'lead' is {self.lead}; give a share of the lap up to 0.9.")

@@ -1,4 +1,4 @@
-"""All stages beside each other: lateral error with intervals and every plant."""
+"""Plot the lateral error of all stages side by side, with intervals and every plant."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def _value(cell: dict[str, Any] | None, key: str) -> float:
 
 
 def _bar(axis: Axes, at: float, width: float, row: dict[str, Any], colour: str, hatched: bool) -> None:
-    """One bar with its interval, the plants, and how many laps were completed."""
+    """Plot one bar with its interval, the plants and the number of completed laps."""
     cell = row.get("lateral_error") or {}
     mean = _value(cell, "mean")
     if np.isfinite(mean):
@@ -37,8 +37,8 @@ def _bar(axis: Axes, at: float, width: float, row: dict[str, Any], colour: str, 
                   fontweight="normal" if done == of else "bold")  # fmt: skip
 
 
-def comparison(results: dict[str, Any]) -> Figure | None:
-    """Mean lateral error of every stage and controller, with 95 % intervals and a point per plant."""
+def plot_comparison(results: dict[str, Any]) -> Figure | None:
+    """Plot the mean lateral error of every stage and controller, with 95 % intervals and a point per plant."""
     stages = results.get("stages") or []
     if not stages:
         return None

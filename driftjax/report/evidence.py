@@ -1,4 +1,4 @@
-"""Why an effect is named: scores of all effects, probabilities with rivals, and which effects look alike."""
+"""Plot the evidence for named effects: scores, probabilities with rivals, and confusable effects."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ PLAIN, RIVAL = "#8FA3B0", "#C9B27C"
 
 
 def _best(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
-    """Effects with the fall of the cost they promise, the largest |score| of their parameters and whether named."""
+    """Return each effect with its promised fall of the cost, largest |score| and whether it is named, best first."""
     owner = np.array([str(name).split(".")[0] for name in data["parameter"].values])
     score, named = np.abs(data["score"].values), data["named"].values
     each = ((str(name), owner == name) for name in data["effect"].values)
@@ -25,8 +25,8 @@ def _best(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
     return sorted(rows, key=lambda row: -row[1])
 
 
-def scores(data: xr.Dataset) -> Figure:
-    """What every effect promises at the nominal car, and its score beside what chance passes once in twenty."""
+def plot_scores(data: xr.Dataset) -> Figure:
+    """Plot the promised fall of the cost and the score of every effect, with the 5 % threshold of chance."""
     every = _best(data)
     rows = every[:BARS] + [row for row in every[BARS:] if row[3]]
     figure, axes = new_figure(1, 2, (9.5, 0.24 * len(rows) + 1.6), sharey=True)
@@ -49,8 +49,8 @@ def scores(data: xr.Dataset) -> Figure:
     return figure
 
 
-def posterior(diagnosis: dict[str, Any]) -> Figure | None:
-    """Probability of each named effect and of its rivals, a row per place, with the parameters' intervals."""
+def plot_posterior(diagnosis: dict[str, Any]) -> Figure | None:
+    """Plot the probability of each named effect and of its rivals, with the intervals of its parameters."""
     causes = diagnosis["causes"]
     if not causes:
         return None
@@ -86,8 +86,8 @@ def _interval(name: str, value: dict[str, Any]) -> str:
     return f"{name} = {value['value']:.3g}{unit}, 95 % in [{low:.3g}, {high:.3g}]"
 
 
-def confusability(data: xr.Dataset) -> Figure:
-    """How alike the signatures of the parameters with the largest scores are, those of named effects first."""
+def plot_confusability(data: xr.Dataset) -> Figure:
+    """Plot the cosines between the signatures of the parameters with the largest scores, named effects first."""
     order = sorted(range(data.sizes["parameter"]), key=lambda i: (
         not bool(data["named"][i]), -abs(float(data["score"][i]))
     ))[:CELLS]  # fmt: skip

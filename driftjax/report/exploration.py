@@ -1,17 +1,17 @@
-"""What exploration does: the speed sets it draws up and the data that the GP ends with."""
+"""Plot exploration: the speed sets, and the GP's data before and after."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from driftjax.report.laps import stages_of
-from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, new_figure, stage_label
+from driftjax.report.laps import stages_by_kind
+from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, legend_below, new_figure, panel_grid, stage_label
 from driftjax.store import RunFolder
 
 PANELS = 4  # plants shown at most
 
 
-def speed_sets(run: RunFolder, controller: str) -> Figure | None:
-    """V-sets of the first explored stage: origin, trend, bounds and generated speeds, a panel per plant."""
+def plot_speed_sets(run: RunFolder, controller: str) -> Figure | None:
+    """Plot the V-sets of the first explored stage: origin, trend, bounds and generated speeds, a panel per plant."""
     name = next((stage for stage in run.finished() if stage.startswith("explore-")), None)
     data = run.read_stage(name) if name else None
     if data is None or "vset_V" not in data:
@@ -19,10 +19,8 @@ def speed_sets(run: RunFolder, controller: str) -> Figure | None:
     lanes = np.flatnonzero(data["controller"].values == controller)[:PANELS]
     if not lanes.size:
         return None
-    columns = min(2, len(lanes))
-    rows = -(-len(lanes) // columns)
-    figure, axes = new_figure(rows, columns, (4.6 * columns + 0.6, 2.9 * rows + 1.0), sharex=True, sharey=True)
-    for axis, lane in zip(axes.flat, lanes, strict=False):
+    figure, panels = panel_grid(len(lanes), 2, 4.8, 3.4, sharex=True, sharey=True)
+    for axis, lane in zip(panels, lanes, strict=True):
         one = data.isel(lane=int(lane))
         s, origin = one["vset_s"].values, one["vset_origin"].values
         bounds = one["vset_lower"].values, one["vset_upper"].values
@@ -39,21 +37,18 @@ def speed_sets(run: RunFolder, controller: str) -> Figure | None:
         axis.margins(x=0)
         axis.label_outer()
         axis.set_title(f"plant {one['plant'].values}")
-    for axis in list(axes.flat)[len(lanes) :]:
-        axis.set_visible(False)
-    for axis in list(axes.flat)[: len(lanes)][-columns:]:
+    for axis in panels[-2:]:
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("arc length s along the planned path [m]")
-    for axis in axes[:, 0]:
+    for axis in panels[::2]:
         axis.set_ylabel("speed V [m/s]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    legend_below(figure, panels[0], 4)
     figure.suptitle(f"{CONTROLLERS.get(controller, controller)}: speed sets of {stage_label(str(name))}", fontsize=10.5)
     return figure
 
 
 def _points(run: RunFolder, stage: str, controller: str) -> np.ndarray:
-    """GP inputs of all plants pooled (points, 5)."""
+    """Return the GP inputs (points, 5) of all plants."""
     data = run.read_stage(stage)
     if "gp_Z" not in data:
         return np.zeros((0, 5))
@@ -61,9 +56,9 @@ def _points(run: RunFolder, stage: str, controller: str) -> np.ndarray:
     return data["gp_Z"].values[mine][data["gp_mask"].values[mine].astype(bool)]
 
 
-def gp_data(run: RunFolder, controller: str) -> Figure | None:
-    """Where the GP's data lie in speed, sideslip and yaw rate, before and after exploration."""
-    last = [names[-1] for kind, names in stages_of(run).items() if kind != "nominal"]
+def plot_gp_data(run: RunFolder, controller: str) -> Figure | None:
+    """Plot the GP's data in speed, sideslip and yaw rate, before and after exploration."""
+    last = [names[-1] for kind, names in stages_by_kind(run).items() if kind != "nominal"]
     sets = {name: _points(run, name, controller) for name in last}
     if len(sets) < 2 or not all(len(points) for points in sets.values()):
         return None
@@ -79,8 +74,7 @@ def gp_data(run: RunFolder, controller: str) -> Figure | None:
             words += f" ({stage_label(name)}, {len(points)} points)"
             axis.scatter(points[:, 0], np.rad2deg(points[:, column]), label=words, **style)
         axis.set(xlabel="speed V [m/s]", ylabel=label)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+    legend_below(figure, axes[0, 0], 2)
     label = CONTROLLERS.get(controller, controller)
     figure.suptitle(f"{label}: data of the Gaussian process, all plants", fontsize=10.5)
     return figure

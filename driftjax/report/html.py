@@ -1,4 +1,4 @@
-"""Parts of a page that stands alone: nothing is loaded from elsewhere."""
+"""Build a self-contained HTML page: nothing is loaded from elsewhere."""
 
 import base64
 import html
@@ -13,35 +13,35 @@ pre{background:#f6f6f6;padding:1rem;overflow-x:auto;font-size:13px}img{max-width
 
 
 def document(title: str, created: str, parts: Iterable[str]) -> str:
-    """The page."""
+    """Return the page."""
     head = f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(title)}</title>"
     head += f"<style>{CSS}</style>\n<h1>{html.escape(title)}</h1><p>{html.escape(created)}</p>"
     return "\n".join([head, *parts]) + "</html>\n"
 
 
 def heading(words: str) -> str:
-    """Heading of a section."""
+    """Return the heading of a section."""
     return f"<h2>{html.escape(words)}</h2>"
 
 
 def paragraph(words: str, strong: bool = False) -> str:
-    """A paragraph of running text."""
+    """Return a paragraph."""
     return f"<p><strong>{html.escape(words)}</strong></p>" if strong else f"<p>{html.escape(words)}</p>"
 
 
-def text(words: str) -> str:
-    """Text as it is typed: tables."""
+def preformatted(words: str) -> str:
+    """Return preformatted text, such as a table."""
     return f"<pre>{html.escape(words)}</pre>"
 
 
-def picture(path: Path, title: str, words: str = "") -> str:
-    """The PNG at `path` below its title, `words` beneath."""
+def image(path: Path, title: str, words: str = "") -> str:
+    """Return the PNG at `path` under its title, with the caption `words`."""
     data, name = base64.b64encode(path.read_bytes()).decode(), html.escape(title, quote=True)
     image = f"<img alt='{name}' src='data:image/png;base64,{data}'>"
     return heading(title) + image + (paragraph(words) if words else "")
 
 
-def folded(title: str, content: Any) -> str:
-    """Content in YAML, to be opened."""
+def collapsible(title: str, content: Any) -> str:
+    """Return `content` as YAML in a section that opens on a click."""
     words = html.escape(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     return f"{heading(title)}<details><summary>show</summary><pre>{words}</pre></details>"

@@ -1,4 +1,4 @@
-"""Figure of a log as it was read: every channel over time, run after run, gaps left open."""
+"""Plot a log as it was read: every channel over time, one run after the other, with its gaps."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Laps of a stage as curves over arc length."""
+"""Read the laps of a stage as curves over arc length."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from driftjax.store import RunFolder, code_names
 
 @dataclass(frozen=True)
 class Lap:
-    """One lane of a stage, up to its end."""
+    """One lap of a stage, up to its end."""
 
     plant: str
     seed: int
@@ -24,15 +24,15 @@ class Lap:
         return self.values[name]
 
     def over(self, s: np.ndarray, name: str) -> np.ndarray:
-        """Variable `name` at arc lengths `s`; NaN where the lap did not get."""
+        """Return variable `name` at arc lengths `s` [m]; NaN beyond the end of the lap."""
         along = np.maximum.accumulate(self.values["s"]) if self.values["s"].size else np.array([np.nan])
         if self.values["s"].size < 2:
             return np.full(s.shape, np.nan)
         return np.interp(s, along, self.values[name], left=np.nan, right=np.nan)
 
 
-def laps_of(data: xr.Dataset, controller: str) -> list[Lap]:
-    """Laps of one controller in a stage, in the order of plants and seeds."""
+def read_laps(data: xr.Dataset, controller: str) -> list[Lap]:
+    """Return the laps of one controller in a stage, in the order of plants and seeds."""
     names, found = code_names(data), []
     series = [str(name) for name in data.data_vars if data[name].dims == ("lane", "step")]
     for lane in np.flatnonzero(data["controller"].values == controller):
@@ -46,15 +46,15 @@ def laps_of(data: xr.Dataset, controller: str) -> list[Lap]:
 
 
 def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
-    """Mean over the completed laps (over all, where none is) of `curve(lap, s)`; NaN where none got."""
+    """Return the mean of `curve(lap, s)` over the completed laps, or over all if none is; NaN where no lap got."""
     chosen = [lap for lap in laps if lap.completed] or laps
     rows = np.stack([curve(lap, s) for lap in chosen])
     count = np.isfinite(rows).sum(axis=0)
     return np.where(count > 0, np.nansum(rows, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def stages_of(run: RunFolder) -> dict[str, list[str]]:
-    """Finished stages of each kind that the paper compares: nominal, gpr, explored."""
+def stages_by_kind(run: RunFolder) -> dict[str, list[str]]:
+    """Return the finished stages of each kind that the paper compares: nominal, gpr, explored."""
     kinds = {"nominal": "nominal", "gpr": "gpr-", "explored": "explore-"}
     found = {kind: [name for name in run.finished() if name.startswith(prefix)] for kind, prefix in kinds.items()}
     return {kind: names for kind, names in found.items() if names}
@@ -65,14 +65,14 @@ def _badness(lap: Lap) -> tuple[bool, float]:
 
 
 def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
-    """Laps of each kind of stage: of every plant and seed the completed one with the least lateral error.
+    """Return the best lap of every plant and seed per kind of stage: the completed one with the least lateral error.
 
-    Where none was completed, the one with the least error of those that failed.
+    If none was completed: the failed one with the least error.
     """
     best: dict[str, list[Lap]] = {}
-    for kind, names in stages_of(run).items():
+    for kind, names in stages_by_kind(run).items():
         chosen: dict[tuple[str, int], Lap] = {}
-        for lap in (lap for name in names for lap in laps_of(run.read_stage(name), controller) if lap["s"].size):
+        for lap in (lap for name in names for lap in read_laps(run.read_stage(name), controller) if lap["s"].size):
             other = chosen.setdefault((lap.plant, lap.seed), lap)
             chosen[lap.plant, lap.seed] = min(other, lap, key=_badness)
         if chosen:
@@ -80,19 +80,19 @@ def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
     return best
 
 
-def mean_of(laps: list[Lap], name: str) -> float:
-    """Mean of a number of the laps, such as `lateral_error`, over those that have it; NaN where none has."""
+def mean_figure(laps: list[Lap], name: str) -> float:
+    """Return the mean of a figure, such as `lateral_error`, over the laps that have it; NaN if none has."""
     values = np.array([getattr(lap, name) for lap in laps])
     return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else float("nan")
 
 
-def controllers_of(run: RunFolder) -> list[str]:
-    """Drift controllers of the learning stages, in order of appearance."""
-    stages = [name for names in stages_of(run).values() for name in names]
+def drift_controllers(run: RunFolder) -> list[str]:
+    """Return the drift controllers of the learning stages, in order of appearance."""
+    stages = [name for names in stages_by_kind(run).values() for name in names]
     return list(dict.fromkeys(name for stage in stages for name in run.read_stage(stage)["controller"].values.tolist()))
 
 
 def controlled_span(laps: list[Lap]) -> tuple[float, float] | None:
-    """Median arc lengths between which the drift controller drove the completed laps [m]."""
+    """Return the median arc lengths at which the drift controller took over and handed back [m]."""
     spans = [(lap["s"][d].min(), lap["s"][d].max()) for lap in laps if (d := lap["drifting"].astype(bool)).any()]
     return (float(np.median([a for a, _ in spans])), float(np.median([b for _, b in spans]))) if spans else None

@@ -1,4 +1,4 @@
-"""Figures of the minimum-time plan: where it drifts, and its sideslip and yaw rate."""
+"""Plot the minimum-time plan: its drifts on the track, and its states."""
 
 from pathlib import Path
 
@@ -10,14 +10,14 @@ from matplotlib.figure import Figure
 from driftjax.report.style import DRIFT, NORMAL, ORANGE, equal_axes, new_figure, save, shade
 
 
-def spans_of(flags: np.ndarray, s: np.ndarray) -> list[tuple[float, float]]:
-    """Intervals of `s` in which `flags` holds."""
+def flagged_spans(flags: np.ndarray, s: np.ndarray) -> list[tuple[float, float]]:
+    """Return the intervals of `s` in which `flags` holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return [(float(s[a]), float(s[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def draw_track(axis: Axes, plan: xr.Dataset) -> None:
-    """Borders and centre line."""
+    """Draw borders and centre line."""
     for side, style in (("left", "-"), ("right", "-"), ("track", ":")):
         x, y = plan[f"{side}_x"].values, plan[f"{side}_y"].values
         if plan.attrs.get("closed"):
@@ -25,8 +25,8 @@ def draw_track(axis: Axes, plan: xr.Dataset) -> None:
         axis.plot(x, y, style, color="0.35", lw=0.8 if style == ":" else 1.2, zorder=1)
 
 
-def trajectory(plan: xr.Dataset) -> Figure:
-    """Planned path on the track, normal segments blue, drift segments red."""
+def plot_trajectory(plan: xr.Dataset) -> Figure:
+    """Plot the planned path on the track, normal segments blue, drift segments red."""
     x, y = plan["x"].values, plan["y"].values
     wide, high = np.ptp(plan["right_x"].values), np.ptp(plan["right_y"].values)
     width = 8.0
@@ -35,7 +35,7 @@ def trajectory(plan: xr.Dataset) -> Figure:
     draw_track(axis, plan)
     axis.plot(x, y, color=NORMAL, lw=2.2, label="normal driving", zorder=2)
     label: str | None = "drift"
-    for a, b in spans_of(plan["drift"].values.astype(bool), np.arange(len(x))):
+    for a, b in flagged_spans(plan["drift"].values.astype(bool), np.arange(len(x))):
         axis.plot(x[int(a) : int(b) + 1], y[int(a) : int(b) + 1], color=DRIFT, lw=2.6, label=label, zorder=3)
         label = None
     axis.plot(x[0], y[0], "o", color=NORMAL, ms=6, zorder=4)
@@ -46,14 +46,16 @@ def trajectory(plan: xr.Dataset) -> Figure:
     return figure
 
 
-def states(plan: xr.Dataset) -> Figure:
-    """Speed, sideslip and yaw rate over the planned path, drift sections shaded."""
+def plot_states(plan: xr.Dataset) -> Figure:
+    """Plot speed, sideslip and yaw rate over the planned path, drift sections shaded."""
     s = plan["S"].values if "S" in plan else plan["s"].values
     figure, axes = new_figure(3, 1, (7.5, 6.2), sharex=True)
     rows = (("V", "speed V [m/s]", 1.0), ("beta", "sideslip beta [deg]", 180 / np.pi),
             ("r", "yaw rate r [deg/s]", 180 / np.pi))  # fmt: skip
     for axis, (name, label, factor) in zip(axes[:, 0], rows, strict=True):
-        shade(axis, spans_of(plan["drift"].values.astype(bool), s), ORANGE, "drift section" if name == "V" else None)
+        shade(
+            axis, flagged_spans(plan["drift"].values.astype(bool), s), ORANGE, "drift section" if name == "V" else None
+        )
         axis.plot(s, plan[name].values * factor, color=NORMAL)
         axis.axhline(0, color="0.4", lw=0.7) if name != "V" else None
         axis.set_ylabel(label)
@@ -67,5 +69,5 @@ def states(plan: xr.Dataset) -> Figure:
 
 
 def write_plan_figures(plan: xr.Dataset, folder: Path) -> list[Path]:
-    """`plan_trajectory` and `plan_states` as PNG and PDF; returns the PNGs."""
-    return [save(trajectory(plan), folder, "plan_trajectory"), save(states(plan), folder, "plan_states")]
+    """Write `plan_trajectory` and `plan_states` as PNG and PDF; returns the paths of the PNGs."""
+    return [save(plot_trajectory(plan), folder, "plan_trajectory"), save(plot_states(plan), folder, "plan_states")]

@@ -1,4 +1,4 @@
-"""How the car stands in the corner: its outline at even intervals."""
+"""Plot the posture of the car in the corner: its outline at even intervals."""
 
 import numpy as np
 import xarray as xr
@@ -40,8 +40,8 @@ def _draw(axis: Axes, lap: Lap, vehicle: VehicleConfig, window: tuple[float, flo
         axis.plot(lap["x"][-1], lap["y"][-1], "x", color="black", ms=9, mew=2.5, zorder=6)
 
 
-def posture(run: RunFolder, plan: xr.Dataset, controller: str, vehicle: VehicleConfig) -> Figure | None:
-    """Outlines of one plant's car through the corner, a panel each for nominal, GPR and explored."""
+def plot_posture(run: RunFolder, plan: xr.Dataset, controller: str, vehicle: VehicleConfig) -> Figure | None:
+    """Plot the outlines of one plant's car through the corner, a panel each for nominal, GPR and explored."""
     kinds = best_laps(run, controller)
     if not kinds:
         return None

@@ -1,4 +1,4 @@
-"""Open-loop predictions of a diagnosis: beside the measurement, and their error over the horizon."""
+"""Plot the open-loop predictions of a diagnosis: beside the measurement, and their error over the horizon."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from driftjax.report.style import COMPARED, new_figure
+from driftjax.report.style import COMPARED, legend_below, new_figure
 
 CHANNELS = {
     "V": ("speed V [m/s]", 1.0),
@@ -19,21 +19,21 @@ SHOWN = ("nominal", "extended")
 WIDTHS = {"nominal": 2.2, "extended": 1.3}  # of lines that may cover each other
 
 
-def models_of(data: xr.Dataset) -> list[str]:
-    """Models to draw: the extended one only where an effect was named."""
+def drawn_models(data: xr.Dataset) -> list[str]:
+    """Return the models to draw: the extended one only where an effect was named."""
     return list(SHOWN) if data["named"].values.any() else ["nominal"]
 
 
 def _starts(axis: Axes, times: np.ndarray, rows: np.ndarray, **style: Any) -> None:
-    """Predictions (start, ahead) from every start, each until it has left the panel."""
+    """Plot predictions (start, ahead) from every start, each until it leaves the panel."""
     low, high = axis.get_ylim()
     left = np.cumsum((rows < low) | (rows > high), axis=1) > 1
     gap = np.full((len(rows), 1), np.nan)  # so that one line holds all of them
     axis.plot(np.hstack([times, gap]).ravel(), np.hstack([np.where(left, np.nan, rows), gap]).ravel(), **style)
 
 
-def fan(data: xr.Dataset) -> Figure:
-    """Measured channels and what each model predicts from some starts, a column per run."""
+def plot_predictions(data: xr.Dataset) -> Figure:
+    """Plot measured channels and the predictions of each model from some starts, a column per run."""
     panels = data["panel"].values
     figure, axes = new_figure(3, len(panels), (max(4.6 * len(panels), 7.5), 7.2), sharex="col")
     times = data["start_time"].values[:, None] + data["ahead_time"].values
@@ -44,7 +44,7 @@ def fan(data: xr.Dataset) -> Figure:
             measured = one["measured"].sel(channel=channel).values * factor
             axis.plot(data["sample_time"], measured, color="0.72", lw=2.6, label="measured")
             axis.set_ylim(_room(measured, 8 * float(data["sigma"].sel(channel=channel)) * factor))
-            for model in models_of(data):
+            for model in drawn_models(data):
                 colour, words = COMPARED[model]
                 rows = one["predicted"].sel(model=model, channel=channel).values * factor
                 _starts(axis, times, rows, color=colour, lw=WIDTHS[model], label=f"predicted, {words}")
@@ -55,22 +55,21 @@ def fan(data: xr.Dataset) -> Figure:
             axis.set_xlim(0, end)
         axes[0, column].set_title(str(name))
         axes[-1, column].set_xlabel("time t [s]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, axes[0, 0], 4)
     figure.suptitle(f"Open-loop predictions on {data.attrs['predicted_on']}", fontsize=10.5)
     figure.align_ylabels()
     return figure
 
 
 def _room(measured: np.ndarray, least: float) -> tuple[float, float]:
-    """Limits half as far beyond the measurement as that is wide, so that a prediction that runs off hides nothing."""
+    """Return limits half a range beyond the measurement, so that a diverging prediction does not flatten it."""
     low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     room = 0.5 * max(high - low, least)
     return low - room, high + room
 
 
-def error_over_horizon(data: xr.Dataset) -> Figure:
-    """RMS error of every model over the time ahead, with the noise floor."""
+def plot_error_over_horizon(data: xr.Dataset) -> Figure:
+    """Plot the RMS error of every model over the time ahead, with the noise floor."""
     figure, axes = new_figure(1, 3, (11.0, 4.0))
     named = data["named"].values.any()
     models = [str(name) for name in data["compared"].values if named or name != "extended"]
@@ -90,7 +89,6 @@ def error_over_horizon(data: xr.Dataset) -> Figure:
         axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.set_ylim(0.7 * sigma, 1.5 * max(float(errors.max()), sigma))
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend_below(figure, axes[0, 0], 5)
     figure.suptitle(f"Open-loop error on {data.attrs['predicted_on']}", fontsize=10.5)
     return figure

@@ -1,11 +1,11 @@
-"""What a model leaves over: forces of each axle over what they may go with, and innovations over time."""
+"""Plot what a model leaves unexplained: residual forces of each axle, and the whiteness of innovations."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from driftjax.report.predictions import WIDTHS, models_of
-from driftjax.report.style import COMPARED, new_figure
+from driftjax.report.predictions import WIDTHS, drawn_models
+from driftjax.report.style import COMPARED, legend_below, new_figure
 
 FORCES = {"Fx": "longitudinal force\n[% of mu Fzr]", "Fyf": "front lateral force\n[% of mu Fzf]",
           "Fyr": "rear lateral force\n[% of mu Fzr]"}  # fmt: skip
@@ -17,8 +17,8 @@ DRIVERS = {
 NEWTON = 0.2  # of kilonewtons below which a car's drive force is drawn in newtons
 
 
-def residual_forces(data: xr.Dataset) -> Figure | None:
-    """Mean residual forces in bins with 95 % intervals, a row per force and a column per driver."""
+def plot_residual_forces(data: xr.Dataset) -> Figure | None:
+    """Plot mean residual forces in bins with 95 % intervals, a row per force, a column per explanatory variable."""
     drivers = [str(name) for name in data["driver"].values]
     if not drivers:
         return None
@@ -30,7 +30,7 @@ def residual_forces(data: xr.Dataset) -> Figure | None:
             words, factor = DRIVERS[driver]
             if driver == "drive" and float(np.abs(data["bin_value"].sel(driver=driver)).max()) * factor < NEWTON:
                 words, factor = "drive force [N]", 1.0
-            for model in models_of(data):
+            for model in drawn_models(data):
                 colour, name = COMPARED[model]
                 one = data.sel(model=model, driver=driver)
                 share = float(one["explained"].sel(force=force))
@@ -45,28 +45,26 @@ def residual_forces(data: xr.Dataset) -> Figure | None:
             if row == 2:
                 axis.set_xlabel(words)
         axes[row, 0].set_ylabel(label)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    legend_below(figure, axes[0, 0], 2)
     figure.suptitle("Residual forces: what each axle does beyond the model (95 % intervals); above each panel the"
                     " share of the nominal\nresidual's variance that the variable explains", fontsize=10.5)  # fmt: skip
     figure.align_ylabels()
     return figure
 
 
-def whiteness(data: xr.Dataset) -> Figure:
-    """Autocorrelation of whitened innovations with the band of a right model."""
+def plot_whiteness(data: xr.Dataset) -> Figure:
+    """Plot the autocorrelation of whitened innovations with the 95 % band of a correct model."""
     figure, axes = new_figure(1, 3, (11.0, 3.6), sharey=True)
     band = data.attrs["white_band"]
     for axis, channel in zip(axes[0], ("V", "beta", "r"), strict=True):
         axis.axhspan(-band, band, color="0.85", lw=0, label="95 % of a right model's")
         axis.axhline(0, color="0.4", lw=0.7)
-        for model in models_of(data):
+        for model in drawn_models(data):
             colour, words = COMPARED[model]
             values = data["autocorrelation"].sel(model=model, channel=channel)
             axis.plot(data["lag_time"], values, color=colour, lw=1.3, label=words)
         axis.set(xlabel="lag [s]", title=f"innovations of {channel}")
         axis.set_xlim(0, float(data["lag_time"][-1]))
     axes[0, 0].set_ylabel("autocorrelation [-]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    legend_below(figure, axes[0, 0], 3)
     return figure

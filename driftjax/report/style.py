@@ -41,7 +41,7 @@ KINDS = {
 
 
 def stage_colour(name: str) -> str:
-    """Grey nominal, blue GPR, red explored, tan for the controllers compared with."""
+    """Return the colour of a stage: grey nominal, blue GPR, red explored, tan for the controllers compared with."""
     if name == "nominal":
         return NOMINAL
     if name.startswith("gpr"):
@@ -50,7 +50,7 @@ def stage_colour(name: str) -> str:
 
 
 def stage_label(name: str) -> str:
-    """How figures and tables call a stage."""
+    """Return the name of a stage in figures and tables."""
     kind, _, number = name.partition("-")
     if kind == "gpr":
         return f"GPR lap {number}"
@@ -83,6 +83,22 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
     return path
 
 
+def panel_grid(num: int, most: int, width: float, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Create `num` panels in rows of at most `most`, each `width` by `height` inches; returns figure and panels."""
+    columns = min(most, num)
+    rows = -(-num // columns)
+    figure, axes = new_figure(rows, columns, (width * columns, height * rows), **options)
+    for axis in axes.flat[num:]:
+        axis.set_visible(False)
+    return figure, list(axes.flat[:num])
+
+
+def legend_below(figure: Figure, axis: Axes, columns: int) -> None:
+    """Draw the legend of `axis` below all panels."""
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+
+
 def shade(axis: Axes, spans: Sequence[tuple[float, float]], colour: str, label: str | None = None) -> None:
     """Shade spans of the horizontal axis behind the curves."""
     for start, end in spans:
@@ -91,7 +107,7 @@ def shade(axis: Axes, spans: Sequence[tuple[float, float]], colour: str, label: 
 
 
 def equal_axes(axis: Axes) -> None:
-    """World coordinates: equal scales, metres."""
+    """Set up axes of world coordinates: equal scales, metres."""
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")

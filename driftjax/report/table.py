@@ -1,4 +1,4 @@
-"""Results in words: the table at the end of a run, and one line per run."""
+"""Format results as text: the table at the end of a run, and one line per run."""
 
 import math
 from typing import Any
@@ -16,24 +16,28 @@ REDUCTIONS = {
 
 
 def number(value: float | None, form: str = ".2f") -> str:
-    """`value` in digits, a dash where there is none."""
+    """Format a number; a dash where it is missing or not finite."""
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def cell(value: Any) -> str:
-    """A value of any kind as text."""
+    """Format a value of any kind."""
     return number(value, ".4g") if value is None or isinstance(value, float) else str(value)
 
 
+def with_interval(value: float | None, ci95: Any, form: str = ".2f", missing: str = "-") -> str:
+    """Format a value with its 95 % interval where it has one; `missing` where there is no value."""
+    low, high = ci95 or (None, None)
+    if value is None or low is None or high is None:
+        return missing if value is None else number(value, form)
+    return f"{number(value, form)} [{number(low, form)}, {number(high, form)}]"
+
+
 def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
-    """Mean (or value) with its 95 % interval, and of how many plants it is where some have none."""
+    """Format mean (or value) and 95 % interval of a summary, and the number of plants where some lack the figure."""
     cell = cell or {}
-    mean = cell.get("mean", cell.get("value"))
-    low, high = cell.get("ci95") or (None, None)
     few = f" ({cell['plants']}/{cell['all_plants']})" if 0 < cell.get("plants", 0) < cell["all_plants"] else ""
-    if mean is None or low is None or high is None:
-        return number(mean, form) + few
-    return f"{number(mean, form)} [{number(low, form)}, {number(high, form)}]{few}"
+    return with_interval(cell.get("mean", cell.get("value")), cell.get("ci95"), form) + few
 
 
 def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
@@ -50,14 +54,14 @@ def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
 
 
 def aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    """Rows as lines with columns of even width; a rule follows the first."""
+    """Return rows as lines with aligned columns; a rule follows the first."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return [lines[0], "-" * (sum(widths) + 2 * len(widths) - 2), *lines[1:]]
 
 
-def table(results: dict[str, Any]) -> str:
-    """The results of `driftjax learn` for a person: a row per stage and controller, then the reductions."""
+def results_table(results: dict[str, Any]) -> str:
+    """Format the results of `driftjax learn`: a row per stage and controller, then the reductions."""
     rows: list[tuple[str, ...]] = [HEAD]
     for stage in results.get("stages") or []:
         rows += [_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
@@ -83,7 +87,7 @@ def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def best_errors(results: dict[str, Any]) -> dict[str, float]:
-    """Smallest mean lateral error of each controller [m], over the stages."""
+    """Return the smallest mean lateral error of each controller over the stages [m]."""
     best: dict[str, float] = {}
     for stage in results.get("stages") or []:
         for controller, cell in stage["controllers"].items():
@@ -94,7 +98,7 @@ def best_errors(results: dict[str, Any]) -> dict[str, float]:
 
 
 def run_line(run: RunFolder) -> str:
-    """One line about a run: when, what, how far, how well, where."""
+    """Format one line about a run: time, verb, car, state, best errors, folder."""
     stages = run.finished()
     car = str(run.config.get("car", run.config.get("vehicle", "")))
     if run.verb != "learn":

@@ -1,11 +1,11 @@
-"""Lateral error and speed over arc length: nominal, GPR, explored."""
+"""Plot lateral error and speed over arc length: nominal, GPR, explored."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from driftjax.report.laps import Lap, best_laps, controlled_span, mean_curve, mean_of
+from driftjax.report.laps import Lap, best_laps, controlled_span, mean_curve, mean_figure
 from driftjax.report.style import (
     CONTROLLERS,
     ERROR_LABEL,
@@ -24,7 +24,7 @@ def _error(lap: Lap, s: np.ndarray) -> np.ndarray:
 
 
 def _sections(axis: Axes, plan: xr.Dataset, laps: list[Lap], s: np.ndarray) -> None:
-    """Yellow where pure pursuit drives, pink where the drift controller does, dashes around the planned drift."""
+    """Shade where pure pursuit (yellow) and the drift controller (pink) drive; dashed lines bound the planned drift."""
     span = controlled_span(laps)
     if span:
         shade(axis, [(s[0], span[0]), (span[1], s[-1])], YELLOW, "pure pursuit drives")
@@ -34,7 +34,7 @@ def _sections(axis: Axes, plan: xr.Dataset, laps: list[Lap], s: np.ndarray) -> N
 
 
 def _stop_marks(axis: Axes, laps: list[Lap], value, colour: str) -> int:
-    """A cross with its code where a lap failed; returns how many did."""
+    """Mark where laps failed with a cross; returns their number."""
     failed = [lap for lap in laps if not lap.completed and lap["s"].size]
     for lap in failed:
         s, y = lap["s"][-1], value(lap)
@@ -42,8 +42,8 @@ def _stop_marks(axis: Axes, laps: list[Lap], value, colour: str) -> int:
     return len(failed)
 
 
-def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
-    """Magnitude of the lateral error over arc length, thin lines per plant and bold means."""
+def plot_lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
+    """Plot the magnitude of the lateral error over arc length, thin lines per plant and bold means."""
     kinds = best_laps(run, controller)
     if not kinds:
         return None
@@ -56,7 +56,7 @@ def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure |
         for lap in laps:
             axis.plot(s, _error(lap, s), color=colour, lw=0.7, alpha=0.45, ls="-" if lap.completed else ":")
         failed = _stop_marks(axis, laps, lambda lap: abs(lap["e"][-1]), colour)
-        words = f"{name}: {mean_of(laps, 'lateral_error'):.2f} m in the drift"
+        words = f"{name}: {mean_figure(laps, 'lateral_error'):.2f} m in the drift"
         words += f", {failed} of {len(laps)} failed (x)" if failed else ""
         axis.plot(s, mean, color=colour, lw=2.4, label=words)
     axis.set(xlabel="arc length s along the planned path [m]", ylabel=ERROR_LABEL, xlim=(0, s[-1]))
@@ -68,8 +68,8 @@ def lateral_error(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure |
     return figure
 
 
-def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
-    """Speed and its reference in the drift section, GPR against explored, and the deviation below."""
+def plot_velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None:
+    """Plot speed and its reference in the drift section, GPR against explored, and their difference below."""
     kinds = {kind: laps for kind, laps in best_laps(run, controller).items() if kind != "nominal"}
     if not kinds:
         return None
@@ -85,7 +85,7 @@ def velocity(run: RunFolder, plan: xr.Dataset, controller: str) -> Figure | None
         V, V_ref = (mean_curve(laps, s, lambda lap, s, k=key: lap.over(s, k)) for key in ("V", "V_ref"))
         axes[0, 0].plot(s, V, color=colour, lw=2.4, label=f"V: {name}")
         axes[0, 0].plot(s, V_ref, color=colour, lw=1.8, ls="--", label=f"reference: {name}")
-        words = f"{name}: RMSE {number(mean_of(laps, 'velocity_rmse'))} m/s"
+        words = f"{name}: RMSE {number(mean_figure(laps, 'velocity_rmse'))} m/s"
         axes[1, 0].plot(s, mean_curve(laps, s, deviation), color=colour, lw=2.4, label=words)
     axes[1, 0].axhline(0, color="0.4", lw=0.7)
     axes[0, 0].set_ylabel("speed V [m/s]")

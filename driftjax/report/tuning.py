@@ -1,4 +1,4 @@
-"""What `driftjax tune` found, in words and one figure."""
+"""Write the results of `driftjax tune` as text and one figure."""
 
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,8 @@ from driftjax.store import RunFolder
 KINDS = {"default": (NOMINAL, "default"), "tuned": (EXPLORED, "tuned by gradients"), "random": (GPR, "random search")}
 
 
-def tuning_words(results: dict[str, Any]) -> str:
-    """Settings, losses and differences as a table, and who won in a sentence."""
+def tuning_summary(results: dict[str, Any]) -> str:
+    """Format settings, losses and differences as a table, and the winner in sentences."""
     held, settings = results["held_out"], results["settings"]
     num = len(held["plants"])
     head = (
@@ -53,7 +53,7 @@ def tuning_words(results: dict[str, Any]) -> str:
 
 
 def sentences(results: dict[str, Any]) -> list[str]:
-    """Who won, on what, and what went wrong on the way."""
+    """Return sentences about who won, on what, and which laps failed."""
     held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
     return [
         f"Against the default, tuning by gradients {_verdict(held, 'tuned - default')}.",
@@ -68,8 +68,8 @@ def sentences(results: dict[str, Any]) -> list[str]:
 def _verdict(held: dict[str, Any], pair: str) -> str:
     mean, (low, high) = held["loss_difference"][pair]["mean"], held["loss_difference"][pair]["ci95"]
     words = f"{'lowers' if mean < 0 else 'does not lower'} the mean loss on plants held out"
-    told = low is not None and (high < 0 or low > 0)
-    words += "" if told else ", but the interval of the difference holds 0"
+    significant = low is not None and (high < 0 or low > 0)
+    words += "" if significant else ", but the interval of the difference holds 0"
     return f"{words}; it is lower on {held['loss_lower_on'][pair]} of {len(held['plants'])} of them"
 
 
@@ -98,12 +98,12 @@ def _pairs(axis: Axes, results: dict[str, Any]) -> None:
 
 
 def write_tuning(run: RunFolder) -> Path:
-    """`tuning` as PNG and PDF and `report.txt`; returns the latter's path."""
+    """Write `tuning` as PNG and PDF, and `report.txt`; returns the path of the latter."""
     results = run.read_json("results")
     figure, axes = new_figure(1, 2, (10.0, 4.0))
     _ways(axes[0, 0], results)
     _pairs(axes[0, 1], results)
     save(figure, run.path / "figures", "tuning")
     path = run.path / "report.txt"
-    path.write_text(tuning_words(results) + "\n", encoding="utf-8")
+    path.write_text(tuning_summary(results) + "\n", encoding="utf-8")
     return path

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from driftjax.logs.columns import MEASURED
 from driftjax.report.style import COMPARED, new_figure
-from driftjax.report.table import aligned
+from driftjax.report.table import aligned, with_interval
 
 
 def worth_table(content: dict[str, Any]) -> str:
@@ -25,18 +25,14 @@ def worth_table(content: dict[str, Any]) -> str:
         low, high = cause["share_ci95"]
         share = f"{100 * cause['share']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
         each = without.get(cause["effect"], {})
-        grown = (_times(*each[channel]) if channel in each else "-" for channel in MEASURED)
+        grown = (with_interval(each[channel][0], each[channel][1:]) if channel in each else "-" for channel in MEASURED)
         family = f"{cause['family_probability']:.2f}"
         rows.append((cause["effect"], f"{cause['probability']:.2f}", cause["family"], family, share, *grown))
     note = "without it: error on held-out runs over that with all, others refitted; -: not named without those runs"
     return "\n".join([*aligned(rows), note]) + "\n"
 
 
-def _times(value: float | None, low: float | None, high: float | None) -> str:
-    return "-" if value is None or low is None or high is None else f"{value:.2f} [{low:.2f}, {high:.2f}]"
-
-
-def waterfall(content: dict[str, Any]) -> Figure | None:
+def plot_worth(content: dict[str, Any]) -> Figure | None:
     """Plot how the named effects take the excess error of the nominal car down to what is left; None without any.
 
     Each takes its share of what all of them explain of the excess squared error at the decisive horizon.

@@ -10,10 +10,10 @@ from matplotlib.patches import Rectangle
 
 from driftjax.cli import main
 from driftjax.report import closed_loop_table, gain_table, run_line, write_diagnosis
-from driftjax.report.diagnosis import TITLES, figures
-from driftjax.report.evidence import PLAIN, confusability, scores
-from driftjax.report.predictions import error_over_horizon, fan
-from driftjax.report.residuals import residual_forces
+from driftjax.report.diagnosis import TITLES, diagnosis_figures
+from driftjax.report.evidence import PLAIN, plot_confusability, plot_scores
+from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
+from driftjax.report.residuals import plot_residual_forces
 from driftjax.report.style import EXPLORED, NOMINAL
 from driftjax.store import DIAGNOSIS, RunFolder
 
@@ -54,11 +54,11 @@ def test_what_is_stored_describes_itself(run):
 
 def test_a_diagnosis_that_names_nothing_shows_the_nominal_car_only(tmp_path):
     bare = diagnosed(tmp_path / "bare", named=(), drivers=False)
-    assert {name for name, _ in figures(bare)} == set(TITLES) - {"posterior", "residual_forces", "worth"}
+    assert {name for name, _ in diagnosis_figures(bare)} == set(TITLES) - {"posterior", "residual_forces", "worth"}
     data = bare.read_dataset("diagnosis.nc")
-    colours = {to_hex(line.get_color()).upper() for axis in fan(data).axes for line in axis.lines}
+    colours = {to_hex(line.get_color()).upper() for axis in plot_predictions(data).axes for line in axis.lines}
     assert NOMINAL in colours and EXPLORED not in colours
-    colours = {to_hex(line.get_color()).upper() for axis in error_over_horizon(data).axes for line in axis.lines}
+    colours = {to_hex(line.get_color()).upper() for axis in plot_error_over_horizon(data).axes for line in axis.lines}
     assert NOMINAL in colours and EXPLORED not in colours
 
 
@@ -73,13 +73,13 @@ def test_data_that_say_nothing_have_a_page_too(tmp_path):
 
 def test_curves_are_those_stored_in_the_units_of_their_axes(run):
     data = run.read_dataset("diagnosis.nc")
-    axes = error_over_horizon(data).axes
+    axes = plot_error_over_horizon(data).axes
     beta = next(axis for axis in axes if "sideslip" in axis.get_ylabel())
     assert "[deg]" in beta.get_ylabel()
     nominal = next(line for line in beta.lines if to_hex(line.get_color()).upper() == NOMINAL)
     expected = np.rad2deg(data["rmse"].sel(compared="nominal", channel="beta").values)
     np.testing.assert_allclose(np.asarray(nominal.get_ydata(), float), expected)
-    figure = residual_forces(data)
+    figure = plot_residual_forces(data)
     assert figure is not None
     panels = [axis for axis in figure.axes if axis.lines]
     assert len(panels) == 3 * len(DRIVERS)
@@ -90,14 +90,14 @@ def test_curves_are_those_stored_in_the_units_of_their_axes(run):
 
 def test_bars_are_the_scores_largest_first_and_named_ones_red(run):
     data = run.read_dataset("diagnosis.nc")
-    promised, tested = scores(data).axes
+    promised, tested = plot_scores(data).axes
     for axis in (promised, tested):
         bars = [bar for bar in axis.patches if isinstance(bar, Rectangle)]
         widths = [bar.get_width() for bar in bars]
         assert widths == sorted(widths, reverse=True) and len(widths) == len(EFFECTS)
         assert [to_hex(bar.get_facecolor()).upper() for bar in bars[:2]] == [EXPLORED, PLAIN]
     assert any(np.allclose(np.asarray(line.get_xdata(), float), 3.0) for line in tested.lines)
-    heat = confusability(data).axes[0]
+    heat = plot_confusability(data).axes[0]
     assert [label.get_text() for label in heat.get_yticklabels()][0] == "friction_rear.p"
 
 

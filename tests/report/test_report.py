@@ -8,14 +8,14 @@ import pytest
 from matplotlib.colors import to_hex
 from synthetic import synthetic_run
 
-from driftjax.report import table, write_report
-from driftjax.report.laps import best_laps, laps_of, mean_curve, mean_of
-from driftjax.report.page import figures
-from driftjax.report.plan import spans_of, states, trajectory
+from driftjax.report import results_table, write_report
+from driftjax.report.laps import best_laps, mean_curve, mean_figure, read_laps
+from driftjax.report.page import learn_figures
+from driftjax.report.plan import flagged_spans, plot_states, plot_trajectory
 from driftjax.report.posture import outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
 from driftjax.report.table import best_errors, interval
-from driftjax.report.tracking import lateral_error
+from driftjax.report.tracking import plot_lateral_error
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
@@ -44,13 +44,13 @@ def test_report_holds_every_figure_the_table_and_the_config(run):
     assert page.count("data:image/png;base64,") == len(names)
     assert not re.search(r"(src|href)=['\"]?(http|/|figures)", page), "the page must stand alone"
     assert "Wu et al. 2025" in page and "track: sedan_corner" in page
-    assert (run.path / "table.txt").read_text() == table(run.read_json("results")) + "\n"
+    assert (run.path / "table.txt").read_text() == results_table(run.read_json("results")) + "\n"
 
 
 def test_a_run_that_stopped_early_shows_what_it_has(tmp_path):
     short = synthetic_run(tmp_path / "short", plants=1, stages=("nominal", "gpr-1"))
     (short.path / "results.json").unlink()
-    names = [name for name, _ in figures(short)]
+    names = [name for name, _ in learn_figures(short)]
     assert "lateral_error_path" in names and "velocity_path" in names
     assert not any(name.startswith(("gp_data", "speed_sets", "comparison")) for name in names)
     bare = synthetic_run(tmp_path / "bare", stages=())
@@ -60,7 +60,7 @@ def test_a_run_that_stopped_early_shows_what_it_has(tmp_path):
 
 def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
     results = run.read_json("results")
-    lines = table(results).splitlines()
+    lines = results_table(results).splitlines()
     rows = [line for line in lines if re.search(r"\d+/\d+", line)]
     assert len(rows) == sum(len(stage["controllers"]) for stage in results["stages"])
     nominal = [line for line in rows if line.startswith("nominal")]
@@ -80,7 +80,7 @@ def test_missing_numbers_are_dashes_not_crashes():
     assert interval({"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 4}) == "-"
     empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
              "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
-    text = table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
+    text = results_table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
     assert "0/2" in text and "1 spun, 1 off track" in text and "nan" not in text.lower().replace("nominal", "")
 
 
@@ -94,22 +94,22 @@ def test_best_laps_have_the_least_lateral_error_of_their_plant(run):
     best = best_laps(run, "path")
     assert {kind: len(laps) for kind, laps in best.items()} == {"nominal": 3, "gpr": 3, "explored": 3}
     for lane, lap in enumerate(best["gpr"]):
-        both = [laps_of(run.read_stage(f"gpr-{k}"), "path")[lane] for k in (1, 2)]
+        both = [read_laps(run.read_stage(f"gpr-{k}"), "path")[lane] for k in (1, 2)]
         assert {lap.plant} == {one.plant for one in both}
         assert lap.lateral_error == min(one.lateral_error for one in both)
 
 
 def test_laps_that_never_reached_the_section_have_no_part_in_the_mean(run):
-    laps = laps_of(run.read_stage("nominal"), "path")
+    laps = read_laps(run.read_stage("nominal"), "path")
     lost = dataclasses.replace(laps[0], velocity_rmse=float("nan"))
-    assert mean_of([lost, *laps[1:]], "velocity_rmse") == pytest.approx(
+    assert mean_figure([lost, *laps[1:]], "velocity_rmse") == pytest.approx(
         np.mean([lap.velocity_rmse for lap in laps[1:]])
     )
-    assert np.isnan(mean_of([lost], "velocity_rmse"))
+    assert np.isnan(mean_figure([lost], "velocity_rmse"))
 
 
 def test_a_failed_lap_ends_where_it_failed_and_leaves_the_mean_alone(run):
-    laps = laps_of(run.read_stage("nominal"), "path")
+    laps = read_laps(run.read_stage("nominal"), "path")
     assert [lap.code for lap in laps] == ["COMPLETED", "COMPLETED", "SPUN"]
     s = np.linspace(0, 130, 50)
     spun = laps[2].over(s, "e")
@@ -120,34 +120,34 @@ def test_a_failed_lap_ends_where_it_failed_and_leaves_the_mean_alone(run):
 
 def test_lateral_error_curves_are_the_logged_errors_in_the_stages_colours(run):
     plan = run.read_dataset("plan.nc")
-    figure = lateral_error(run, plan, "path")
+    figure = plot_lateral_error(run, plan, "path")
     assert figure is not None
     (axis,) = figure.axes
     lines = [line for line in axis.lines if len(np.atleast_1d(line.get_xdata())) > 100]
     colours = [to_hex(line.get_color()).upper() for line in lines]
     assert {colour: colours.count(colour) for colour in (NOMINAL, GPR, EXPLORED)} == {NOMINAL: 4, GPR: 4, EXPLORED: 4}
-    lap = laps_of(run.read_stage("nominal"), "path")[0]
+    lap = read_laps(run.read_stage("nominal"), "path")[0]
     x, y = (np.asarray(v, float) for v in lines[0].get_data())
     shown = np.isfinite(y)
     np.testing.assert_allclose(y[shown], np.abs(np.interp(x[shown], lap["s"], lap["e"])))
     assert "planned minimum-time path [m]" in axis.get_ylabel()
-    assert lateral_error(run, plan, "absent") is None
+    assert plot_lateral_error(run, plan, "absent") is None
 
 
 def test_red_segments_of_the_plan_are_its_drifts(run):
     plan = run.read_dataset("plan.nc")
-    red = [line for line in trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
+    red = [line for line in plot_trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
     assert len(red) == 1
     np.testing.assert_array_equal(np.asarray(red[0].get_xdata()), plan["x"].values[plan["drift"].values])
     flags = np.array([1, 1, 0, 0, 1, 0, 1], bool)
-    assert spans_of(flags, np.arange(7.0)) == [(0, 1), (4, 4), (6, 6)]
+    assert flagged_spans(flags, np.arange(7.0)) == [(0, 1), (4, 4), (6, 6)]
 
 
 def test_a_plan_without_drift_is_drawn_too(run):
     plan = run.read_dataset("plan.nc")
     plan["drift"] = plan["drift"] & False
-    assert not [line for line in trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
-    assert len(states(plan).axes) == 3
+    assert not [line for line in plot_trajectory(plan).axes[0].lines if to_hex(line.get_color()).upper() == DRIFT]
+    assert len(plot_states(plan).axes) == 3
 
 
 def test_outline_has_the_cars_size_and_heading():
