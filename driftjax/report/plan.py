@@ -52,10 +52,9 @@ def plot_states(plan: xr.Dataset) -> Figure:
     figure, axes = new_figure(3, 1, (7.5, 6.2), sharex=True)
     rows = (("V", "speed V [m/s]", 1.0), ("beta", "sideslip beta [deg]", 180 / np.pi),
             ("r", "yaw rate r [deg/s]", 180 / np.pi))  # fmt: skip
+    drift = flagged_spans(plan["drift"].values.astype(bool), s)
     for axis, (name, label, factor) in zip(axes[:, 0], rows, strict=True):
-        shade(
-            axis, flagged_spans(plan["drift"].values.astype(bool), s), ORANGE, "drift section" if name == "V" else None
-        )
+        shade(axis, drift, ORANGE, "drift section" if name == "V" else None)
         axis.plot(s, plan[name].values * factor, color=NORMAL)
         axis.axhline(0, color="0.4", lw=0.7) if name != "V" else None
         axis.set_ylabel(label)

@@ -17,15 +17,8 @@ def tuning_summary(results: dict[str, Any]) -> str:
     """Format settings, losses and differences as a table, and the winner in sentences."""
     held, settings = results["held_out"], results["settings"]
     num = len(held["plants"])
-    head = (
-        "setting",
-        *results["parameters"],
-        "laps",
-        "training loss",
-        "held-out loss",
-        "lateral error [m]",
-        "completed",
-    )
+    columns = ("laps", "training loss", "held-out loss", "lateral error [m]", "completed")
+    head = ("setting", *results["parameters"], *columns)
     rows = [head] + [
         (
             label,

@@ -28,7 +28,7 @@ class Analysis:
     objective: np.ndarray
     second: np.ndarray  # NaN where a trial has none
     status: dict[str, int]  # trials by how they ended
-    without: int  # done, but without an objective
+    num_without: int  # done, but without an objective
 
     @property
     def labels(self) -> dict[str, list[str]]:
@@ -49,7 +49,7 @@ class Analysis:
 
 
 def _words(values: Field) -> tuple:
-    """The values of a list that are no numbers, in order; none where all are numbers."""
+    """Return the values of a list that are not numbers, in order; empty if all are numbers."""
     if not isinstance(values, Choices):
         return ()
     return () if {type(value) for value in values.values} <= {int, float} else values.values
@@ -145,7 +145,7 @@ def to_json(analysis: Analysis, shares: Shares | None) -> dict[str, Any]:
         "objective": analysis.config.objective,
         "second": analysis.config.second,
         "status": analysis.status,
-        "without_objective": analysis.without,
+        "without_objective": analysis.num_without,
         "best": [row(i) for i in range(min(20, len(analysis.ids)))],
         "front": [row(i) for i in analysis.front],
         "sensitivity": shares and {name: {"share": cell[0], "ci95": list(cell[1:])} for name, cell in shares.items()},

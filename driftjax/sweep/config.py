@@ -1,4 +1,4 @@
-"""What a sweep varies: fields of a verb's options, a design over them, and what is looked at."""
+"""Configuration of a sweep: fields of a verb's options, a design over them, and the objective."""
 
 import math
 from dataclasses import dataclass, field
@@ -28,8 +28,8 @@ class Range:
         whole = self.low.is_integer() and self.high.is_integer()
         require(whole or not self.integer, "keys 'low' and 'high' must be whole numbers with 'integer'.")
 
-    def at(self, u: float) -> float | int:
-        """The value at the share `u` in [0, 1) of the way."""
+    def value_at(self, u: float) -> float | int:
+        """Return the value at the fraction `u` in [0, 1) of the range."""
         low, high = (self.low, self.high + 1) if self.integer else (self.low, self.high)
         value = low * (high / low) ** u if self.log else low + (high - low) * u
         return min(math.floor(value), int(self.high)) if self.integer else value
@@ -46,8 +46,8 @@ class Choices:
         plain = all(isinstance(value, bool | int | float | str | None) for value in self.values)
         require(plain, f"the values {list(self.values)} must be numbers, words, true or false.")
 
-    def at(self, u: float) -> Value:
-        """The value at the share `u` in [0, 1) of the list."""
+    def value_at(self, u: float) -> Value:
+        """Return the value at the fraction `u` in [0, 1) of the list."""
         return self.values[min(int(u * len(self.values)), len(self.values) - 1)]
 
 
@@ -71,11 +71,11 @@ class SweepConfig:
     seed: int = 0
     """Seed of the design; the seed of a trial's own noise is an option of the verb."""
     objective: str = "lateral_error"
-    """Figure that is made small, and its mean over a trial's rows shown."""
+    """Figure to minimise; its mean over a trial's rows counts."""
     second: str = "lap_time"
-    """Second figure of the Pareto front, made small as well."""
+    """Second figure to minimise, for the Pareto front."""
     stage: str = ""
-    """Stage of `learn` that is looked at; the trial's last where left out."""
+    """Stage of `learn` that is evaluated; the trial's last if omitted."""
     sampler: str = "TPESampler"
     """Optuna: name of the sampler in optuna.samplers."""
     pruner: str = "NopPruner"
@@ -87,8 +87,8 @@ class SweepConfig:
         require(len(self.fields) > 0, "key 'fields' is empty; name at least one field with its values.")
         require_at_least(self, 1, "num")
         require_at_least(self, 0, "seed")
-        for name, found in self.varied.items():
-            lists = isinstance(found, Choices)
+        for name, values in self.varied.items():
+            lists = isinstance(values, Choices)
             require(lists or self.design != "grid", f"key 'fields.{name}': a grid needs a list of values.")
 
     @property

@@ -1,4 +1,4 @@
-"""Designs: which combinations of values a sweep tries."""
+"""Designs: the combinations of values that a sweep runs."""
 
 import itertools
 import math
@@ -12,14 +12,14 @@ Point = dict[str, Value]
 
 
 def num_points(config: SweepConfig) -> int:
-    """Trials that are asked for, equal ones counted each."""
+    """Return the number of trials of the design, duplicates included."""
     if config.design != "grid":
         return config.num
     return math.prod(len(values.values) for values in config.varied.values() if isinstance(values, Choices))
 
 
 def points(config: SweepConfig) -> Iterator[Point]:
-    """The combinations of a grid, of random draws or of a Latin hypercube (McKay et al. 1979), in order.
+    """Yield the combinations of a grid, of random draws or of a Latin hypercube (McKay et al. 1979), in order.
 
     A random design is the beginning of any longer one of the same seed.
     """
@@ -36,4 +36,4 @@ def points(config: SweepConfig) -> Iterator[Point]:
         rng = np.random.default_rng(config.seed)
         rows = (rng.random(len(varied)) for _ in range(config.num))
     for row in rows:
-        yield {name: values.at(float(u)) for (name, values), u in zip(varied.items(), row, strict=True)}
+        yield {name: values.value_at(float(u)) for (name, values), u in zip(varied.items(), row, strict=True)}

@@ -13,7 +13,7 @@ import jax
 
 from driftjax.parallel import BatchExecutor, DeviceExecutor, clear_program_cache, run_together
 from driftjax.sweep.config import SweepConfig
-from driftjax.sweep.executors import Executor
+from driftjax.sweep.executors import ChunkExecutor
 from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Work, run_trial
@@ -25,7 +25,9 @@ KILLS = 2  # workers that a trial may take with it where it runs alone
 Report = Callable[[str, int, int], None]
 
 
-def sweep(config: SweepConfig, work: Work, store: Store, source: Source, executor: Executor, report: Report) -> Counter:
+def run_trials(
+    config: SweepConfig, work: Work, store: Store, source: Source, executor: ChunkExecutor, report: Report
+) -> Counter:
     """Run the trials that the store lacks; returns the number of trials run now by status."""
     state = _Run(config, work, store, source, executor, report)
     state.all()
@@ -34,7 +36,7 @@ def sweep(config: SweepConfig, work: Work, store: Store, source: Source, executo
 
 class _Run:
     def __init__(
-        self, config: SweepConfig, work: Work, store: Store, source: Source, executor: Executor, report: Report
+        self, config: SweepConfig, work: Work, store: Store, source: Source, executor: ChunkExecutor, report: Report
     ):
         self.config, self.work, self.store = config, work, store
         self.source, self.executor, self.report = source, executor, report

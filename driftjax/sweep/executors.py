@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from driftjax.core import BadInput
 from driftjax.logs.extras import import_extra
@@ -14,54 +14,39 @@ from driftjax.parallel import apply_settings, process_pool, settings
 ENVIRONMENT = ("NPROC", "OPENBLAS_NUM_THREADS", "JAX_PLATFORMS", "XLA_FLAGS", "PYTHONPATH")
 
 
-class Executor(Protocol):
-    """Run functions defined at module level."""
+class ChunkExecutor:
+    """Run functions in this process at once; a batch of trials where `batched`."""
+
+    def __init__(self, batched: bool = False):
+        self.batched = batched
 
     @property
     def slots(self) -> int:
         """Number of chunks to submit at once."""
-        ...
-
-    @property
-    def batched(self) -> bool:
-        """Whether trials should come in batches."""
-        ...
+        return 1
 
     def submit(self, function: Callable, *args: Any) -> Future:
-        """Submit `function(*args)`."""
-        ...
-
-    def restart(self) -> None:
-        """Replace workers that died."""
-        ...
-
-
-class InProcessExecutor:
-    """Run in this process at once; a batch of trials where `batched`."""
-
-    slots = 1
-
-    def __init__(self, batched: bool):
-        self.batched = batched
-
-    def submit(self, function: Callable, *args: Any) -> Future:
-        """Run the function; the future is done on return."""
+        """Submit `function(*args)`, defined at module level; here the future is done on return."""
         future: Future = Future()
         future.set_result(function(*args))
         return future
 
     def restart(self) -> None:
-        """Do nothing: there are no workers."""
+        """Replace workers that died; by default there are none, or they are replaced already."""
 
 
-class ProcessExecutor:
+class ProcessExecutor(ChunkExecutor):
     """Run in worker processes; one chunk waits for each."""
 
-    batched = False
-
     def __init__(self, num: int, stack: ExitStack):
-        self.num, self.slots, self._stack = num, 2 * num, stack
+        super().__init__()
+        self.num, self._stack = num, stack
         self._pool = stack.enter_context(process_pool(num))
+
+    @property
+    def slots(self) -> int:
+        """Two for each process."""
+        return 2 * self.num
 
     def submit(self, function: Callable, *args: Any) -> Future:
         """Submit to the first free process."""
@@ -73,12 +58,11 @@ class ProcessExecutor:
         self._pool = self._stack.enter_context(process_pool(self.num))
 
 
-class RayExecutor:
+class RayExecutor(ChunkExecutor):
     """Run on a Ray cluster, one core per worker; chunks of a lost worker or node are retried elsewhere."""
 
-    batched = False
-
     def __init__(self, address: str):
+        super().__init__()
         ray = import_extra("--ray", "Ray", "ray", "ray")
         environment = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
         try:
@@ -98,9 +82,6 @@ class RayExecutor:
         """Submit to the first free core."""
         return self._remote.remote(self._settings, function, args).future()
 
-    def restart(self) -> None:
-        """Do nothing: Ray replaces workers itself."""
-
     def close(self) -> None:
         """Leave the cluster."""
         self._ray.shutdown()
@@ -112,7 +93,7 @@ def _in_worker(known: dict[str, Any], function: Callable, args: tuple) -> Any:
 
 
 @contextmanager
-def executor(num: int, ray: str | None, batched: bool = False) -> Iterator[Executor]:
+def open_executor(num: int, ray: str | None, batched: bool = False) -> Iterator[ChunkExecutor]:
     """Open an executor: the cluster at address `ray`, `num` worker processes, or this process where `num` is 0."""
     with ExitStack() as stack:
         if ray is not None:
@@ -120,4 +101,4 @@ def executor(num: int, ray: str | None, batched: bool = False) -> Iterator[Execu
             stack.callback(cluster.close)
             yield cluster
         else:
-            yield ProcessExecutor(num, stack) if num else InProcessExecutor(batched)
+            yield ProcessExecutor(num, stack) if num else ChunkExecutor(batched)

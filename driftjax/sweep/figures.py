@@ -1,4 +1,4 @@
-"""Figures of a sweep: main effects and interactions, parallel coordinates, Pareto front, shares of the variance."""
+"""Plot a sweep: main effects and interactions, parallel coordinates, Pareto front, shares of the variance."""
 
 from itertools import combinations
 from pathlib import Path
@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
+from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, panel_grid, save
 from driftjax.sweep.analysis import Analysis, Shares, groups_of
 from driftjax.sweep.config import Range
 
@@ -15,15 +15,15 @@ PAIRS, LINES = 6, 500  # pairs of fields shown, trials drawn
 
 
 def write_figures(analysis: Analysis, shares: Shares | None, folder: Path) -> list[Path]:
-    """All figures that the trials allow, as PNG and PDF; the paths of the PNG."""
+    """Write all figures that the trials allow, as PNG and PDF; returns the paths of the PNGs."""
     if len(analysis.objective) < 2:
         return []
-    paths = [main_effects(analysis, folder), coordinates(analysis, folder)]
+    paths = [plot_main_effects(analysis, folder), plot_parallel_coordinates(analysis, folder)]
     if len(analysis.values) > 1:
-        paths.append(interactions(analysis, shares, folder))
+        paths.append(plot_interactions(analysis, shares, folder))
     if np.isfinite(analysis.second).any():
-        paths.append(pareto(analysis, folder))
-    return [*paths, variance(shares, analysis, folder)] if shares else paths
+        paths.append(plot_pareto(analysis, folder))
+    return [*paths, plot_sensitivity(shares, analysis, folder)] if shares else paths
 
 
 def _log(analysis: Analysis, name: str) -> bool:
@@ -39,12 +39,11 @@ def _label(analysis: Analysis, name: str, axis: Axes, which: str = "x") -> None:
         getattr(axis, f"set_{which}scale")("log")
 
 
-def main_effects(analysis: Analysis, folder: Path) -> Path:
-    """The objective over each field: trials, and means with 95 % intervals of the mean."""
+def plot_main_effects(analysis: Analysis, folder: Path) -> Path:
+    """Plot the objective over each field: trials, and means with 95 % intervals of the mean."""
     names = list(analysis.values)
-    columns = min(3, len(names))
-    figure, axes = new_figure(-(-len(names) // columns), columns, (3.4 * columns, 2.8 * -(-len(names) // columns)))
-    for axis, name in zip(axes.flat, names, strict=False):
+    figure, panels = panel_grid(len(names), 3, 3.4, 2.8)
+    for axis, name in zip(panels, names, strict=True):
         x, place = analysis.values[name], groups_of(analysis.values[name])
         axis.plot(x, analysis.objective, ".", color=NOMINAL, alpha=0.35, ms=4, zorder=1)
         groups = [place == k for k in np.unique(place)]
@@ -54,25 +53,19 @@ def main_effects(analysis: Analysis, folder: Path) -> Path:
         axis.errorbar(middle, mean, half, color=EXPLORED, marker="o", ms=4, capsize=2, zorder=2)
         axis.set_ylabel(analysis.config.objective)
         _label(analysis, name, axis)
-    for axis in list(axes.flat)[len(names) :]:
-        axis.set_visible(False)
     return save(figure, folder, "main_effects")
 
 
-def interactions(analysis: Analysis, shares: Shares | None, folder: Path) -> Path:
-    """Mean objective over pairs of fields, those first that explain most beyond each by itself."""
+def plot_interactions(analysis: Analysis, shares: Shares | None, folder: Path) -> Path:
+    """Plot the mean objective over pairs of fields, those with the largest interaction first."""
     share = lambda pair: (shares or {}).get(" with ".join(pair), (0.0,))[0]
     pairs = sorted(combinations(analysis.values, 2), key=share, reverse=True)[:PAIRS]
-    columns = min(3, len(pairs))
-    rows = -(-len(pairs) // columns)
-    figure, axes = new_figure(rows, columns, (3.8 * columns, 3.2 * rows))
-    for axis, (a, b) in zip(axes.flat, pairs, strict=False):
+    figure, panels = panel_grid(len(pairs), 3, 3.8, 3.2)
+    for axis, (a, b) in zip(panels, pairs, strict=True):
         x, y = groups_of(analysis.values[a]), groups_of(analysis.values[b])
         grid = np.full((y.max() + 1, x.max() + 1), np.nan)
-        for i in range(grid.shape[0]):
-            for j in range(grid.shape[1]):
-                inside = (y == i) & (x == j)
-                grid[i, j] = analysis.objective[inside].mean() if inside.any() else np.nan
+        for i, j in {*zip(y.tolist(), x.tolist(), strict=True)}:
+            grid[i, j] = analysis.objective[(y == i) & (x == j)].mean()
         image = axis.imshow(grid, origin="lower", aspect="auto", cmap="viridis")
         figure.colorbar(image, ax=axis, label=analysis.config.objective)
         for which, name, place in (("x", a, x), ("y", b, y)):
@@ -82,13 +75,11 @@ def interactions(analysis: Analysis, shares: Shares | None, folder: Path) -> Pat
             getattr(axis, f"set_{which}label")(name)
         axis.tick_params(axis="x", rotation=45)
         axis.grid(False)
-    for axis in list(axes.flat)[len(pairs) :]:
-        axis.set_visible(False)
     return save(figure, folder, "interactions")
 
 
-def coordinates(analysis: Analysis, folder: Path) -> Path:
-    """Parallel coordinates: a line per trial, the better the darker, over its fields and the objective."""
+def plot_parallel_coordinates(analysis: Analysis, folder: Path) -> Path:
+    """Plot parallel coordinates: a line per trial over its fields and the objective, better ones darker."""
     columns = {**analysis.values, analysis.config.objective: analysis.objective}
     figure, axes = new_figure(1, 1, (1.6 * len(columns) + 2.0, 4.0))
     axis, colours = axes[0, 0], plt.get_cmap("viridis")
@@ -111,28 +102,21 @@ def coordinates(analysis: Analysis, folder: Path) -> Path:
     return save(figure, folder, "parallel_coordinates")
 
 
-def pareto(analysis: Analysis, folder: Path) -> Path:
-    """Objective against the second figure, and the trials that none beats in both."""
+def plot_pareto(analysis: Analysis, folder: Path) -> Path:
+    """Plot the objective against the second figure, with the Pareto front."""
     figure, axes = new_figure(1, 1, (4.6, 3.6))
     axis, front = axes[0, 0], analysis.front
     axis.plot(analysis.objective, analysis.second, ".", color=NOMINAL, alpha=0.4, label="trials")
-    axis.step(
-        analysis.objective[front],
-        analysis.second[front],
-        "o-",
-        where="post",
-        color=EXPLORED,
-        ms=4,
-        label="Pareto front",
-    )
+    best = (analysis.objective[front], analysis.second[front])
+    axis.step(*best, "o-", where="post", color=EXPLORED, ms=4, label="Pareto front")
     axis.set_xlabel(analysis.config.objective)
     axis.set_ylabel(analysis.config.second)
     axis.legend()
     return save(figure, folder, "pareto")
 
 
-def variance(shares: Shares, analysis: Analysis, folder: Path) -> Path:
-    """Share of the objective's variance that each field explains by itself, and pairs beyond that."""
+def plot_sensitivity(shares: Shares, analysis: Analysis, folder: Path) -> Path:
+    """Plot the share of the objective's variance that each field explains by itself, and pairs beyond that."""
     order = sorted(shares, key=lambda name: shares[name][0])
     share, low, high = np.array([shares[name] for name in order]).T
     figure, axes = new_figure(1, 1, (5.4, 0.35 * len(order) + 1.2))

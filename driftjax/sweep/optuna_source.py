@@ -10,13 +10,14 @@ from driftjax.logs.extras import import_extra
 from driftjax.sweep.analysis import analyse
 from driftjax.sweep.config import Choices, SweepConfig
 from driftjax.sweep.design import Point
+from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial, objective
 
 NAME = "sweep"  # of the study
 
 
-class OptunaSource:
+class OptunaSource(Source):
     """Trials of a study in a database, which can be resumed."""
 
     adaptive = True
@@ -25,7 +26,7 @@ class OptunaSource:
         self._optuna = import_extra("key 'design'", "optuna", "optuna", "optuna")
         self._optuna.logging.set_verbosity(self._optuna.logging.WARNING)
         self.config, self.work = config, work
-        known, analysis = store.known()[0], analyse(store, config)
+        known, analysis = store.known_trials()[0], analyse(store, config)
         objectives = dict(zip(analysis.ids, map(float, analysis.objective), strict=True))
         self._values = {name: objectives.get(name, math.nan) for name in known}  # objective by id of the trial
         self._url = config.storage or f"sqlite:///{(store.path / 'optuna.db').resolve()}"

@@ -18,7 +18,7 @@ SHOWN = ("folder", "trial", "car", "stage", "controller", "plant", "noise_seed",
          "velocity_rmse", "lap_time")  # fmt: skip
 
 
-def laps(root: Path) -> duckdb.DuckDBPyConnection:
+def open_laps(root: Path) -> duckdb.DuckDBPyConnection:
     """Open a database whose view `laps` has one row per lap below `root`: figures, options by dotted names, `folder`,
     `verb`, `trial` of a sweep and all its options as JSON in `config`."""
     database, parts = duckdb.connect(), []
@@ -69,7 +69,7 @@ def _rows(run: RunFolder) -> Iterator[dict[str, Any]]:
 
 def find_laps(root: Path, condition: str, limit: int) -> tuple[list[str], list[tuple], int]:
     """Return column names, rows of the laps that meet the SQL `condition`, best first, and their number."""
-    database = laps(root)
+    database = open_laps(root)
     try:
         found = database.sql(f"select * from laps where {condition}")
         known = found.columns
@@ -91,7 +91,7 @@ def read_run(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     if (Path(name) / "config.yaml").is_file():
         run = RunFolder.open(name)
         return flatten_config(run.config), _means(list(_rows(run)))
-    database = laps(root)
+    database = open_laps(root)
     found = database.execute("select * from laps where trial is not null and starts_with(trial, ?)", [name])
     columns = [column[0] for column in found.description or ()]
     rows = [dict(zip(columns, row, strict=True)) for row in found.fetchall()]

@@ -14,8 +14,8 @@ from driftjax.parallel import num_cores
 from driftjax.store import RunFolder
 from driftjax.sweep.analysis import Analysis, Shares, analyse, sensitivity, to_json
 from driftjax.sweep.config import SweepConfig
-from driftjax.sweep.engine import Report, devices, sweep
-from driftjax.sweep.executors import executor
+from driftjax.sweep.engine import Report, devices, run_trials
+from driftjax.sweep.executors import open_executor
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.optuna_source import OptunaSource
 from driftjax.sweep.source import DesignSource, check
@@ -87,12 +87,12 @@ def finish_sweep(
     config, folder, store = opened.config, opened.folder, opened.store
     num = workers or (1 if devices() is not None else num_cores())  # devices are filled by this process
     with store.locked(opened.share[0]):
-        known, damaged = store.known()
+        known, damaged = store.known_trials()
         optuna = config.design == "optuna"
         source = OptunaSource(config, store.work, store) if optuna else (
             DesignSource(config, store.work, known, opened.share))  # fmt: skip
-        with executor(num if num > 1 else 0, ray, devices() is not None) as running:
-            counts = sweep(config, store.work, store, source, running, report)
+        with open_executor(num if num > 1 else 0, ray, devices() is not None) as running:
+            counts = run_trials(config, store.work, store, source, running, report)
         analysis = analyse(store, config)
         shares = sensitivity(analysis)
         folder.write_json("results", to_json(analysis, shares))

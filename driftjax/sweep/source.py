@@ -3,45 +3,37 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 from driftjax.sweep.config import Choices, SweepConfig
 from driftjax.sweep.design import Point, num_points, points
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial
 
 
-class Source(Protocol):
+class Source:
     """Provide the missing trials in the order to run them."""
 
+    adaptive = False  # whether the next trial depends on results
     total: int  # trials of the sweep
     num_known: int  # of these, held by the store already
 
     @property
-    def adaptive(self) -> bool:
-        """Whether the next trial depends on results."""
-        ...
-
-    @property
     def watcher(self) -> Callable[[Trial, SweepConfig], Watch] | None:
-        """Make the callback that may prune a trial, in the process that runs it; None without pruning."""
-        ...
+        """Callback that may prune a trial, made in the process that runs it; None without pruning."""
+        return None
 
     def trials(self) -> Iterator[Trial]:
         """Yield the trials to run."""
-        ...
+        raise NotImplementedError
 
     def record(self, outcome: Outcome) -> None:
-        """Record the outcome of a trial."""
-        ...
+        """Record the outcome of a trial; a fixed design ignores it."""
 
 
-class DesignSource:
+class DesignSource(Source):
     """Trials of a fixed design; those that share a compiled program follow each other.
 
     Of several processes each runs a `share` (index, number of processes).
     """
-
-    adaptive, watcher = False, None
 
     def __init__(self, config: SweepConfig, work: Work, known: set[str], share: tuple[int, int] = (0, 1)):
         self.config, self.work, self.known, self.share = config, work, known, share
@@ -64,9 +56,6 @@ class DesignSource:
                 yield trial
             ids.add(trial.id)
 
-    def record(self, outcome: Outcome) -> None:
-        """Ignore the outcome: the design is fixed."""
-
 
 def _program(config: SweepConfig, point: Point) -> tuple[str, ...]:
     """Return the values that need a program of their own: all but floating-point numbers."""
@@ -80,7 +69,7 @@ def _hash(point: Point) -> int:
 
 def check(config: SweepConfig, work: Work) -> None:
     """Raise `BadInput` where the verb cannot take a value of a field by itself, beside the first of all others."""
-    ends = {name: list(f.values) if isinstance(f, Choices) else [f.at(0.0), f.at(1.0)]
+    ends = {name: list(f.values) if isinstance(f, Choices) else [f.value_at(0.0), f.value_at(1.0)]
             for name, f in config.varied.items()}  # fmt: skip
     first = {name: values[0] for name, values in ends.items()}
     for name, values in ends.items():

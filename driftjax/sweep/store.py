@@ -1,4 +1,4 @@
-"""Where outcomes are kept: a folder of Parquet files, each whole or absent, every trial in exactly one of them."""
+"""Store outcomes: a folder of Parquet files, each complete or absent, every trial in exactly one of them."""
 
 import fcntl
 import json
@@ -33,8 +33,10 @@ class Store:
 
     @contextmanager
     def locked(self, process: int = 0) -> Iterator[None]:
-        """The folder to oneself, or the share of this `process` of several; raises `BadInput` where another sweep has
-        it. A killed one leaves no lock."""
+        """Lock the folder, or the share of this `process` of several; raises `BadInput` where another sweep holds it.
+
+        A killed sweep leaves no lock.
+        """
         try:
             handle = (self.path / f"{LOCK}{process}").open("a")
         except OSError as error:
@@ -49,11 +51,11 @@ class Store:
             yield
 
     def parts(self) -> list[Path]:
-        """The Parquet files."""
+        """Return the Parquet files."""
         return sorted((self.path / PARTS).glob("*.parquet"))
 
-    def known(self) -> tuple[set[str], list[Path]]:
-        """Ids of the trials that are kept, and files that were set aside because they cannot be read."""
+    def known_trials(self) -> tuple[set[str], list[Path]]:
+        """Return the ids of the stored trials, and the files set aside because they cannot be read."""
         ids: set[str] = set()
         damaged = []
         for path in self.parts():
@@ -69,26 +71,22 @@ class Store:
         return ids, damaged
 
     def add(self, outcomes: list[Outcome]) -> Path:
-        """One more file, with these outcomes; a trial without rows has one in which only itself is told."""
+        """Write one more file with these outcomes; a trial without rows gets one row of its own values."""
         rows = [row for outcome in outcomes for row in _rows(outcome)]
         columns = {name: [row.get(name) for row in rows] for name in self.schema.names}
         table = pa.table(columns, schema=self.schema)
-        folder = self.path / PARTS
-        folder.mkdir(exist_ok=True)
-        for outcome in outcomes:
-            if outcome.error:
-                (self.path / ERRORS).mkdir(exist_ok=True)
-                text = outcome.error
-                write_atomically(
-                    self.path / ERRORS / f"{outcome.trial.id}.txt", lambda p, text=text: p.write_text(text)
-                )
-        path = folder / f"{outcomes[0].trial.number:08d}-{uuid.uuid4().hex[:8]}.parquet"
+        for folder in (PARTS, ERRORS):
+            (self.path / folder).mkdir(exist_ok=True)
+        for outcome in filter(lambda one: one.error, outcomes):
+            write = lambda p, text=outcome.error: p.write_text(text)
+            write_atomically(self.path / ERRORS / f"{outcome.trial.id}.txt", write)
+        path = self.path / PARTS / f"{outcomes[0].trial.number:08d}-{uuid.uuid4().hex[:8]}.parquet"
         write_atomically(path, lambda p: pq.write_table(table, p, compression="zstd"))
         return path
 
 
 def _type(values: Field) -> type:
-    """Of a field's column."""
+    """Return the type of a field's column."""
     if isinstance(values, Range):
         return int if values.integer else float
     kinds = {type(value) for value in values.values if value is not None}

@@ -54,7 +54,7 @@ def test_a_sweep_is_told_with_figures(tmp_path):
     config = config_of(fields=fields, design="lhs", num=120)
     run(tmp_path, config)
     analysis = analyse(Store(tmp_path, config, TOY), config)
-    assert analysis.status == {"done": 80, "failed": 40} and analysis.without == 40 and len(analysis.ids) == 40
+    assert analysis.status == {"done": 80, "failed": 40} and analysis.num_without == 40 and len(analysis.ids) == 40
     assert np.all(np.diff(analysis.objective) >= 0)
     found = to_json(analysis, sensitivity(analysis))
     best = found["best"][0]

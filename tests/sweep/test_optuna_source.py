@@ -3,7 +3,7 @@
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.sweep import Store, executor, sweep
+from driftjax.sweep import Store, open_executor, run_trials
 from driftjax.sweep.optuna_source import OptunaSource
 from tests.sweep.test_sweep import config_of, table
 from tests.sweep.toy import TOY
@@ -21,8 +21,8 @@ def run(path, config, workers=0, stop=None):
             if stop is not None and done >= stop:
                 raise KeyboardInterrupt
 
-        with executor(workers, None) as executed:
-            return sweep(config, TOY, store, source, executed, report)
+        with open_executor(workers, None) as executed:
+            return run_trials(config, TOY, store, source, executed, report)
 
 
 def test_trials_tend_to_the_optimum_and_a_stopped_sweep_goes_on(tmp_path):

@@ -13,10 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from driftjax.core import BadInput, from_dict
-from driftjax.sweep import DesignSource, Store, SweepConfig, check, executor, sweep
+from driftjax.sweep import DesignSource, Store, SweepConfig, check, open_executor, run_trials
 from driftjax.sweep.design import num_points, points
 from driftjax.sweep.engine import CHUNK_SECONDS
-from driftjax.sweep.executors import InProcessExecutor
+from driftjax.sweep.executors import ChunkExecutor
 from driftjax.sweep.trial import objective
 from tests.sweep.toy import TOY
 
@@ -35,10 +35,10 @@ def run(path, config, workers=0, ray=None):
     path.mkdir(parents=True, exist_ok=True)
     store = Store(path, config, TOY)
     with store.locked():
-        known, damaged = store.known()
+        known, damaged = store.known_trials()
         source = DesignSource(config, TOY, known)
-        with executor(workers, ray) as executed:
-            counts = sweep(config, TOY, store, source, executed, lambda *_: None)
+        with open_executor(workers, ray) as executed:
+            counts = run_trials(config, TOY, store, source, executed, lambda *_: None)
     return counts, source, damaged
 
 
@@ -168,10 +168,11 @@ def test_a_worker_that_dies_is_replaced_and_a_trial_that_kills_every_worker_fail
     }  # fmt: skip
 
 
-class Breaking(InProcessExecutor):
+class Breaking(ChunkExecutor):
     """Its pool is found broken at every second submission, before anything of it has begun."""
 
-    slots, submitted, restarted = 2, 0, 0
+    slots = property(lambda self: 2)
+    submitted, restarted = 0, 0
 
     def submit(self, function, *args):
         self.submitted += 1
@@ -186,7 +187,7 @@ class Breaking(InProcessExecutor):
 def test_a_pool_found_broken_loses_no_trial(tmp_path):
     config = config_of()
     store, executed = Store(tmp_path, config, TOY), Breaking(False)
-    counts = sweep(config, TOY, store, DesignSource(config, TOY, set()), executed, lambda *_: None)
+    counts = run_trials(config, TOY, store, DesignSource(config, TOY, set()), executed, lambda *_: None)
     assert counts == {"done": 8} and executed.restarted > 0
     assert len({row["trial"] for row in table(tmp_path)}) == 8
 
