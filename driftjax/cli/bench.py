@@ -10,16 +10,16 @@ import tyro
 from driftjax.cli.console import default_out, parse, progress, run_in
 from driftjax.core.config import to_dict
 from driftjax.store import RunFolder
-from driftjax.studies.bench.config import PARTS, Config
-from driftjax.studies.bench.run import main as measure
-from driftjax.studies.bench.table import page
+from driftjax.studies.bench.config import PARTS, BenchConfig
+from driftjax.studies.bench.run import run_bench
+from driftjax.studies.bench.table import bench_page
 
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
     """Speed of each part, as a ratio against a peer measured in the same run: table, JSON, scaling figures."""
 
-    options: Annotated[Config, tyro.conf.arg(name="")] = Config()
+    options: Annotated[BenchConfig, tyro.conf.arg(name="")] = BenchConfig()
     out: Path | None = None
     """Output folder; runs/bench-PARTS-TIME where left out."""
 
@@ -35,10 +35,10 @@ def run(argv: list[str]) -> int:
     return run_in(folder, lambda: work(options, folder))
 
 
-def work(options: Config, folder: RunFolder) -> int:
+def work(options: BenchConfig, folder: RunFolder) -> int:
     """Measure into `folder` and print the table."""
     with progress() as report:
-        results = measure(options, folder.path, report)
-    print(page(results), end="")
+        results = run_bench(options, folder.path, report)
+    print(bench_page(results), end="")
     print(f"bench: {folder.path}")
     return 0

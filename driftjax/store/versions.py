@@ -15,7 +15,7 @@ PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 def versions() -> dict[str, str | None]:
     """Return the versions of packages and Python, machine, device, commit and time."""
-    found: dict[str, str | None] = {"driftjax": __version__} | {name: _version(name) for name in PACKAGES}
+    found: dict[str, str | None] = {"driftjax": __version__} | {name: package_version(name) for name in PACKAGES}
     return found | {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -25,7 +25,8 @@ def versions() -> dict[str, str | None]:
     }
 
 
-def _version(name: str) -> str | None:
+def package_version(name: str) -> str | None:
+    """Return the version of an installed package; None if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -11,7 +11,7 @@ from driftjax.control.mpc import MPCSolution, Reference, drift_ocp, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options
-from driftjax.studies.bench.casadi_mpc import Transcribed
+from driftjax.studies.bench.casadi_mpc import CasadiMPC
 from driftjax.studies.bench.drift import WEIGHTS, X_REF, car, config, starts
 from driftjax.vehicle import no_residual
 
@@ -59,7 +59,7 @@ def test_input_and_rate_limits_hold_to_rounding():
 
 
 def test_ipopt_finds_the_same_cost():
-    peer = Transcribed("ipopt", car(), config(), WEIGHTS, X_REF, 1e-8, compiled=False)
+    peer = CasadiMPC("ipopt", car(), config(), WEIGHTS, X_REF, 1e-8, compiled=False)
     found = [peer.solve(x, before) for x, before in zip(*starts(NUM), strict=True)]
     assert all(one.success for one in found)
     ours, theirs = np.asarray(solved().plan.cost), np.array([one.cost for one in found])

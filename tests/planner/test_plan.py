@@ -16,7 +16,7 @@ from driftjax.planner.nodes import nodes
 from driftjax.planner.planner import problem
 from driftjax.planner.problem import MinimumTime
 from driftjax.planner.stages import device, guesses, stages, tight_corners
-from driftjax.studies.bench.casadi_plan import Transcribed
+from driftjax.studies.bench.casadi_plan import CasadiPlan
 from driftjax.track import corner, load_track, playground
 from driftjax.vehicle import load_vehicle
 
@@ -65,7 +65,7 @@ def compare_with_ipopt(found: Plan, track, vehicle, config):
     ds = at.s[1] - at.s[0]
     scale = np.asarray(problem(vehicle, config, stage, ds).scale)
     guess = guesses(at.s, stage, corners, vehicle, config)[0]
-    states, _, success = Transcribed(vehicle, config, stage, ds, scale).solve(guess)
+    states, _, success = CasadiPlan(vehicle, config, stage, ds, scale).solve(guess)
     assert success
     slowness = (1 - states[:, 3] * np.asarray(stage.kappa)[:, 0]) / (states[:, 0] * np.cos(states[:, 1] + states[:, 4]))
     time = np.sum(np.asarray(stage.share) * slowness) * ds

@@ -19,7 +19,7 @@ KN = np.array([1.0, 1000.0])
 QUIET = {"fatrop": {"fatrop.print_level": 0}, "ipopt": {"ipopt.print_level": 0, "ipopt.sb": "yes"}}
 
 
-class Answer(NamedTuple):
+class CasadiSolution(NamedTuple):
     """One solve."""
 
     cost: float
@@ -38,7 +38,7 @@ def _step(v: VehicleConfig, dt: float) -> ca.Function:
     return ca.Function("step", [ca.vertcat(x, last), u], [ca.vertcat(x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), u)])
 
 
-class Transcribed:
+class CasadiMPC:
     """The problem for one solver: `compiled` to C by gcc, or evaluated by CasADi."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Transcribed:
         with generated(compiled) as more:
             self.solver = ca.nlpsol("drift_mpc", solver, nlp, options | more)
 
-    def solve(self, x: np.ndarray, previous: np.ndarray) -> Answer:
+    def solve(self, x: np.ndarray, previous: np.ndarray) -> CasadiSolution:
         """One solve from `x` (3,) and the last command `previous` (2,) in rad and N; the guess is the reference."""
         before = previous / KN
         stage = np.concatenate([self.x_ref, before, before])
@@ -67,7 +67,7 @@ class Transcribed:
         start = time.perf_counter()
         out = self.solver(x0=guess, p=np.concatenate([x, before]), **self.bounds)
         seconds = time.perf_counter() - start
-        return Answer(float(out["f"]), bool(self.solver.stats()["success"]), seconds)
+        return CasadiSolution(float(out["f"]), bool(self.solver.stats()["success"]), seconds)
 
 
 def _transcription(v: VehicleConfig, config: MPCConfig, weights: Weights, x_ref: np.ndarray):

@@ -13,7 +13,7 @@ from driftjax.vehicle import VehicleConfig
 UNIT = 0.1  # seconds that the objective is written in, so that IPOPT's own scaling suits it
 
 
-class Answer(NamedTuple):
+class PlanSolution(NamedTuple):
     """One solve."""
 
     states: np.ndarray  # (n, 7) V, beta, r, e, theta, delta, Fxr
@@ -21,7 +21,7 @@ class Answer(NamedTuple):
     success: bool
 
 
-class Transcribed:
+class CasadiPlan:
     """The plan on `n` nodes `ds` [m] apart for IPOPT: `compiled` to C by gcc, or evaluated by CasADi.
 
     Variables are the states over `scale` (7,), and the rates of the inputs as a share of their largest.
@@ -56,13 +56,13 @@ class Transcribed:
             self._solver = ca.nlpsol("plan", "ipopt", nlp, options | more)
         self._bounds = _bounds(vehicle, config, stage, scale)
 
-    def solve(self, guess: np.ndarray) -> Answer:
+    def solve(self, guess: np.ndarray) -> PlanSolution:
         """IPOPT's answer from `guess` (n, 7) in SI and resting inputs."""
         n = self.nodes
         start = _flat((guess / self.scale).T, np.zeros((2, n - 1)))
         out = self._solver(x0=start, **self._bounds)
         states = np.asarray(out["x"])[: 7 * n].reshape(n, 7) * self.scale
-        return Answer(states, float(out["f"]) * UNIT, bool(self._solver.stats()["success"]))
+        return PlanSolution(states, float(out["f"]) * UNIT, bool(self._solver.stats()["success"]))
 
 
 def _flat(A, B) -> np.ndarray:

@@ -12,7 +12,7 @@ Dtype = Literal["float64", "float32"]
 
 
 @dataclass(frozen=True)
-class Config:
+class BenchConfig:
     """Measure every fast part as a ratio against a peer in the same run."""
 
     only: tuple[Part, ...] = PARTS

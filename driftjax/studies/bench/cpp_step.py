@@ -48,7 +48,7 @@ def compiled(kind: Literal["vector", "scalar"]) -> Library:
         return Library(ctypes.CDLL(library), "loop vectorized" in told)
 
 
-def stepper(
+def cpp_steps(
     library: Library, v: VehicleConfig, columns: tuple[np.ndarray, ...]
 ) -> Callable[[], tuple[np.ndarray, ...]]:
     """Steps of cars given as V, beta, r, delta, Fxr, dt (n,) of one precision: V, beta, r (n,) one step later."""

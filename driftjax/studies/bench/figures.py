@@ -11,7 +11,7 @@ OURS, THEIRS = (EXPLORED, GPR), (NOMINAL, OTHER, "#2E8B57", "#7B5EA7", "#999999"
 MARKERS = "osv^D<>"
 
 
-def write_figures(curves: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
+def write_curves(curves: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
     """A PNG and a PDF for each figure that the curves name; returns the paths of the PNGs."""
     names = dict.fromkeys(curve["figure"] for curve in curves)
     return [_draw([curve for curve in curves if curve["figure"] == name], out, name) for name in names]

@@ -11,10 +11,10 @@ from driftjax.gp import FitResult, Hyper, KernelGP, data_scales, fit, fit_kernel
 from driftjax.gp.fit import FINE, LOWER, UPPER
 from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squared_differences
-from driftjax.studies.bench.config import Config
+from driftjax.studies.bench.config import BenchConfig
 from driftjax.studies.bench.drift import residual_rows
 from driftjax.studies.bench.peers import missing
-from driftjax.studies.bench.rows import Curve, Keeping, Measured, Row, alternate, timed
+from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, alternate, measure_curve, timed
 
 TARGETS = {300: 8.0, 1000: 4.0}
 ANY_SIZES = (50, 200, 500)  # rows of the fit with automatic gradient
@@ -32,7 +32,7 @@ class Data(NamedTuple):
     T: np.ndarray
 
 
-def data(num: int) -> Data:
+def noisy_rows(num: int) -> Data:
     """`num` rows of a car with less friction, with noise."""
     Z, Y = residual_rows(num)
     Y = Y + NOISE * np.sqrt(np.mean(Y**2, axis=0)) * np.random.default_rng(2).standard_normal(Y.shape)
@@ -40,22 +40,22 @@ def data(num: int) -> Data:
     return Data(jnp.asarray(Z), jnp.asarray(Y), Z / np.asarray(scale), Y / np.asarray(output_scale))
 
 
-def ours(rows: Data) -> Callable[[], FitResult]:
+def gp_fit(rows: Data) -> Callable[[], FitResult]:
     """The fit on all `rows` from one start, ready to be run."""
     num = len(rows.X)
     return lambda: fit(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
 
 
-def measure(cfg: Config) -> Measured:
+def measure(cfg: BenchConfig) -> PartResult:
     """All rows; curves where asked for."""
     rows = [_row(cfg, num) for num in ((40,) if cfg.quick else TARGETS)]
     any_rows = [_any_row(cfg, num) for num in ((40,) if cfg.quick else ANY_SIZES)]
-    return Measured(rows + any_rows, _curves(cfg) if cfg.plots else [])
+    return PartResult(rows + any_rows, _curves(cfg) if cfg.plots else [])
 
 
-def _row(cfg: Config, num: int) -> Row:
-    rows = data(num)
-    mine, theirs = Keeping(ours(rows)), Keeping(_scikit_learn(rows))
+def _row(cfg: BenchConfig, num: int) -> Row:
+    rows = noisy_rows(num)
+    mine, theirs = RecordedCall(gp_fit(rows)), RecordedCall(_scikit_learn(rows))
     runs = {"ours": timed(mine, 1)} | ({} if missing("scikit-learn") else {"theirs": timed(theirs, 1)})
     times = alternate(cfg.repeats, runs)
     facts: dict[str, Any] = {"rows": num, "likelihood": _likelihoods(rows, _logs(mine.last.gp.hyper))}
@@ -69,7 +69,7 @@ def _row(cfg: Config, num: int) -> Row:
                times.get("theirs"), "faster", TARGETS.get(num), missing("scikit-learn"), facts)  # fmt: skip
 
 
-def squared_exponential(p: dict[str, jax.Array], a: jax.Array, b: jax.Array) -> jax.Array:
+def se_kernel(p: dict[str, jax.Array], a: jax.Array, b: jax.Array) -> jax.Array:
     """The shipped kernel as a function of two points."""
     return p["amplitude"] ** 2 * jnp.exp(-0.5 * jnp.sum(((a - b) / p["length"]) ** 2))
 
@@ -78,15 +78,15 @@ def any_kernel(rows: Data) -> Callable[[], KernelGP]:
     """The fit of the first output with automatic gradient from one start, within the same bounds."""
     box = [{"amplitude": side[1], "length": np.full(rows.X.shape[1], side[0])} for side in (LOWER, UPPER)]
     X, y = jnp.asarray(rows.X), jnp.asarray(rows.T[:, 0])
-    return lambda: fit_kernel(squared_exponential, X, y, *box, noise=(LOWER[2], UPPER[2]), num_restarts=1,
+    return lambda: fit_kernel(se_kernel, X, y, *box, noise=(LOWER[2], UPPER[2]), num_restarts=1,
                               tolerance=FINE, key=jax.random.key(0))  # fmt: skip
 
 
-def _any_row(cfg: Config, num: int) -> Row:
+def _any_row(cfg: BenchConfig, num: int) -> Row:
     """One output: closed-form derivatives beside automatic ones."""
-    rows = data(num)
+    rows = noisy_rows(num)
     one = rows._replace(Y=rows.Y[:, :1])
-    mine, theirs = Keeping(ours(one)), Keeping(any_kernel(rows))
+    mine, theirs = RecordedCall(gp_fit(one)), RecordedCall(any_kernel(rows))
     times = alternate(cfg.repeats, {"ours": timed(mine, 1), "theirs": timed(theirs, 1)})
     ahead = (float(mine.last.log_marginal_likelihood[0]) - float(theirs.last.log_marginal_likelihood)) / num
     facts = {"rows": num, "ahead": ahead, "remarks": f"likelihood of the closed form ahead per data row {ahead:.1e}"}
@@ -98,7 +98,7 @@ def _scikit_learn(rows: Data) -> Callable[[], np.ndarray]:
     def run() -> np.ndarray:
         from driftjax.studies.bench import sklearn_gp
 
-        return sklearn_gp.fit(rows.X, rows.T)
+        return sklearn_gp.fit_sklearn(rows.X, rows.T)
 
     return run
 
@@ -115,13 +115,12 @@ def _likelihoods(rows: Data, logs: np.ndarray) -> list[float]:
     return [float(at(jnp.asarray(x), jnp.asarray(y))) for x, y in zip(logs, rows.T.T, strict=True)]
 
 
-def _curves(cfg: Config) -> list[Curve]:
-    sizes, repeats = ((40,), 1) if cfg.quick else (SIZES, min(3, cfg.repeats))
-    fits: dict[str, Callable[[Data], Callable[[], object]]] = {"driftjax": ours}
+def _curves(cfg: BenchConfig) -> list[Curve]:
+    sizes, repeats = ((40,), 1) if cfg.quick else (SIZES, cfg.repeats)
+    fits: dict[str, Callable[[Data], Callable[[], object]]] = {"driftjax": gp_fit}
     if not missing("scikit-learn"):
         fits["scikit-learn"] = _scikit_learn
-    curves = []
-    for label, make in fits.items():
-        found = [alternate(repeats, {"one": timed(make(data(n)), 1)})["one"].median for n in sizes]
-        curves.append(Curve("gp", label, "rows", "fit", sizes, tuple(found)))
-    return curves
+    return [
+        measure_curve(repeats, ("gp", label, "rows", "fit"), sizes, lambda n, make=make: timed(make(noisy_rows(n)), 1))
+        for label, make in fits.items()
+    ]

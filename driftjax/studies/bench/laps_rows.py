@@ -16,8 +16,8 @@ from driftjax.learning.stages import drive_nominal, first_progress
 from driftjax.learning.updates import update_progress
 from driftjax.parallel import BatchExecutor, process_executor
 from driftjax.sim import LapCode
-from driftjax.studies.bench.config import Config
-from driftjax.studies.bench.rows import Measured, Row, Timing
+from driftjax.studies.bench.config import BenchConfig
+from driftjax.studies.bench.rows import PartResult, Row, Timing
 from driftjax.vehicle import Residual
 
 CAR = "sedan"
@@ -30,25 +30,25 @@ class Driven(NamedTuple):
     completed: float  # share
 
 
-def settings(num: int) -> LearnConfig:
+def lap_options(num: int) -> LearnConfig:
     """One controller, `num` plants drawn at random, one noise seed each."""
     return dataclasses.replace(load_learn_config(CAR), plants=num, noise_seeds=1, controllers=("path",), compare=False)
 
 
-def taught() -> Residual:
+def learnt_residual() -> Residual:
     """What one plant's nominal lap teaches."""
     with process_executor(0) as executor:
-        scenario = build(settings(1), executor)
+        scenario = build(lap_options(1), executor)
         stage, _ = drive_nominal(scenario, 0)
         progress = update_progress(scenario, first_progress(scenario), stage, None, 0)
     return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.model_state.residual)
 
 
-def drive(num: int, num_workers: int, residual: Residual) -> Driven:
+def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
     """A GP lap of `num` plants at once, with every worker's programs compiled before."""
     with process_executor(num_workers) as executor:
         warm_up(executor, max(1, num_workers), residual)
-        scenario, batch = laid_out(executor, num, residual)
+        scenario, batch = build_laps(executor, num, residual)
         start = time.perf_counter()
         stage = run_stage(scenario, batch, 1)
         jax.block_until_ready(stage.laps.code)
@@ -58,25 +58,25 @@ def drive(num: int, num_workers: int, residual: Residual) -> Driven:
 
 def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
     """A lap of `num` plants, one per worker."""
-    scenario, batch = laid_out(executor, num, residual)
+    scenario, batch = build_laps(executor, num, residual)
     run_stage(scenario, batch, 0)
 
 
-def laid_out(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
+def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
     """`num` plants, all driven with the same residual."""
-    scenario = build(settings(num), executor)
+    scenario = build(lap_options(num), executor)
     return scenario, drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
-def measure(cfg: Config) -> Measured:
+def measure(cfg: BenchConfig) -> PartResult:
     """What a lap costs among many, against one alone; each is driven once."""
     num = 2 if cfg.quick else cfg.batch
     num_workers = cfg.workers if jax.default_backend() == "cpu" and cfg.workers > 1 else 0
-    residual = taught()
-    alone, many = drive(1, 0, residual), drive(num, num_workers, residual)
+    residual = learnt_residual()
+    alone, many = time_laps(1, 0, residual), time_laps(num, num_workers, residual)
     words = f"{many.seconds:.3g} s in all with {max(1, num_workers)} processes, {many.completed:.3g} of laps completed"
     facts = {"plants": num, "processes": max(1, num_workers), "seconds": many.seconds, "completed": many.completed,
              "remarks": words}  # fmt: skip
     what = f"GP lap in closed loop among {num} plants at once"
-    return Measured([Row("laps", what, "lap", Timing((many.seconds / num,)), "one lap alone, one core",
+    return PartResult([Row("laps", what, "lap", Timing((many.seconds / num,)), "one lap alone, one core",
                          Timing((alone.seconds,)), "costs", facts=facts)])  # fmt: skip

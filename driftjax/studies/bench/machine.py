@@ -3,13 +3,12 @@
 import os
 import platform
 import subprocess
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from driftjax.store.versions import versions
+from driftjax.store.versions import package_version, versions
 
 PACKAGES = ("casadi", "numba", "scikit-learn", "scipy")
 
@@ -22,7 +21,7 @@ def machine() -> dict[str, Any]:
         "host": platform.node(),
         "load_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,  # others slow both sides
         "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
-        "versions": versions() | {name: _version(name) for name in PACKAGES} | {"g++": _compiler("g++")},
+        "versions": versions() | {name: package_version(name) for name in PACKAGES} | {"g++": _compiler("g++")},
     }
 
 
@@ -32,13 +31,6 @@ def _processor() -> str:
     lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 def _compiler(name: str) -> str | None:

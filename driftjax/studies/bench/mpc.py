@@ -44,7 +44,7 @@ def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, t
     return Solved(plans.cost, plans.result == RESULTS.successful)
 
 
-def ours(
+def mpc_solves(
     kind: Kind, starts: Starts, dtype: Dtype, *, horizon: int = HORIZON, threads: int = 1, gp: GP | None = None
 ) -> Callable[[], Solved]:
     """The solves of all `starts`, in equal parts on as many threads, with `gp` in the dynamics, ready to be run."""
@@ -65,7 +65,7 @@ def ours(
     return run
 
 
-def learnt(num: int) -> GP:
+def example_gp(num: int) -> GP:
     """GP of what a car with less friction does otherwise near the drift, at `num` random points."""
     Z, Y = (jnp.asarray(table, jnp.result_type(float)) for table in residual_rows(num))
     mask = jnp.ones(num, bool)

@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from driftjax.studies.bench.config import Config, Dtype
+from driftjax.studies.bench.config import BenchConfig, Dtype
 from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
-from driftjax.studies.bench.mpc import TOLERANCES, Kind, Solved, learnt, ours
+from driftjax.studies.bench.mpc import TOLERANCES, Kind, Solved, example_gp, mpc_solves
 from driftjax.studies.bench.peers import PEERS, Solver, missing
-from driftjax.studies.bench.rows import Curve, Keeping, Measured, Row, Timing, alternate, timed
+from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, Timing, alternate, measure_curve, timed
 
 NAMES: dict[Kind, str] = {"rti": "real-time iteration", "converged": "converged"}
 # FATROP's converged solve over acados' time for each kind, measured where both could be installed
@@ -26,7 +26,7 @@ BATCHES, HORIZONS, GP_SIZES = (1, 4, 16, 64, 256, 1024), (10, 20, 40, 80), (0, 5
 
 
 @dataclass(frozen=True)
-class Case:
+class SolveCase:
     """Solves of one kind, so many at once."""
 
     kind: Kind
@@ -50,10 +50,10 @@ class Peer:
     """A CasADi solver that solves all starts one after the other."""
 
     def __init__(self, solver: Solver, problems: Starts, horizon: int):
-        from driftjax.studies.bench.casadi_mpc import Transcribed
+        from driftjax.studies.bench.casadi_mpc import CasadiMPC
 
         self._problems = problems
-        self._solver = Transcribed(solver, car(), config(horizon), WEIGHTS, X_REF, TOLERANCE)
+        self._solver = CasadiMPC(solver, car(), config(horizon), WEIGHTS, X_REF, TOLERANCE)
         self.costs, self.success = np.zeros(len(problems.x)), 0.0
 
     def run(self) -> float:
@@ -64,29 +64,29 @@ class Peer:
         return float(np.median([one.seconds for one in answers]))
 
 
-def measure(cfg: Config) -> Measured:
+def measure(cfg: BenchConfig) -> PartResult:
     """All rows; curves where asked for."""
     problems, horizon = starts(cfg.batch), QUICK_HORIZON if cfg.quick else HORIZON
     rows = _rows(cfg, problems, horizon) + [_gp_row(cfg, problems, horizon)]
-    return Measured(rows, _curves(cfg, problems, horizon) if cfg.plots else [])
+    return PartResult(rows, _curves(cfg, problems, horizon) if cfg.plots else [])
 
 
-def _rows(cfg: Config, problems: Starts, horizon: int) -> list[Row]:
+def _rows(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Row]:
     peers: dict[Solver, Peer] = {} if missing("casadi") else {name: Peer(name, problems, horizon) for name in PEERS}
-    cases = [Case(kind, dtype, num)
+    cases = [SolveCase(kind, dtype, num)
              for num in dict.fromkeys((cfg.batch, 1)) for kind in NAMES for dtype in cfg.dtype]  # fmt: skip
     mine = {
-        case: Keeping(ours(case.kind, starts(case.num), case.dtype, horizon=horizon, threads=cfg.threads))
+        case: RecordedCall(mpc_solves(case.kind, starts(case.num), case.dtype, horizon=horizon, threads=cfg.threads))
         for case in cases
     }
-    runs: dict[Case | Solver, Callable[[], float]] = {case: timed(call, case.num) for case, call in mine.items()}
+    runs: dict[SolveCase | Solver, Callable[[], float]] = {case: timed(call, case.num) for case, call in mine.items()}
     runs |= {name: peer.run for name, peer in peers.items()}
     times = alternate(cfg.repeats, runs)
     return [row for case, call in mine.items() for row in _case_rows(case, call.last, peers, times, horizon)]
 
 
 def _case_rows(
-    case: Case, found: Solved, peers: dict[Solver, Peer], times: dict[Case | Solver, Timing], horizon: int
+    case: SolveCase, found: Solved, peers: dict[Solver, Peer], times: dict[SolveCase | Solver, Timing], horizon: int
 ) -> list[Row]:
     """One case against FATROP, against IPOPT where both converge, and against what acados would take."""
     facts = _facts(case.kind, found, peers) | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
@@ -115,11 +115,11 @@ def _facts(kind: Kind, found: Solved, peers: dict[Solver, Peer]) -> dict[str, fl
     return facts
 
 
-def _gp_row(cfg: Config, problems: Starts, horizon: int) -> Row:
+def _gp_row(cfg: BenchConfig, problems: Starts, horizon: int) -> Row:
     """What a Gaussian process in the dynamics adds."""
     num = 1 if cfg.quick else GP_SIZE  # a size that is compiled anyway
-    solve = partial(ours, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
-    with_gp, without = Keeping(solve(gp=learnt(num))), solve()
+    solve = partial(mpc_solves, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
+    with_gp, without = RecordedCall(solve(gp=example_gp(num))), solve()
     calls = {"with": timed(with_gp, cfg.batch), "without": timed(without, cfg.batch)}
     times = alternate(cfg.repeats, calls)
     facts = {"solved": float(np.mean(with_gp.last.solved)), "batch": cfg.batch, "dtype": "float64", "points": num}
@@ -127,20 +127,20 @@ def _gp_row(cfg: Config, problems: Starts, horizon: int) -> Row:
     return Row("mpc", what, "solve", times["with"], "without it", times["without"], "costs", GP_TARGET, facts=facts)
 
 
-def _curves(cfg: Config, problems: Starts, horizon: int) -> list[Curve]:
+def _curves(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Curve]:
     """How the time per solve grows with batch, horizon and size of the Gaussian process."""
     batches, horizons, sizes = ((cfg.batch,), (horizon,), (1,)) if cfg.quick else (BATCHES, HORIZONS, GP_SIZES)
     many, curves = f"batch {cfg.batch}", []
     for kind, name in NAMES.items():
-        solve = partial(ours, kind, dtype="float64", threads=cfg.threads)
+        solve = partial(mpc_solves, kind, dtype="float64", threads=cfg.threads)
         at_once = lambda n, solve=solve: timed(solve(starts(n), horizon=horizon), n)
         ahead = lambda n, solve=solve: timed(solve(problems, horizon=n), cfg.batch)
         curves += [
             _curve(cfg, "mpc_batch", f"driftjax, {name}", "problems side by side", batches, at_once),
             _curve(cfg, "mpc_horizon", f"driftjax, {name}, {many}", "horizon [steps]", horizons, ahead),
         ]
-    solve = partial(ours, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
-    learnt_from = lambda n: timed(solve(gp=learnt(n) if n else None), cfg.batch)
+    solve = partial(mpc_solves, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
+    learnt_from = lambda n: timed(solve(gp=example_gp(n) if n else None), cfg.batch)
     of_gp = "points of the Gaussian process"
     curves.append(_curve(cfg, "mpc_gp", f"driftjax, converged, {many}", of_gp, sizes, learnt_from))
     if not missing("casadi") and not cfg.quick:
@@ -149,8 +149,5 @@ def _curves(cfg: Config, problems: Starts, horizon: int) -> list[Curve]:
     return curves
 
 
-def _curve(
-    cfg: Config, figure: str, label: str, size: str, sizes: tuple[int, ...], run: Callable[[int], Callable[[], float]]
-) -> Curve:
-    seconds = [alternate(min(3, cfg.repeats), {"one": run(n)})["one"].median for n in sizes]
-    return Curve(figure, label, size, "solve", sizes, tuple(seconds))
+def _curve(cfg: BenchConfig, figure: str, label: str, size: str, sizes: tuple[int, ...], run: Callable) -> Curve:
+    return measure_curve(cfg.repeats, (figure, label, size, "solve"), sizes, run)

@@ -39,7 +39,7 @@ def _loop(car, two, six, V, beta, r, delta, Fxr, dt, V_end, beta_end, r_end):
         r_end[i] = z + sixth * (c1 + two * (c2 + c3) + c4)
 
 
-def stepper(v: VehicleConfig, columns: tuple[np.ndarray, ...]) -> Callable[[], tuple[np.ndarray, ...]]:
+def numba_steps(v: VehicleConfig, columns: tuple[np.ndarray, ...]) -> Callable[[], tuple[np.ndarray, ...]]:
     """Steps of cars given as V, beta, r, delta, Fxr, dt (n,) of one precision: V, beta, r (n,) one step later."""
     dtype = columns[0].dtype.type
     end = tuple(np.empty(len(columns[0]), dtype) for _ in range(3))

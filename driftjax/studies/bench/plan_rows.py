@@ -16,9 +16,9 @@ from driftjax.planner.planner import BARRIER, problem, solve_from
 from driftjax.planner.problem import MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
 from driftjax.solve import Options, Plan
-from driftjax.studies.bench.config import Config
+from driftjax.studies.bench.config import BenchConfig
 from driftjax.studies.bench.peers import PEERS, missing
-from driftjax.studies.bench.rows import Keeping, Measured, Row, alternate, timed
+from driftjax.studies.bench.rows import PartResult, RecordedCall, Row, alternate, timed
 from driftjax.track import load_track
 from driftjax.vehicle import VehicleConfig, load_vehicle
 
@@ -46,7 +46,7 @@ def setting() -> Setting:
     return Setting(vehicle, config, stage, at.s[1] - at.s[0], guesses(at.s, stage, corners, vehicle, config)[0])
 
 
-def transcribed(of: Setting, mu: float = 1.0) -> MinimumTime:
+def minimum_time_problem(of: Setting, mu: float = 1.0) -> MinimumTime:
     """This package's problem; `mu` times the friction."""
     vehicle = dataclasses.replace(of.vehicle, mu=mu * of.vehicle.mu)
     return problem(vehicle, of.config, of.stage, of.ds)
@@ -63,27 +63,27 @@ def _solve(ocps: MinimumTime, stage: Stage, X: jax.Array, options: Options, entr
     return eqx.filter_vmap(one)(ocps)
 
 
-def ours(of: Setting, num: int) -> Callable[[], Plan]:
+def plan_solves(of: Setting, num: int) -> Callable[[], Plan]:
     """Plans of `num` cars at once, ready to be run; one car has the shipped friction."""
     share = np.linspace(-FRICTION, FRICTION, num) if num > 1 else np.zeros(1)
-    each = [transcribed(of, 1 + float(more)) for more in share]
+    each = [minimum_time_problem(of, 1 + float(more)) for more in share]
     stacked = jax.tree.map(lambda *a: jnp.stack(a) if eqx.is_array(a[0]) else a[0], *each)
     options = Options(of.config.tolerance, BARRIER, of.config.max_steps)
     guess, entry = jnp.asarray(of.guess), jnp.asarray(of.config.entry_speed)
     return lambda: _solve(stacked, of.stage, guess, options, entry)
 
 
-def measure(cfg: Config) -> Measured:
+def measure(cfg: BenchConfig) -> PartResult:
     """One plan against IPOPT's, and what more plans at once cost."""
     of = setting()
-    one, many = Keeping(ours(of, 1)), Keeping(ours(of, 1 if cfg.quick else SIDE_BY_SIDE))
+    one, many = RecordedCall(plan_solves(of, 1)), RecordedCall(plan_solves(of, 1 if cfg.quick else SIDE_BY_SIDE))
     runs = {"one": timed(one, 1), "many": timed(many, 1)}
-    ocp, peer = transcribed(of), None
+    ocp, peer = minimum_time_problem(of), None
     if not missing("casadi"):
-        from driftjax.studies.bench.casadi_plan import Transcribed
+        from driftjax.studies.bench.casadi_plan import CasadiPlan
 
-        theirs = Transcribed(of.vehicle, of.config, of.stage, of.ds, np.asarray(ocp.scale), True, of.config.tolerance)
-        peer = Keeping(lambda: theirs.solve(of.guess))
+        theirs = CasadiPlan(of.vehicle, of.config, of.stage, of.ds, np.asarray(ocp.scale), True, of.config.tolerance)
+        peer = RecordedCall(lambda: theirs.solve(of.guess))
         runs["ipopt"] = timed(peer, 1)
     times = alternate(cfg.repeats, runs)
     seconds = float(ocp.L0 / ocp.V0)  # per unit of our objective
@@ -93,7 +93,7 @@ def measure(cfg: Config) -> Measured:
         facts |= {"solved_ipopt": float(peer.last.success), "cost_difference_ipopt": apart}
     what = f"minimum-time plan, {len(of.guess)} nodes, from one guess"
     num = len(many.last.cost)
-    return Measured([
+    return PartResult([
         Row("plan", what, "plan", times["one"], PEERS["ipopt"], times.get("ipopt"), "faster", 1.0, missing("casadi"),
             facts),
         Row("plan", f"{num} plans side by side", "batch", times["many"], "one plan", times["one"], "costs", COST_TARGET,

@@ -101,14 +101,14 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Measured:
+class PartResult:
     """What one part found."""
 
     rows: list[Row]
     curves: list[Curve] = field(default_factory=list)
 
 
-class Keeping(Generic[T]):
+class RecordedCall(Generic[T]):
     """A call that keeps what it returned last, so that what was timed need not be done again to be looked at."""
 
     def __init__(self, call: Callable[[], T]):
@@ -147,3 +147,12 @@ def alternate(repeats: int, runs: Mapping[K, Callable[[], float]], budget: float
     while len(rounds) < repeats and (len(rounds) < ENOUGH or time.perf_counter() - start < budget):
         rounds.append({name: run() for name, run in runs.items()})
     return {name: Timing(tuple(one[name] for one in rounds)) for name in runs}
+
+
+def measure_curve(
+    repeats: int, names: tuple[str, str, str, str], sizes: tuple[int, ...], run: Callable[[int], Callable[[], float]]
+) -> Curve:
+    """Measure the curve of figure, label, size and unit `names`; `run(size)` makes a call as `timed` does."""
+    seconds = [alternate(min(3, repeats), {"one": run(size)})["one"].median for size in sizes]
+    figure, label, size, unit = names
+    return Curve(figure, label, size, unit, sizes, tuple(seconds))

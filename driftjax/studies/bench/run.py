@@ -1,66 +1,79 @@
-"""The whole bench: every part in a process of its own, then the table, the JSON and the figures."""
+"""Run the bench: every part in a process of its own, then the table, the JSON and the figures.
 
+One part in this process: `python -m driftjax.studies.bench.run PART OPTIONS OUT`, with JSON files.
+"""
+
+import importlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from driftjax.core import write_atomically
+from driftjax.core import from_dict, write_atomically
 from driftjax.core.config import to_dict
 from driftjax.environment import SERIAL_LOOPS
-from driftjax.studies.bench.config import Config, Part
-from driftjax.studies.bench.figures import write_figures
+from driftjax.studies.bench.config import BenchConfig, Part
+from driftjax.studies.bench.figures import write_curves
 from driftjax.studies.bench.machine import machine
-from driftjax.studies.bench.table import page
+from driftjax.studies.bench.table import bench_page
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def main(cfg: Config, out: Path, report: Callable[[str, int, int], None]) -> dict[str, Any]:
+def run_bench(cfg: BenchConfig, out: Path, report: Callable[[str, int, int], None]) -> dict[str, Any]:
     """Measure all parts of `cfg`; writes results.json, results.md and figures to `out`, and returns the results."""
     cfg = cfg.reduced() if cfg.quick else cfg
     results: dict[str, Any] = {"machine": machine(), "options": to_dict(cfg), "rows": [], "curves": []}
     out.mkdir(parents=True, exist_ok=True)
     for number, part in enumerate(cfg.only):
         report(part, number, len(cfg.only))
-        found = measured(part, cfg)
+        found = run_part(part, cfg)
         # at these sizes the targets mean nothing
         results["rows"] += (
             [row | {"target": None, "met": None} for row in found["rows"]] if cfg.quick else found["rows"]
         )
         results["curves"] += found["curves"]
-        write(results, out)  # what is measured is kept whatever comes next
+        write_results(results, out)  # what is measured is kept whatever comes next
     report("done", len(cfg.only), len(cfg.only))
-    write_figures(results["curves"], out)
+    write_curves(results["curves"], out)
     return results
 
 
-def write(results: dict[str, Any], out: Path) -> None:
+def write_results(results: dict[str, Any], out: Path) -> None:
     """results.json and results.md so far."""
-    text, table = json.dumps(results, indent=1), page(results)
+    text, table = json.dumps(results, indent=1), bench_page(results)
     write_atomically(out / "results.json", lambda p: p.write_text(text, encoding="utf-8"))
     write_atomically(out / "results.md", lambda p: p.write_text(table, encoding="utf-8"))
 
 
-def measured(part: Part, cfg: Config) -> dict[str, Any]:
+def run_part(part: Part, cfg: BenchConfig) -> dict[str, Any]:
     """Rows and curves of one part."""
     with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:
         options, out = Path(folder) / "options.json", Path(folder) / "out.json"
         options.write_text(json.dumps(to_dict(cfg)), encoding="utf-8")
-        command = [sys.executable, "-m", "driftjax.studies.bench.part", part, str(options), str(out)]
+        command = [sys.executable, "-m", "driftjax.studies.bench.run", part, str(options), str(out)]
         done = subprocess.run(command, cwd=folder, env=environment(part, cfg), stderr=subprocess.PIPE, text=True)
         if done.returncode != 0:
             raise RuntimeError(f"part {part} ended with code {done.returncode}: {done.stderr.strip()[-2000:]}")
         return json.loads(out.read_text(encoding="utf-8"))
 
 
-def environment(part: Part, cfg: Config) -> dict[str, str]:
+def measure_part(part: str, options: Path, out: Path) -> None:
+    """Measure `part` in this process with the config in `options`; rows and curves go to `out`."""
+    cfg = from_dict(BenchConfig, json.loads(options.read_text(encoding="utf-8")), str(options))
+    result = importlib.import_module(f"driftjax.studies.bench.{part}_rows").measure(cfg)
+    content = {"rows": [row.as_json() for row in result.rows], "curves": [asdict(curve) for curve in result.curves]}
+    out.write_text(json.dumps(content), encoding="utf-8")
+
+
+def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
     """This process's, with this copy of the package first, one thread per peer, and the threads of the part."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     # only these programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
@@ -74,3 +87,7 @@ def environment(part: Part, cfg: Config) -> dict[str, str]:
         own["XLA_FLAGS"] = f"{flags} {fused}".strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})
+
+
+if __name__ == "__main__":
+    measure_part(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

@@ -32,12 +32,12 @@ def step(batch: tuple[State, Control, Array], car: SingleTrack) -> State:
     return rk4_step(lambda y: car(y, u), x, dt)
 
 
-def advance(batch: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
+def plant_step(batch: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
     """Double-track cars one step later."""
     return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*batch)
 
 
-def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
+def single_track_steps(dtype: Dtype, batch: int) -> Callable[[], State]:
     """One step of `batch` single-track cars in one call, which XLA shares among its threads, ready to be run."""
     V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
     car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
@@ -45,7 +45,7 @@ def ours(dtype: Dtype, batch: int) -> Callable[[], State]:
     return lambda: call(step, inputs, car)
 
 
-def ours_plant(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:
+def double_track_steps(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:
     """One step of `batch` double-track cars, with all that they have and the nominal car lacks, on `executor`.
 
     XLA does not share a program that long among its own threads.
@@ -55,4 +55,4 @@ def ours_plant(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[]
     state = jax.vmap(plant.rolling)(V)
     state = state._replace(vx=V * jnp.cos(beta), vy=V * jnp.sin(beta), r=r, delta=delta, drive=Fxr)
     state = jax.tree.map(lambda leaf: leaf.astype(dtype), state)
-    return lambda: executor.map(advance, (state, Control(delta, Fxr)), plant)
+    return lambda: executor.map(plant_step, (state, Control(delta, Fxr)), plant)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from driftjax.parallel import thread_executor
-from driftjax.studies.bench.config import Config, Dtype
+from driftjax.studies.bench.config import BenchConfig, Dtype
 from driftjax.studies.bench.peers import missing
-from driftjax.studies.bench.rows import Curve, Measured, Row, Timing, alternate, timed
-from driftjax.studies.bench.simulator import columns, ours, ours_plant
+from driftjax.studies.bench.rows import Curve, PartResult, Row, Timing, alternate, measure_curve, timed
+from driftjax.studies.bench.simulator import columns, double_track_steps, single_track_steps
 from driftjax.vehicle import load_vehicle
 
 VECTOR, NUMBA, SCALAR = "C++, vectorised, one core", "numba, one core", "C++, scalar, one core"
@@ -24,15 +24,15 @@ BATCHES = (1, 16, 256, 4096, 65536, 1048576)
 Step = Callable[[], tuple[np.ndarray, ...]]
 
 
-def measure(cfg: Config) -> Measured:
+def measure(cfg: BenchConfig) -> PartResult:
     """All rows; curves where asked for."""
     told, vectorised = _peers()
     rows = []
     for dtype in cfg.dtype:
-        mine = ours(dtype, cfg.cars)
+        mine = single_track_steps(dtype, cfg.cars)
         steps = {name: make(columns(cfg.cars, dtype)) for name, make in told.items()}
         with thread_executor(cfg.cars, cfg.threads) as threads:
-            calls = {"ours": mine, "plant": ours_plant(dtype, cfg.cars, threads)} | steps
+            calls = {"ours": mine, "plant": double_track_steps(dtype, cfg.cars, threads)} | steps
             times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
         found = tuple(map(np.asarray, mine()))
         for name, package in PACKAGES.items():
@@ -42,7 +42,7 @@ def measure(cfg: Config) -> Measured:
             rows.append(Row("simulator", what, "step", times["ours"], name, times.get(name), "faster",
                             TARGETS.get((name, dtype)), missing(package), facts))  # fmt: skip
         rows.append(_plant_row(times, cfg.cars, dtype))
-    return Measured(rows, _curves(cfg, told) if cfg.plots else [])
+    return PartResult(rows, _curves(cfg, told) if cfg.plots else [])
 
 
 def _plant_row(times: Mapping[str, Timing], num: int, dtype: Dtype) -> Row:
@@ -60,12 +60,12 @@ def _peers() -> tuple[dict[str, Callable[[tuple[np.ndarray, ...]], Step]], bool]
 
         vector, scalar = cpp_step.compiled("vector"), cpp_step.compiled("scalar")
         vectorised = vector.vectorised
-        makers[VECTOR] = lambda table: cpp_step.stepper(vector, car, table)
-        makers[SCALAR] = lambda table: cpp_step.stepper(scalar, car, table)
+        makers[VECTOR] = lambda table: cpp_step.cpp_steps(vector, car, table)
+        makers[SCALAR] = lambda table: cpp_step.cpp_steps(scalar, car, table)
     if not missing("numba"):
         from driftjax.studies.bench import numba_step
 
-        makers[NUMBA] = lambda table: numba_step.stepper(car, table)
+        makers[NUMBA] = lambda table: numba_step.numba_steps(car, table)
     return makers, vectorised
 
 
@@ -77,18 +77,16 @@ def _facts(found: tuple[np.ndarray, ...], step: Step | None) -> dict[str, float]
     return {"difference": float(max(apart))}
 
 
-def _curves(cfg: Config, makers: Mapping[str, Callable[[tuple[np.ndarray, ...]], Step]]) -> list[Curve]:
-    sizes, repeats = ((cfg.cars,), 1) if cfg.quick else (BATCHES, min(3, cfg.repeats))
+def _curves(cfg: BenchConfig, makers: Mapping[str, Callable[[tuple[np.ndarray, ...]], Step]]) -> list[Curve]:
+    sizes, repeats = ((cfg.cars,), 1) if cfg.quick else (BATCHES, cfg.repeats)
     curves = []
     for dtype in cfg.dtype:
-        of_size: dict[str, Callable[[int], Callable[[], Any]]] = {f"driftjax, {dtype}": partial(ours, dtype)}
+        of_size: dict[str, Callable[[int], Callable[[], Any]]] = {
+            f"driftjax, {dtype}": partial(single_track_steps, dtype)
+        }
         for name, make in makers.items():
-            of_size[f"{name}, {dtype}"] = partial(_peer, make, dtype)
+            of_size[f"{name}, {dtype}"] = lambda num, make=make, dtype=dtype: make(columns(num, dtype))
         for label, step in of_size.items():
-            found = [alternate(repeats, {"one": timed(step(n), n)})["one"].median for n in sizes]
-            curves.append(Curve("simulator", label, "cars side by side", "step", sizes, tuple(found)))
+            names = ("simulator", label, "cars side by side", "step")
+            curves.append(measure_curve(repeats, names, sizes, lambda n, step=step: timed(step(n), n)))
     return curves
-
-
-def _peer(make: Callable[[tuple[np.ndarray, ...]], Step], dtype: Dtype, num: int) -> Step:
-    return make(columns(num, dtype))

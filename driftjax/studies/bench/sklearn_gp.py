@@ -11,15 +11,15 @@ from driftjax.gp.fit import LOWER, UPPER
 START = (1.0, 1.0, 0.1)  # length scale, amplitude, noise: the first start of `driftjax.gp.fit`
 
 
-def fit(X: np.ndarray, T: np.ndarray) -> np.ndarray:
+def fit_sklearn(X: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Logarithms (D, nf + 2) of length scales, amplitude and noise for inputs (n, nf) and targets (n, D), scaled."""
     (length, amplitude, noise), bounds = START, list(zip(LOWER, UPPER, strict=True))
     squared = lambda pair: (pair[0] ** 2, pair[1] ** 2)
-    found = []
+    logs = []
     for y in T.T:
         signal = ConstantKernel(amplitude**2, squared(bounds[1])) * RBF(np.full(X.shape[1], length), bounds[0])  # pyright: ignore[reportArgumentType]
         kernel = signal + WhiteKernel(noise**2, squared(bounds[2]))
         fitted: Any = GaussianProcessRegressor(kernel, n_restarts_optimizer=0).fit(X, y).kernel_
         theta = fitted.theta
-        found.append([*theta[1:-1], theta[0] / 2, theta[-1] / 2])  # theirs are logarithms of variances
-    return np.array(found)
+        logs.append([*theta[1:-1], theta[0] / 2, theta[-1] / 2])  # theirs are logarithms of variances
+    return np.array(logs)

@@ -68,7 +68,7 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def heading(machine: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+def conditions_line(machine: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     """Where, when and with which options it was measured."""
     versions = machine["versions"]
     packages = ", ".join(f"{name} {versions[name]}" for name in ("jax", "casadi", "numba", "scikit-learn", "g++")
@@ -79,7 +79,7 @@ def heading(machine: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     return f"{', '.join(where)}; {packages}; {how}{quick}"
 
 
-def page(results: Mapping[str, Any]) -> str:
+def bench_page(results: Mapping[str, Any]) -> str:
     """results.md."""
-    head = heading(results["machine"], results["options"])
+    head = conditions_line(results["machine"], results["options"])
     return f"{head}\n\n{markdown(results['rows'])}\n"

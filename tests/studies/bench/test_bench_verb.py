@@ -14,9 +14,9 @@ from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
 from driftjax.environment import SERIAL_LOOPS
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
-from driftjax.studies.bench.casadi_mpc import Transcribed
-from driftjax.studies.bench.compiling import EVENTS, Spans
-from driftjax.studies.bench.config import Config
+from driftjax.studies.bench.casadi_mpc import CasadiMPC
+from driftjax.studies.bench.compile_rows import EVENTS, Spans
+from driftjax.studies.bench.config import BenchConfig
 from driftjax.studies.bench.drift import TOLERANCE, WEIGHTS, X_REF, car, config, starts
 from driftjax.studies.bench.mpc import Solved
 from driftjax.studies.bench.peers import missing
@@ -24,7 +24,7 @@ from driftjax.studies.bench.rows import Row, Timing, alternate, timed
 from driftjax.studies.bench.run import environment
 from driftjax.studies.bench.table import cells, markdown, seconds
 
-QUICK = dataclasses.replace(Config(quick=True), plots=False).reduced()
+QUICK = dataclasses.replace(BenchConfig(quick=True), plots=False).reduced()
 SLOW, QUICKER = Timing((2.0, 4.0, 6.0)), Timing((1.0, 1.0, 2.0))
 
 
@@ -95,7 +95,7 @@ def hidden(monkeypatch):
 def test_missing_peers_are_told(hidden, monkeypatch):
     """Every row stays, with how to install its peer; the row of g++ is still measured."""
     fake = lambda num: lambda: Solved(jnp.ones(num), jnp.ones(num, bool))
-    monkeypatch.setattr(mpc_rows, "ours", lambda kind, problems, dtype, **_: fake(len(problems.x)))
+    monkeypatch.setattr(mpc_rows, "mpc_solves", lambda kind, problems, dtype, **_: fake(len(problems.x)))
     rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(QUICK).rows]
     told = {row.against: row.missing for row in rows}
     assert told["CasADi FATROP"] == told["CasADi IPOPT"] == "missing: pip install casadi"
@@ -109,7 +109,7 @@ def test_missing_peers_are_told(hidden, monkeypatch):
 def two_solvers() -> dict[str, list]:
     """Answers of FATROP and IPOPT to the first starts, on a short horizon."""
     problems, short = starts(8), config(6)
-    peers = {name: Transcribed(name, car(), short, WEIGHTS, X_REF, TOLERANCE, compiled=False)
+    peers = {name: CasadiMPC(name, car(), short, WEIGHTS, X_REF, TOLERANCE, compiled=False)
              for name in ("fatrop", "ipopt")}  # fmt: skip
     return {name: [peer.solve(x, u) for x, u in zip(*problems, strict=True)] for name, peer in peers.items()}
 
@@ -122,7 +122,7 @@ def test_fatrop_and_ipopt_agree(two_solvers):
 
 def test_the_transcription_is_of_the_config_given(two_solvers):
     dear = MPCConfig(**{**dataclasses.asdict(config(6)), "R": (1000.0, 0.1)})
-    peer = Transcribed("ipopt", car(), dear, WEIGHTS, X_REF, TOLERANCE, compiled=False)
+    peer = CasadiMPC("ipopt", car(), dear, WEIGHTS, X_REF, TOLERANCE, compiled=False)
     first = peer.solve(*(side[0] for side in starts(8)))
     assert first.success and first.cost > two_solvers["ipopt"][0].cost * 1.001
 
@@ -149,9 +149,9 @@ def test_only_the_mpc_gets_more_threads():
 
 def test_bad_options_are_refused():
     with pytest.raises(BadInput, match="'repeats' is 0"):
-        Config(repeats=0)
+        BenchConfig(repeats=0)
     with pytest.raises(BadInput, match="no quick form"):
-        Config(only=("compile",), quick=True).reduced()
+        BenchConfig(only=("compile",), quick=True).reduced()
 
 
 @pytest.mark.parametrize(
