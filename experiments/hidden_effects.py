@@ -8,10 +8,10 @@ import sys
 import tyro
 
 import driftjax as dj
-from driftjax.studies.hidden_effects.bench import Config, main
+from driftjax.studies.hidden_effects.bench import StudyConfig, run_study
 
 if __name__ == "__main__":
     try:
-        main(tyro.cli(Config, prog="python -m experiments.hidden_effects"))
+        run_study(tyro.cli(StudyConfig, prog="python -m experiments.hidden_effects"))
     except dj.BadInput as error:
         sys.exit(f"hidden_effects: {error}")

@@ -7,13 +7,13 @@ import tyro
 
 import driftjax as dj
 from driftjax.core.config import to_dict
-from driftjax.studies.paper.config import Config
-from driftjax.studies.paper.run import main
-from driftjax.studies.paper.table import page
+from driftjax.studies.paper.config import PaperConfig
+from driftjax.studies.paper.run import run_comparison
+from driftjax.studies.paper.table import comparison_page
 
 
 def compare(
-    options: Annotated[Config, tyro.conf.arg(name="")], out: Path = Path("runs/paper"), workers: int = 0
+    options: Annotated[PaperConfig, tyro.conf.arg(name="")], out: Path = Path("runs/paper"), workers: int = 0
 ) -> None:
     """Drive the runs that the folder `out` lacks, with `workers` processes, and print the tables."""
     there, config = (out / "config.yaml").is_file(), to_dict(options)
@@ -21,7 +21,7 @@ def compare(
     if folder.config != config:
         raise SystemExit(f"{out}: holds a comparison with other options; give another --out.")
     report = lambda text, done, total: print(f"{done}/{total} {text}", flush=True)
-    print(page(main(options, folder, report, workers)), end="")
+    print(comparison_page(run_comparison(options, folder, report, workers)), end="")
 
 
 if __name__ == "__main__":

@@ -249,7 +249,7 @@ def plot_errors(results: dict[str, Any]) -> Figure:
         axis.set_yticks([], minor=True)
         axis.set_title(words)
         axis.axhline(1, color="0.6", lw=0.8)
-    axes[0].set_ylabel("error after {ahead:.2g} s on held-out runs,\nover that of the nominal car [-]")
+    axes[0].set_ylabel("error after 2 sqrt(L/g) on held-out runs,\nover that of the nominal car [-]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     return figure

@@ -12,14 +12,14 @@ from driftjax.core import BadInput, from_dict, require_at_least
 from driftjax.core.config import to_dict
 from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
-from driftjax.studies.paper.config import Config
+from driftjax.studies.paper.config import PaperConfig
 
 
 @dataclasses.dataclass(frozen=True)
 class Paper:
     """Every method of the paper side by side on plants held out, with ablations: tables, figures, run folders."""
 
-    options: Annotated[Config, tyro.conf.arg(name="")] = Config()
+    options: Annotated[PaperConfig, tyro.conf.arg(name="")] = PaperConfig()
     out: Path | None = None
     """Output folder; runs/paper-HALF-TIME where left out."""
     resume: Path | None = None
@@ -41,7 +41,7 @@ def run(argv: list[str]) -> int:
         folder = RunFolder.open(flags.resume)
         if folder.verb != "paper":
             raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}`, not of `driftjax paper`.")
-        options = from_dict(Config, folder.config, str(folder.path / "config.yaml"))
+        options = from_dict(PaperConfig, folder.config, str(folder.path / "config.yaml"))
     else:
         options = flags.options
         out = flags.out or default_out("paper", "quick" if options.quick else options.half)
@@ -50,15 +50,15 @@ def run(argv: list[str]) -> int:
     return run_in(folder, lambda: work(options, folder, flags.workers), again)
 
 
-def work(options: Config, folder: RunFolder, workers: int | None) -> int:
+def work(options: PaperConfig, folder: RunFolder, workers: int | None) -> int:
     """Run the comparison into `folder` and print its tables."""
-    from driftjax.studies.paper.run import main
-    from driftjax.studies.paper.table import page
+    from driftjax.studies.paper.run import run_comparison
+    from driftjax.studies.paper.table import comparison_page
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:
         num = num_workers(options.plants) if workers is None else workers
-        results = main(options, folder, report, num if num > 1 else 0)
-    print(page(results), end="")
+        results = run_comparison(options, folder, report, num if num > 1 else 0)
+    print(comparison_page(results), end="")
     print(f"paper: {folder.path}")
     return 0

@@ -41,10 +41,10 @@ def run(argv: list[str]) -> int:
 
 def _paper(folder: RunFolder) -> int:
     """Rebuild tables and figures of a comparison."""
-    from driftjax.studies.paper.config import Config
+    from driftjax.studies.paper.config import PaperConfig
     from driftjax.studies.paper.run import rebuild
-    from driftjax.studies.paper.table import page
+    from driftjax.studies.paper.table import comparison_page
 
-    found = rebuild(from_dict(Config, folder.config, str(folder.path / "config.yaml")), folder)
-    print(page(found), end="")
+    found = rebuild(from_dict(PaperConfig, folder.config, str(folder.path / "config.yaml")), folder)
+    print(comparison_page(found), end="")
     return 0

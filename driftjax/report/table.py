@@ -1,6 +1,7 @@
 """Format results as text: the table at the end of a run, and one line per run."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from driftjax.report.style import stage_label
@@ -51,6 +52,11 @@ def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
     errors = interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse"))
     name = CONTROLLERS.get(controller, controller)
     return (stage_label(stage), name, *errors, number(share), f"{done}/{of}", failures)
+
+
+def markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as the lines of a Markdown table; the first is the head."""
+    return ["| " + " | ".join(row) + " |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]
 
 
 def aligned(rows: list[tuple[str, ...]]) -> list[str]:

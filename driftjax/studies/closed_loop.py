@@ -26,7 +26,7 @@ SEEDS = 4  # of the sensor noise, the same for each model
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoopCase:
-    """Plant and configuration of the closed-loop laps."""
+    """Plant and options of the closed-loop laps."""
 
     name: str  # of the plant, as typed
     plant: AnyPlant
@@ -50,7 +50,7 @@ def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
     )
 
 
-def before(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
+def without_estimates(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
     """Return the `extended` car with its effects at their initial values: the same car as `vehicle`, and the same
     compiled program."""
     start = {one.name: one.value for one in vehicle.effects}
@@ -64,7 +64,7 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
     Planner, reference and MPC are those of the nominal stage of `driftjax learn`. Lap by lap both models have the same
     sensor noise, so that their difference is paired.
     """
-    models = {"nominal": before(nominal, extended)}
+    models = {"nominal": without_estimates(nominal, extended)}
     if extended.effects != nominal.effects:
         models |= {"extended": extended}
     laps: dict[str, StageResult] = {}
@@ -77,20 +77,20 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
                 models_content[name] = {"not_driven": str(error)}
                 continue
             laps[name], _ = drive_nominal(scenario, 0)
-            models_content[name] = figures(laps[name])
-    compared = compare(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
+            models_content[name] = summarise_laps(laps[name])
+    compared = compare_laps(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
     return {"plant": case.name, "corner": case.config.car, "controller": "path", "models": models_content,
             "difference": compared}  # fmt: skip
 
 
-def figures(stage: StageResult) -> dict[str, Any]:
+def summarise_laps(stage: StageResult) -> dict[str, Any]:
     """Return how the laps of one model ended, and figures per seed with their means.
 
     A velocity error refers to the driven part of the drift section; for failed laps it is meaningless and omitted.
     """
-    codes, found = np.asarray(stage.laps.code), stage.figures
-    done = np.asarray(found.completed)
-    values = {name: np.asarray(getattr(found, name), float) for name in CLOSED_LOOP}
+    codes, laps = np.asarray(stage.laps.code), stage.figures
+    done = np.asarray(laps.completed)
+    values = {name: np.asarray(getattr(laps, name), float) for name in CLOSED_LOOP}
     values["velocity_rmse"] = np.where(done, values["velocity_rmse"], np.nan)
     means = {name: float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else None for name, v in values.items()}
     return {
@@ -100,13 +100,13 @@ def figures(stage: StageResult) -> dict[str, Any]:
     }
 
 
-def compare(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
+def compare_laps(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
     """Return extended minus nominal, seed by seed, with intervals over seeds; velocity errors of laps that both
     completed."""
     both = np.asarray(nominal.figures.completed & extended.figures.completed)
     every = np.ones_like(both)
     pairs = {"lateral_error": every, "velocity_rmse": both, "drift_share": every}
     return {
-        name: difference(*(np.asarray(getattr(one.figures, name))[kept] for one in (nominal, extended)))
-        for name, kept in pairs.items()
+        name: difference(*(np.asarray(getattr(one.figures, name))[chosen] for one in (nominal, extended)))
+        for name, chosen in pairs.items()
     }

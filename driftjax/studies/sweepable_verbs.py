@@ -1,4 +1,4 @@
-"""The verbs as a sweep runs them: options completed, and what comes of them as rows."""
+"""Verbs that a sweep can run: how their options are completed, and their results as rows."""
 
 import functools
 import json
@@ -20,7 +20,7 @@ from driftjax.logs import read_log
 from driftjax.parallel import BatchExecutor
 from driftjax.store import RunFolder
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
-from driftjax.studies.paper.config import Config as PaperConfig
+from driftjax.studies.paper.config import PaperConfig
 from driftjax.sweep import Work
 from driftjax.sweep.trial import Row
 from driftjax.vehicle import load_vehicle
@@ -33,14 +33,14 @@ def _shipped(car: str) -> str:
     return json.dumps(to_dict(load_learn_config(car)))
 
 
-def whole_learn(options: Options) -> Options:
-    """Options of `learn`, the car's shipped ones where they are left out."""
+def complete_learn(options: Options) -> Options:
+    """Complete options of `learn` with the car's shipped ones."""
     base = json.loads(_shipped(str(options.get("car", "sedan"))))
     return to_dict(from_dict(LearnConfig, merge_config(base, options), "a trial"))
 
 
 def learn_files(config: Options) -> list[Path]:
-    """Files that `learn` reads."""
+    """Return the files that `learn` reads."""
     return list(files_of(from_dict(LearnConfig, config, "a trial")).values())
 
 
@@ -49,7 +49,7 @@ ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
 
 
 def learn_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
-    """Laps of every stage."""
+    """Yield the laps of every stage."""
     options = from_dict(LearnConfig, config, "a trial")
     made_from = json.dumps([config[name] for name in ROUTE])
     if made_from not in _routes:
@@ -61,7 +61,7 @@ def learn_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterat
 
 @dataclass(frozen=True)
 class LogConfig:
-    """What a diagnosis is made of, with the options of `driftjax diagnose`."""
+    """Logs and options of a diagnosis, as those of `driftjax diagnose`."""
 
     logs: tuple[Path, ...]
     vehicle: Path = Path("sedan")
@@ -72,8 +72,8 @@ class LogConfig:
     options: DiagnoseConfig = field(default_factory=DiagnoseConfig)
 
 
-def whole_diagnose(options: Options) -> Options:
-    """Options of `diagnose`."""
+def complete_diagnose(options: Options) -> Options:
+    """Complete options of `diagnose`."""
     return to_dict(from_dict(LogConfig, options, "a trial"))
 
 
@@ -84,36 +84,35 @@ def diagnose_files(config: Options) -> list[Path]:
 
 
 def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
-    """The verdict, and the gain on runs held out."""
-    asked = from_dict(LogConfig, config, "a trial")
-    log = read_log(asked.logs, asked.columns, runs=asked.runs, cut=asked.cut)
-    found = diagnose(load_vehicle(asked.vehicle, asked.combined_slip), log, asked.options)
-    told = found.content()
-    names = [cause["effect"] for cause in told["causes"]]
-    ahead = told["gain"]["skill_horizon_s"]
-    at = None if ahead is None else told["gain"]["horizons_s"].index(ahead)
-    ratio, skill = told["gain"].get("ratio", {}).get("extended"), told["gain"].get("skill", {}).get("extended")
-    yield [{"verdict": told["verdict"], "named": len(names), "causes": ", ".join(names),
+    """Yield the verdict, and the gain on held-out runs."""
+    given = from_dict(LogConfig, config, "a trial")
+    log = read_log(given.logs, given.columns, runs=given.runs, cut=given.cut)
+    content = diagnose(load_vehicle(given.vehicle, given.combined_slip), log, given.options).content()
+    names, gain = [cause["effect"] for cause in content["causes"]], content["gain"]
+    ahead = gain["skill_horizon_s"]
+    at = None if ahead is None else gain["horizons_s"].index(ahead)
+    ratio, skill = gain.get("ratio", {}).get("extended"), gain.get("skill", {}).get("extended")
+    yield [{"verdict": content["verdict"], "named": len(names), "causes": ", ".join(names),
             "error_ratio": ratio[at] if ratio and at is not None else None, "skill": skill}]  # fmt: skip
 
 
-def whole_paper(options: Options) -> Options:
-    """Options of `paper`."""
+def complete_paper(options: Options) -> Options:
+    """Complete options of `paper`."""
     return to_dict(from_dict(PaperConfig, options, "a trial"))
 
 
 def paper_files(config: Options) -> list[Path]:
-    """The shipped settings of its cars, and what they name."""
+    """Return the files that the shipped options of the cars name."""
     return [path for car in config["cars"] for path in files_of(load_learn_config(car)).values()]
 
 
 def paper_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
-    """Means of every method of the comparison, whose runs lie in `folder` until it is done."""
-    from driftjax.studies.paper.run import main
+    """Yield the means of every method of the comparison, whose runs are in `folder` until it is finished."""
+    from driftjax.studies.paper.run import run_comparison
 
     there = (folder / "config.yaml").exists()
     run = RunFolder.open(folder) if there else RunFolder.create(folder, config, "paper")
-    results = main(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
+    results = run_comparison(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
     rows: list[Row] = []
     for car, found in results["cars"].items():
         for controller, methods in found["methods"].items():
@@ -126,13 +125,13 @@ def paper_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterat
 
 PAPER_FIGURES = ("lateral_error", "lateral_error_max", "velocity_rmse", "lap_time", "completed", "drifted")
 WORKS = {
-    "learn": Work(whole_learn, learn_files, learn_rows, LAP_COLUMNS),
+    "learn": Work(complete_learn, learn_files, learn_rows, LAP_COLUMNS),
     "diagnose": Work(
-        whole_diagnose, diagnose_files, diagnose_rows,
+        complete_diagnose, diagnose_files, diagnose_rows,
         {"verdict": str, "named": int, "causes": str, "error_ratio": float, "skill": float},
     ),
     "paper": Work(
-        whole_paper, paper_files, paper_rows,
+        complete_paper, paper_files, paper_rows,
         {"car": str, "controller": str, "stage": str} | dict.fromkeys(PAPER_FIGURES, float),
     ),
 }  # fmt: skip

@@ -20,7 +20,7 @@ from driftjax.learning.scenario import lay_out
 from driftjax.logs import Run, write_log
 from driftjax.manoeuvres.campaign import Campaign
 from driftjax.sim import LapCode, UniversalPlant
-from driftjax.studies.closed_loop import before, closed_loop, compare, figures, load_case
+from driftjax.studies.closed_loop import closed_loop, compare_laps, load_case, summarise_laps, without_estimates
 from driftjax.vehicle import DoubleTrack, Extended, actuator_lags, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 
@@ -54,11 +54,11 @@ def test_the_plant_is_the_car_that_was_simulated_or_a_double_track():
 
 
 def test_the_nominal_car_is_the_extended_one_without_its_values():
-    car: Any = build_car(before(SEDAN, EXTENDED))
+    car: Any = build_car(without_estimates(SEDAN, EXTENDED))
     assert isinstance(car, Extended) and car.names == ("load_transfer_long",) and not car.theta.any()
-    assert not actuator_lags(before(SEDAN, EXTENDED)).any() and float(actuator_lags(EXTENDED)[0]) == 0.07
+    assert not actuator_lags(without_estimates(SEDAN, EXTENDED)).any() and float(actuator_lags(EXTENDED)[0]) == 0.07
     half = dataclasses.replace(EXTENDED, effects=(FOUND[0], dataclasses.replace(FOUND[1], value=0.03)))
-    assert before(half, EXTENDED).effects == half.effects  # a diagnosis of a car extended before starts there
+    assert without_estimates(half, EXTENDED).effects == half.effects  # of a car extended before
 
 
 def driven(errors, speeds, codes):
@@ -71,11 +71,11 @@ def test_a_spin_keeps_its_code_and_is_no_pair_in_speed():
     good, spun = LapCode.COMPLETED, LapCode.SPUN
     one: Any = driven([0.2, 0.3, 8.0, 0.4], [0.5, 0.6, 0.0, 0.4], [good, good, spun, good])
     other: Any = driven([0.1, 0.1, 0.1, 8.0], [0.4, 0.4, 0.4, 0.0], [good, good, good, spun])
-    told = figures(one)
+    told = summarise_laps(one)
     assert told["completed"] == [3, 4] and told["codes"][2] == "SPUN"
     assert told["velocity_rmse"]["mean"] == pytest.approx(0.5) and np.isnan(told["velocity_rmse"]["per_seed"][2])
     assert told["lateral_error"]["mean"] == pytest.approx(8.9 / 4)
-    apart = compare(one, other)
+    apart = compare_laps(one, other)
     assert apart["velocity_rmse"]["pairs"] == 2 and apart["velocity_rmse"]["mean"] == pytest.approx(-0.15)
     assert apart["lateral_error"]["pairs"] == 4 and apart["lateral_error"]["mean"] == pytest.approx(-0.6 / 4)
 

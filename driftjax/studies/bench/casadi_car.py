@@ -1,4 +1,4 @@
-"""What the CasADi peers share: the car written a second time, and generated C."""
+"""Shared by the CasADi peers: an independent implementation of the car, and generated C."""
 
 import tempfile
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ G = 9.81
 
 
 def single_track(v: VehicleConfig, V, beta, r, delta, Fxr):
-    """Rates of the published single track [SI], its rear side force within a friction ellipse where `v` has one."""
+    """Return the rates of the published single track [SI], with the friction ellipse of `v` at the rear, if any."""
     L = v.a + v.b
     Fzf, Fzr = v.m * G * v.b / L, v.m * G * v.a / L
     vx, vy = V * ca.cos(beta), V * ca.sin(beta)
@@ -31,10 +31,10 @@ def single_track(v: VehicleConfig, V, beta, r, delta, Fxr):
 
 @contextmanager
 def generated(compiled: bool = True) -> Iterator[dict[str, Any]]:
-    """Options that have CasADi write C and gcc compile it, for a solver made in this context; none if not `compiled`.
+    """Yield the options with which CasADi generates C and gcc compiles it; none if not `compiled`.
 
-    CasADi writes its C where the process is, and clears it away where it thinks that it is: so it gets a folder of its
-    own. The compiled code is loaded by the end.
+    The solver must be created in this context. CasADi writes its C into the working directory, so it gets a temporary
+    one; the compiled code is loaded by the end.
     """
     if not compiled:
         yield {}

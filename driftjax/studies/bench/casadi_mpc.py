@@ -1,7 +1,7 @@
-"""The drift MPC's transcription written a second time, in CasADi for FATROP and IPOPT, in rad and kN.
+"""Independent transcription of the drift MPC in CasADi for FATROP and IPOPT, in rad and kN.
 
-Stage k holds (V, beta, r, last input) and the input; the defects come stage by stage, as FATROP wants them. IPOPT is
-faster on this form, too, than on one without the last inputs.
+Stage k has (V, beta, r, last input) and the input; defects are ordered stage by stage, as FATROP requires. IPOPT too is
+faster in this form than without the last inputs.
 """
 
 import time
@@ -20,7 +20,7 @@ QUIET = {"fatrop": {"fatrop.print_level": 0}, "ipopt": {"ipopt.print_level": 0, 
 
 
 class CasadiSolution(NamedTuple):
-    """One solve."""
+    """Result of one solve."""
 
     cost: float
     success: bool
@@ -28,7 +28,7 @@ class CasadiSolution(NamedTuple):
 
 
 def _step(v: VehicleConfig, dt: float) -> ca.Function:
-    """One RK4 step of (V, beta, r) with the input, in kN, that becomes the last one."""
+    """Return one RK4 step of (V, beta, r, last input) with forces in kN."""
     x, last, u = ca.SX.sym("x", 3), ca.SX.sym("last", 2), ca.SX.sym("u", 2)
     rates = lambda x: ca.vertcat(*single_track(v, x[0], x[1], x[2], u[0], 1000 * u[1]))
     k1 = rates(x)
@@ -39,7 +39,7 @@ def _step(v: VehicleConfig, dt: float) -> ca.Function:
 
 
 class CasadiMPC:
-    """The problem for one solver: `compiled` to C by gcc, or evaluated by CasADi."""
+    """The drift MPC for one CasADi solver: `compiled` to C by gcc, or evaluated by CasADi."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class CasadiMPC:
             self.solver = ca.nlpsol("drift_mpc", solver, nlp, options | more)
 
     def solve(self, x: np.ndarray, previous: np.ndarray) -> CasadiSolution:
-        """One solve from `x` (3,) and the last command `previous` (2,) in rad and N; the guess is the reference."""
+        """Solve from `x` (3,) and the last command `previous` (2,) in rad and N; the guess is the reference."""
         before = previous / KN
         stage = np.concatenate([self.x_ref, before, before])
         guess = np.concatenate([np.tile(stage, self.horizon), stage[:5]])
@@ -71,7 +71,7 @@ class CasadiMPC:
 
 
 def _transcription(v: VehicleConfig, config: MPCConfig, weights: Weights, x_ref: np.ndarray):
-    """Problem, which of its constraints are equalities, and bounds."""
+    """Return the problem, which constraints are equalities, and the bounds."""
     step, N = _step(v, config.dt), config.horizon
     X = [ca.MX.sym(f"X{k}", 5) for k in range(N + 1)]
     U = [ca.MX.sym(f"U{k}", 2) for k in range(N)]

@@ -1,4 +1,4 @@
-"""The planner's transcription written a second time, in CasADi for IPOPT: independent derivatives and solver."""
+"""Independent transcription of the planner in CasADi for IPOPT: other derivatives and another solver."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ UNIT = 0.1  # seconds that the objective is written in, so that IPOPT's own scal
 
 
 class PlanSolution(NamedTuple):
-    """One solve."""
+    """Result of one solve."""
 
     states: np.ndarray  # (n, 7) V, beta, r, e, theta, delta, Fxr
     cost: float  # objective [s]
@@ -57,7 +57,7 @@ class CasadiPlan:
         self._bounds = _bounds(vehicle, config, stage, scale)
 
     def solve(self, guess: np.ndarray) -> PlanSolution:
-        """IPOPT's answer from `guess` (n, 7) in SI and resting inputs."""
+        """Solve from `guess` (n, 7) in SI with zero input rates."""
         n = self.nodes
         start = _flat((guess / self.scale).T, np.zeros((2, n - 1)))
         out = self._solver(x0=start, **self._bounds)
@@ -70,7 +70,7 @@ def _flat(A, B) -> np.ndarray:
 
 
 def _step(v: VehicleConfig, ds: float, scale: np.ndarray) -> tuple[ca.Function, ca.Function]:
-    """One RK4 step of `ds` along the track, and the time per metre."""
+    """Return one RK4 step of `ds` [m] along the track, and the time per metre [s/m]."""
     x, u, kappa = ca.SX.sym("x", 7), ca.SX.sym("u", 2), ca.SX.sym("kappa", 3)
 
     def slope(x, kappa):
@@ -89,7 +89,7 @@ def _step(v: VehicleConfig, ds: float, scale: np.ndarray) -> tuple[ca.Function, 
 
 
 def _objective(v: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, scale: np.ndarray, X, U, slowness):
-    """Time with its floor, and the prices of rates, course and front slip [s]."""
+    """Return the time with its floor, and the costs of rates, course and front slip [s]."""
     share = np.asarray(stage.share)[None, :]
     floor = 0.0 if config.V_fair is None else 1 / config.V_fair
     time = ca.sum2(share * (slowness**16 + floor**16) ** (1 / 16)) * ds
@@ -103,7 +103,7 @@ def _objective(v: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, sc
 
 
 def _bounds(v: VehicleConfig, config: PlanConfig, stage: Stage, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """Of the variables and of defects, course and slip."""
+    """Return the bounds of the variables and of defects, course and slip."""
     n = len(np.asarray(stage.share))
     at_end = np.full(n, 1.2)
     at_end[-1] = config.end_slip

@@ -30,7 +30,7 @@ EVENTS = (
 
 
 class Spans:
-    """When this process traced, lowered or compiled; one may lie within another."""
+    """Record the intervals in which this process traced, lowered or compiled; they may overlap."""
 
     def __init__(self) -> None:
         self.found: list[tuple[float, float]] = []
@@ -41,7 +41,7 @@ class Spans:
             self.found.append((end - duration_secs, end))
 
     def seconds(self) -> float:
-        """Length of their union."""
+        """Return the length of the union of the intervals [s]."""
         total, reached = 0.0, 0.0
         for start, end in sorted(self.found):
             total += max(0.0, end - max(start, reached))
@@ -61,7 +61,7 @@ def time_programs(out: Path, folder: Path) -> None:
 
 
 def run_learn(folder: Path, name: str) -> dict[str, float]:
-    """A run with the cache in `folder`: seconds spent on programs, and in all."""
+    """Run `driftjax learn` with the cache in `folder`; returns the seconds spent on programs, and in total."""
     out = folder / f"{name}.json"
     command = [sys.executable, "-m", "driftjax.studies.bench.compile_rows", str(out), str(folder / name)]
     own = {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
@@ -72,7 +72,7 @@ def run_learn(folder: Path, name: str) -> dict[str, float]:
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """One row, measured once: it takes minutes."""
+    """Measure one row, once: it takes minutes."""
     del cfg
     with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:
         empty, full = run_learn(Path(folder), "empty"), run_learn(Path(folder), "full")

@@ -1,4 +1,4 @@
-"""What a person may choose about the bench."""
+"""Options of the bench."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class BenchConfig:
         require_at_least(self, 0, "workers")
 
     def reduced(self) -> "Config":
-        """The sizes of `quick`."""
+        """Return the options with the sizes of `quick`."""
         only = tuple(part for part in self.only if part != "compile")
         require(len(only) > 0, "the part 'compile' takes minutes and has no quick form; leave out --quick.")
         small = {"dtype": ("float64",), "batch": 1, "cars": 256, "repeats": 2, "threads": 1, "workers": 0}

@@ -1,4 +1,4 @@
-"""The reference drift: the sedan's problem of Eq. 10 around one steady drift, and where 256 solves of it start."""
+"""Reference drift: the sedan's problem of Eq. 10 around one steady drift, with 256 initial states."""
 
 import dataclasses
 from functools import cache
@@ -24,7 +24,7 @@ TOLERANCE = 1e-6
 
 
 class Starts(NamedTuple):
-    """Where solves start."""
+    """Initial states and last commands of solves."""
 
     x: np.ndarray  # (n, 3) V, beta, r
     previous: np.ndarray  # (n, 2) last command delta [rad], Fxr [N]
@@ -32,18 +32,18 @@ class Starts(NamedTuple):
 
 @cache
 def car() -> VehicleConfig:
-    """The sedan with the limits of the reference problem."""
+    """Return the sedan with the limits of the reference problem."""
     limits = {"delta_max": 0.6, "Fxr_min": 0.0, "Fxr_max": 1e4, "delta_rate_max": 2.0, "Fxr_rate_max": 3e4}
     return dataclasses.replace(load_vehicle("sedan"), **limits)
 
 
 def config(horizon: int = HORIZON) -> MPCConfig:
-    """Step of 0.05 s; R of 10 on rad^2 and 1e-3 on kN^2, changes per step."""
+    """Return the MPC options: step of 0.05 s; R of 10 on rad^2 and 1e-3 on kN^2, changes per step."""
     return MPCConfig(horizon=horizon, dt=0.05, R=(10.0, 0.001), Fxr_unit=1000.0, tolerance=TOLERANCE, max_steps=60)
 
 
 def starts(num: int = 256) -> Starts:
-    """`num` states and last commands around the drift; the first of them do not depend on `num` up to 256."""
+    """Return `num` states and last commands around the drift; up to 256, the first ones do not depend on `num`."""
     rng, drawn = np.random.default_rng(0), max(num, 256)
     x = X_REF + SPREAD * rng.uniform(-1, 1, (drawn, 3)) * X_SPREAD
     previous = U_REF + SPREAD * rng.uniform(-1, 1, (drawn, 2)) * U_SPREAD
@@ -51,7 +51,7 @@ def starts(num: int = 256) -> Starts:
 
 
 def residual_rows(num: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs (num, 5) about the drift, and how the rates (num, 3) of a car with less friction differ there [1/s]."""
+    """Return inputs (num, 5) around the drift, and the rate differences (num, 3) of a car with less friction."""
     rng = np.random.default_rng(1)
     x = X_REF + rng.uniform(-1, 1, (num, 3)) * X_SPREAD
     u = U_REF + rng.uniform(-1, 1, (num, 2)) * U_SPREAD

@@ -1,4 +1,4 @@
-"""How the costs grow: a log-log figure per size."""
+"""Plot how the costs grow: one log-log figure per size."""
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -12,7 +12,7 @@ MARKERS = "osv^D<>"
 
 
 def write_curves(curves: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
-    """A PNG and a PDF for each figure that the curves name; returns the paths of the PNGs."""
+    """Write a PNG and a PDF for each figure that the curves name; returns the paths of the PNGs."""
     names = dict.fromkeys(curve["figure"] for curve in curves)
     return [_draw([curve for curve in curves if curve["figure"] == name], out, name) for name in names]
 

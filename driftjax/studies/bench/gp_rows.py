@@ -1,4 +1,4 @@
-"""The fit of a Gaussian process with three outputs and five inputs: scikit-learn beside this package."""
+"""Measure the fit of a Gaussian process with three outputs and five inputs against scikit-learn."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ SAME = 1e-3  # by so much per data row our log likelihood may be below theirs an
 
 
 class Data(NamedTuple):
-    """Rows to be learnt from, raw and divided by their scales."""
+    """Training rows, raw and divided by their scales."""
 
     Z: jax.Array
     Y: jax.Array
@@ -33,7 +33,7 @@ class Data(NamedTuple):
 
 
 def noisy_rows(num: int) -> Data:
-    """`num` rows of a car with less friction, with noise."""
+    """Return `num` noisy rows of a car with less friction."""
     Z, Y = residual_rows(num)
     Y = Y + NOISE * np.sqrt(np.mean(Y**2, axis=0)) * np.random.default_rng(2).standard_normal(Y.shape)
     scale, output_scale = data_scales(jnp.asarray(Z), jnp.asarray(Y), jnp.ones(num, bool))
@@ -41,13 +41,13 @@ def noisy_rows(num: int) -> Data:
 
 
 def gp_fit(rows: Data) -> Callable[[], FitResult]:
-    """The fit on all `rows` from one start, ready to be run."""
+    """Return the fit on all `rows` from one start, ready to run."""
     num = len(rows.X)
     return lambda: fit(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """All rows; curves where asked for."""
+    """Measure all rows, and the curves if `cfg.plots`."""
     rows = [_row(cfg, num) for num in ((40,) if cfg.quick else TARGETS)]
     any_rows = [_any_row(cfg, num) for num in ((40,) if cfg.quick else ANY_SIZES)]
     return PartResult(rows + any_rows, _curves(cfg) if cfg.plots else [])
@@ -70,12 +70,12 @@ def _row(cfg: BenchConfig, num: int) -> Row:
 
 
 def se_kernel(p: dict[str, jax.Array], a: jax.Array, b: jax.Array) -> jax.Array:
-    """The shipped kernel as a function of two points."""
+    """Return the squared-exponential kernel of two points."""
     return p["amplitude"] ** 2 * jnp.exp(-0.5 * jnp.sum(((a - b) / p["length"]) ** 2))
 
 
 def any_kernel(rows: Data) -> Callable[[], KernelGP]:
-    """The fit of the first output with automatic gradient from one start, within the same bounds."""
+    """Return the fit of the first output with automatic gradient from one start, within the same bounds."""
     box = [{"amplitude": side[1], "length": np.full(rows.X.shape[1], side[0])} for side in (LOWER, UPPER)]
     X, y = jnp.asarray(rows.X), jnp.asarray(rows.T[:, 0])
     return lambda: fit_kernel(se_kernel, X, y, *box, noise=(LOWER[2], UPPER[2]), num_restarts=1,
@@ -83,7 +83,7 @@ def any_kernel(rows: Data) -> Callable[[], KernelGP]:
 
 
 def _any_row(cfg: BenchConfig, num: int) -> Row:
-    """One output: closed-form derivatives beside automatic ones."""
+    """Compare closed-form with automatic derivatives on one output."""
     rows = noisy_rows(num)
     one = rows._replace(Y=rows.Y[:, :1])
     mine, theirs = RecordedCall(gp_fit(one)), RecordedCall(any_kernel(rows))
@@ -109,7 +109,7 @@ def _logs(hyper: Hyper) -> np.ndarray:
 
 
 def _likelihoods(rows: Data, logs: np.ndarray) -> list[float]:
-    """Log marginal likelihood of each output at these hyper-parameters, by the same formula for both sides."""
+    """Return the log marginal likelihood of each output at these hyper-parameters, by one formula for both sides."""
     pairs, present = squared_differences(jnp.asarray(rows.X)), jnp.ones(len(rows.X), bool)
     at = lambda x, y: likelihood("se", Hyper(x[:-2], x[-2], x[-1]), pairs, y, present)
     return [float(at(jnp.asarray(x), jnp.asarray(y))) for x, y in zip(logs, rows.T.T, strict=True)]

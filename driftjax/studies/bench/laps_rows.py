@@ -1,4 +1,4 @@
-"""Closed-loop laps with a learnt GP, many plants at once, by the code that `driftjax learn` drives with."""
+"""Measure closed-loop laps with a learnt GP, many plants at once, by the code of `driftjax learn`."""
 
 import dataclasses
 import time
@@ -24,19 +24,19 @@ CAR = "sedan"
 
 
 class Driven(NamedTuple):
-    """Laps of one call."""
+    """Time and completion of the laps of one call."""
 
     seconds: float
     completed: float  # share
 
 
 def lap_options(num: int) -> LearnConfig:
-    """One controller, `num` plants drawn at random, one noise seed each."""
+    """Return the options: one controller, `num` random plants, one noise seed each."""
     return dataclasses.replace(load_learn_config(CAR), plants=num, noise_seeds=1, controllers=("path",), compare=False)
 
 
 def learnt_residual() -> Residual:
-    """What one plant's nominal lap teaches."""
+    """Return the residual learnt from one plant's nominal lap."""
     with process_executor(0) as executor:
         scenario = build(lap_options(1), executor)
         stage, _ = drive_nominal(scenario, 0)
@@ -45,7 +45,7 @@ def learnt_residual() -> Residual:
 
 
 def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
-    """A GP lap of `num` plants at once, with every worker's programs compiled before."""
+    """Time a GP lap of `num` plants at once, with the programs of all workers compiled before."""
     with process_executor(num_workers) as executor:
         warm_up(executor, max(1, num_workers), residual)
         scenario, batch = build_laps(executor, num, residual)
@@ -57,19 +57,19 @@ def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
 
 
 def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
-    """A lap of `num` plants, one per worker."""
+    """Drive a lap of `num` plants, one per worker, to compile all programs."""
     scenario, batch = build_laps(executor, num, residual)
     run_stage(scenario, batch, 0)
 
 
 def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
-    """`num` plants, all driven with the same residual."""
+    """Build scenario and drivers of `num` plants, all with the same residual."""
     scenario = build(lap_options(num), executor)
     return scenario, drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """What a lap costs among many, against one alone; each is driven once."""
+    """Compare the cost of a lap in a large batch with that of a single lap; each is driven once."""
     num = 2 if cfg.quick else cfg.batch
     num_workers = cfg.workers if jax.default_backend() == "cpu" and cfg.workers > 1 else 0
     residual = learnt_residual()

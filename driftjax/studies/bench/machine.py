@@ -1,4 +1,4 @@
-"""What the numbers were measured on and with."""
+"""Describe the machine and the versions behind the numbers."""
 
 import os
 import platform
@@ -14,7 +14,7 @@ PACKAGES = ("casadi", "numba", "scikit-learn", "scipy")
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, device, versions of both sides, date."""
+    """Return processor, cores, device, versions of both sides and date."""
     return {
         "processor": _processor(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -26,7 +26,7 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    """Name of the processor; many systems tell it in /proc/cpuinfo only."""
+    """Return the name of the processor, which many systems give in /proc/cpuinfo only."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

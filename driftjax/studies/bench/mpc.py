@@ -1,4 +1,4 @@
-"""The drift MPC of this package on the reference drift: many solves at once, as iterated in real time or converged."""
+"""Solve the drift MPC of this package on the reference drift: many solves at once, real-time iteration or converged."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +25,7 @@ TOLERANCES: dict[Dtype, float] = {"float64": TOLERANCE, "float32": 1e-3}  # scal
 
 
 class Solved(NamedTuple):
-    """Solves side by side."""
+    """Results of a batch of solves."""
 
     cost: Array  # (n,) of the plan; of a real-time iteration that of its quadratic program
     solved: Array  # (n,) bool: to the tolerance
@@ -33,7 +33,7 @@ class Solved(NamedTuple):
 
 @eqx.filter_jit
 def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, tolerance: float) -> Solved:
-    """Solves from states (3, n) and last commands (2, n); the guess is the reference with the last command held."""
+    """Solve from states (3, n) and last commands (2, n); the guess is the reference with the last command held."""
     x, previous = starts
     n = x.shape[1]
     reference = Reference(*(jnp.full((N + 1, 1), value, x.dtype) for value in (*X_REF, 0.0, 0.0, 0.0)))
@@ -47,7 +47,7 @@ def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, t
 def mpc_solves(
     kind: Kind, starts: Starts, dtype: Dtype, *, horizon: int = HORIZON, threads: int = 1, gp: GP | None = None
 ) -> Callable[[], Solved]:
-    """The solves of all `starts`, in equal parts on as many threads, with `gp` in the dynamics, ready to be run."""
+    """Return the solves of all `starts` in equal parts on `threads`, with `gp` in the dynamics, ready to run."""
     residual = None if gp is None else Residual(gp, jnp.ones(3), jnp.zeros(2))
     problem = drift_lanes(config(horizon), WEIGHTS, car(), residual, jnp.dtype(dtype).type)
     num = len(starts.x)
@@ -66,7 +66,7 @@ def mpc_solves(
 
 
 def example_gp(num: int) -> GP:
-    """GP of what a car with less friction does otherwise near the drift, at `num` random points."""
+    """Return a GP of the rate differences of a car with less friction near the drift, on `num` random points."""
     Z, Y = (jnp.asarray(table, jnp.result_type(float)) for table in residual_rows(num))
     mask = jnp.ones(num, bool)
     hyper = Hyper(jnp.full((3, 5), jnp.log(3.0)), jnp.zeros(3), jnp.full(3, jnp.log(0.05)))

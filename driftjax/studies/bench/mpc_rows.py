@@ -1,4 +1,4 @@
-"""The rows and curves of the MPC: FATROP and IPOPT, solve by solve on one core, beside this package."""
+"""Measure the MPC against FATROP and IPOPT, solve by solve on one core."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ BATCHES, HORIZONS, GP_SIZES = (1, 4, 16, 64, 256, 1024), (10, 20, 40, 80), (0, 5
 
 @dataclass(frozen=True)
 class SolveCase:
-    """Solves of one kind, so many at once."""
+    """A batch of solves of one kind."""
 
     kind: Kind
     dtype: Dtype
@@ -35,19 +35,19 @@ class SolveCase:
 
     @property
     def what(self) -> str:
-        """In words."""
+        """Description in the table."""
         return f"{NAMES[self.kind]}, {'one problem alone' if self.num == 1 else f'batch {self.num}'}, {self.dtype}"
 
     @property
     def target(self) -> float | None:
-        """Times faster than one converged solve of FATROP."""
+        """Target speed-up over one converged solve of FATROP."""
         if self.num > 1:
             return BATCH[self.kind][self.dtype]
         return ALONE[self.kind] if self.dtype == "float64" else None
 
 
 class Peer:
-    """A CasADi solver that solves all starts one after the other."""
+    """CasADi solver that solves all starts one after the other."""
 
     def __init__(self, solver: Solver, problems: Starts, horizon: int):
         from driftjax.studies.bench.casadi_mpc import CasadiMPC
@@ -57,7 +57,7 @@ class Peer:
         self.costs, self.success = np.zeros(len(problems.x)), 0.0
 
     def run(self) -> float:
-        """Seconds of the middle one of the solves."""
+        """Return the median time of a solve [s]."""
         answers = [self._solver.solve(x, u) for x, u in zip(*self._problems, strict=True)]
         self.costs = np.array([one.cost for one in answers])
         self.success = float(np.mean([one.success for one in answers]))
@@ -65,7 +65,7 @@ class Peer:
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """All rows; curves where asked for."""
+    """Measure all rows, and the curves if `cfg.plots`."""
     problems, horizon = starts(cfg.batch), QUICK_HORIZON if cfg.quick else HORIZON
     rows = _rows(cfg, problems, horizon) + [_gp_row(cfg, problems, horizon)]
     return PartResult(rows, _curves(cfg, problems, horizon) if cfg.plots else [])
@@ -88,7 +88,7 @@ def _rows(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Row]:
 def _case_rows(
     case: SolveCase, found: Solved, peers: dict[Solver, Peer], times: dict[SolveCase | Solver, Timing], horizon: int
 ) -> list[Row]:
-    """One case against FATROP, against IPOPT where both converge, and against what acados would take."""
+    """Return the rows of one case against FATROP, IPOPT where both converge, and the derived time of acados."""
     facts = _facts(case.kind, found, peers) | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
     facts["kkt"] = TOLERANCES[case.dtype]
     fatrop, factor = times.get("fatrop"), ACADOS[case.kind]
@@ -104,7 +104,7 @@ def _case_rows(
 
 
 def _facts(kind: Kind, found: Solved, peers: dict[Solver, Peer]) -> dict[str, float | int | str]:
-    """Share solved to the tolerance; largest relative differences of the optimal costs."""
+    """Return the share solved to the tolerance, and the largest relative differences of the optimal costs."""
     solved = np.asarray(found.solved)
     facts: dict[str, float | int | str] = {"solved": float(solved.mean())}
     for name, peer in peers.items():
@@ -116,7 +116,7 @@ def _facts(kind: Kind, found: Solved, peers: dict[Solver, Peer]) -> dict[str, fl
 
 
 def _gp_row(cfg: BenchConfig, problems: Starts, horizon: int) -> Row:
-    """What a Gaussian process in the dynamics adds."""
+    """Measure the cost of a Gaussian process in the dynamics."""
     num = 1 if cfg.quick else GP_SIZE  # a size that is compiled anyway
     solve = partial(mpc_solves, "converged", problems, "float64", horizon=horizon, threads=cfg.threads)
     with_gp, without = RecordedCall(solve(gp=example_gp(num))), solve()
@@ -128,7 +128,7 @@ def _gp_row(cfg: BenchConfig, problems: Starts, horizon: int) -> Row:
 
 
 def _curves(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Curve]:
-    """How the time per solve grows with batch, horizon and size of the Gaussian process."""
+    """Measure the time per solve over batch, horizon and size of the Gaussian process."""
     batches, horizons, sizes = ((cfg.batch,), (horizon,), (1,)) if cfg.quick else (BATCHES, HORIZONS, GP_SIZES)
     many, curves = f"batch {cfg.batch}", []
     for kind, name in NAMES.items():

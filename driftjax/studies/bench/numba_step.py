@@ -1,4 +1,4 @@
-"""The single track's step as numba compiles it: a loop over cars on one core."""
+"""Step of the single track compiled by numba: a loop over cars on one core."""
 
 from collections.abc import Callable
 from math import atan, atan2, cos, sin
@@ -40,7 +40,7 @@ def _loop(car, two, six, V, beta, r, delta, Fxr, dt, V_end, beta_end, r_end):
 
 
 def numba_steps(v: VehicleConfig, columns: tuple[np.ndarray, ...]) -> Callable[[], tuple[np.ndarray, ...]]:
-    """Steps of cars given as V, beta, r, delta, Fxr, dt (n,) of one precision: V, beta, r (n,) one step later."""
+    """Return a function that gives V, beta, r (n,) one step after V, beta, r, delta, Fxr, dt (n,), of one precision."""
     dtype = columns[0].dtype.type
     end = tuple(np.empty(len(columns[0]), dtype) for _ in range(3))
     grip = v.mu * v.m * G / (v.a + v.b)

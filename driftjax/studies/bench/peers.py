@@ -1,4 +1,4 @@
-"""Peers that may not be there."""
+"""Optional peers."""
 
 import importlib.util
 import shutil
@@ -9,7 +9,7 @@ PEERS: dict[Solver, str] = {"fatrop": "CasADi FATROP", "ipopt": "CasADi IPOPT"}
 
 
 def missing(package: str) -> str:
-    """How to install a Python package or a program that is not there; empty where it is."""
+    """Return how to install a missing Python package or program; empty if it is installed."""
     if package == "g++":
         return "" if shutil.which("g++") else "missing: install g++"
     names = {"scikit-learn": "sklearn"}

@@ -1,4 +1,4 @@
-"""The minimum-time plan of the sedan on its shipped corner: IPOPT on the same transcription beside this package."""
+"""Measure the minimum-time plan of the sedan on its shipped corner against IPOPT on the same transcription."""
 
 import dataclasses
 from collections.abc import Callable
@@ -28,7 +28,7 @@ FRICTION = 0.02  # by this share the friction of the cars side by side differs a
 
 
 class Setting(NamedTuple):
-    """The problem of both sides."""
+    """Problem data of both sides."""
 
     vehicle: VehicleConfig
     config: PlanConfig
@@ -38,7 +38,7 @@ class Setting(NamedTuple):
 
 
 def setting() -> Setting:
-    """Of the shipped options."""
+    """Return the problem data of the shipped options."""
     track, config = load_track(f"{CAR}_corner"), load_plan_config(CAR)
     vehicle = config.planned(load_vehicle(CAR))
     at = nodes(track, vehicle.a + vehicle.b, config)
@@ -47,14 +47,14 @@ def setting() -> Setting:
 
 
 def minimum_time_problem(of: Setting, mu: float = 1.0) -> MinimumTime:
-    """This package's problem; `mu` times the friction."""
+    """Return this package's problem with `mu` times the friction."""
     vehicle = dataclasses.replace(of.vehicle, mu=mu * of.vehicle.mu)
     return problem(vehicle, of.config, of.stage, of.ds)
 
 
 @eqx.filter_jit
 def _solve(ocps: MinimumTime, stage: Stage, X: jax.Array, options: Options, entry_speed: jax.Array) -> Plan:
-    """Plans of problems with a leading axis, from one guess `X` (n, 7) in SI."""
+    """Solve problems with a leading axis from one guess `X` (n, 7) in SI."""
 
     def one(ocp: MinimumTime) -> Plan:
         x0 = jnp.zeros(7).at[0].set(entry_speed) / ocp.scale
@@ -64,7 +64,7 @@ def _solve(ocps: MinimumTime, stage: Stage, X: jax.Array, options: Options, entr
 
 
 def plan_solves(of: Setting, num: int) -> Callable[[], Plan]:
-    """Plans of `num` cars at once, ready to be run; one car has the shipped friction."""
+    """Return the plans of `num` cars at once, ready to run; a single car has the shipped friction."""
     share = np.linspace(-FRICTION, FRICTION, num) if num > 1 else np.zeros(1)
     each = [minimum_time_problem(of, 1 + float(more)) for more in share]
     stacked = jax.tree.map(lambda *a: jnp.stack(a) if eqx.is_array(a[0]) else a[0], *each)
@@ -74,7 +74,7 @@ def plan_solves(of: Setting, num: int) -> Callable[[], Plan]:
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """One plan against IPOPT's, and what more plans at once cost."""
+    """Compare one plan with IPOPT's, and a batch of plans with one."""
     of = setting()
     one, many = RecordedCall(plan_solves(of, 1)), RecordedCall(plan_solves(of, 1 if cfg.quick else SIDE_BY_SIDE))
     runs = {"one": timed(one, 1), "many": timed(many, 1)}
@@ -102,6 +102,6 @@ def measure(cfg: BenchConfig) -> PartResult:
 
 
 def _facts(plans: Plan) -> dict[str, float]:
-    """Share of plans solved to the tolerance, and iterations of the slowest."""
+    """Return the share of plans solved to the tolerance, and the iterations of the slowest."""
     solved = np.asarray(plans.result == RESULTS.successful)
     return {"solved": float(solved.mean()), "iterations": int(np.max(np.asarray(plans.num_steps)))}

@@ -1,4 +1,4 @@
-"""What is measured: times with their spread, and rows that set two of them side by side."""
+"""Measured times with their spread, and rows that compare two of them."""
 
 import math
 import time
@@ -23,21 +23,21 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """Middle of the runs."""
+        """Median of the runs [s]."""
         return float(np.median(self.runs))
 
     @property
     def quartiles(self) -> tuple[float, float]:
-        """Between them lies the middle half of the runs."""
+        """Lower and upper quartile of the runs [s]."""
         low, high = np.quantile(self.runs, (0.25, 0.75))
         return float(low), float(high)
 
     def over(self, factor: float) -> "Timing":
-        """These times over a factor."""
+        """Return the times divided by a factor."""
         return Timing(tuple(run / factor for run in self.runs))
 
     def as_json(self) -> dict[str, Any]:
-        """Median, quartiles and runs [s]."""
+        """Return median, quartiles and runs [s]."""
         return {"median": self.median, "quartiles": list(self.quartiles), "runs": list(self.runs)}
 
 
@@ -79,7 +79,7 @@ class Row:
         return ratio.median >= self.target if self.sense == "faster" else ratio.median <= self.target
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values of everything, ratio and verdict included."""
+        """Return plain values, ratio and verdict included."""
         plain = lambda timing: None if timing is None else timing.as_json()
         return {
             "part": self.part, "what": self.what, "unit": self.unit, "ours": plain(self.ours), "against": self.against,
@@ -102,14 +102,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class PartResult:
-    """What one part found."""
+    """Rows and curves of one part."""
 
     rows: list[Row]
     curves: list[Curve] = field(default_factory=list)
 
 
 class RecordedCall(Generic[T]):
-    """A call that keeps what it returned last, so that what was timed need not be done again to be looked at."""
+    """Call that stores its last result, so that a timed computation need not be repeated to inspect it."""
 
     def __init__(self, call: Callable[[], T]):
         self._call = call
@@ -121,8 +121,11 @@ class RecordedCall(Generic[T]):
 
 
 def timed(call: Callable[[], Any], units: int, at_least: float = 0.1) -> Callable[[], float]:
-    """A function that gives seconds per unit of one run; `call` does `units` of them, and is repeated within a run
-    until that takes `at_least` [s]. Compiles and warms up first."""
+    """Return a function that measures the seconds per unit of one run.
+
+    `call` does `units` of work, and is repeated within a run until that takes `at_least` [s]. Compiles and warms up
+    first.
+    """
     jax.block_until_ready(call())
     start = time.perf_counter()
     jax.block_until_ready(call())
@@ -138,7 +141,7 @@ def timed(call: Callable[[], Any], units: int, at_least: float = 0.1) -> Callabl
 
 
 def alternate(repeats: int, runs: Mapping[K, Callable[[], float]], budget: float = BUDGET) -> dict[K, Timing]:
-    """Each of `runs` measured `repeats` times, in turns, so that what slows the machine slows all of them.
+    """Measure each of `runs` `repeats` times, in turns, so that other load slows all of them alike.
 
     After `budget` [s] three times are enough.
     """

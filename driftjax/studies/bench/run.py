@@ -47,14 +47,14 @@ def run_bench(cfg: BenchConfig, out: Path, report: Callable[[str, int, int], Non
 
 
 def write_results(results: dict[str, Any], out: Path) -> None:
-    """results.json and results.md so far."""
+    """Write results.json and results.md so far."""
     text, table = json.dumps(results, indent=1), bench_page(results)
     write_atomically(out / "results.json", lambda p: p.write_text(text, encoding="utf-8"))
     write_atomically(out / "results.md", lambda p: p.write_text(table, encoding="utf-8"))
 
 
 def run_part(part: Part, cfg: BenchConfig) -> dict[str, Any]:
-    """Rows and curves of one part."""
+    """Measure one part in a process of its own; returns its rows and curves."""
     with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:
         options, out = Path(folder) / "options.json", Path(folder) / "out.json"
         options.write_text(json.dumps(to_dict(cfg)), encoding="utf-8")
@@ -74,7 +74,7 @@ def measure_part(part: str, options: Path, out: Path) -> None:
 
 
 def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
-    """This process's, with this copy of the package first, one thread per peer, and the threads of the part."""
+    """Return the environment of the part's process: this copy of the package first, one thread per peer."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     # only these programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
     elementwise = part in ("mpc", "simulator")

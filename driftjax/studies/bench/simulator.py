@@ -1,4 +1,4 @@
-"""One step of many cars, as this package simulates them."""
+"""Step many cars by this package."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ PLANT_DT = 1e-3  # step of the double track [s], whose wheels are quick
 
 
 def columns(num: int, dtype: Dtype) -> tuple[np.ndarray, ...]:
-    """V, beta, r, delta, Fxr and step (num,) of cars about the reference drift."""
+    """Return V, beta, r, delta, Fxr and step (num,) of cars around the reference drift."""
     rng = np.random.default_rng(0)
     x = X_REF + rng.uniform(-1, 1, (num, 3)) * X_SPREAD
     u = U_REF + rng.uniform(-1, 1, (num, 2)) * U_SPREAD
@@ -27,18 +27,18 @@ def columns(num: int, dtype: Dtype) -> tuple[np.ndarray, ...]:
 
 
 def step(batch: tuple[State, Control, Array], car: SingleTrack) -> State:
-    """Single-track cars one step later."""
+    """Return single-track cars one step later."""
     x, u, dt = batch
     return rk4_step(lambda y: car(y, u), x, dt)
 
 
 def plant_step(batch: tuple[PlantState, Control], plant: DoubleTrack) -> PlantState:
-    """Double-track cars one step later."""
+    """Return double-track cars one step later."""
     return jax.vmap(lambda x, u: plant.advance(x, u, PLANT_DT, 1))(*batch)
 
 
 def single_track_steps(dtype: Dtype, batch: int) -> Callable[[], State]:
-    """One step of `batch` single-track cars in one call, which XLA shares among its threads, ready to be run."""
+    """Return one step of `batch` single-track cars in one call, which XLA splits over its threads, ready to run."""
     V, beta, r, delta, Fxr, dt = map(jnp.asarray, columns(batch, dtype))
     car = jax.tree.map(lambda leaf: leaf.astype(dtype), load_vehicle("sedan").build())
     inputs = (State(V, beta, r), Control(delta, Fxr), dt)
@@ -46,9 +46,9 @@ def single_track_steps(dtype: Dtype, batch: int) -> Callable[[], State]:
 
 
 def double_track_steps(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:
-    """One step of `batch` double-track cars, with all that they have and the nominal car lacks, on `executor`.
+    """Return one step of `batch` double-track cars on `executor`, ready to run.
 
-    XLA does not share a program that long among its own threads.
+    XLA does not split a program of that length over its own threads.
     """
     V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
     plant = jax.tree.map(lambda leaf: leaf.astype(dtype), load_plant("sedan").build())

@@ -1,4 +1,4 @@
-"""The rows and curves of the simulator: numba and C++ on one core beside this package."""
+"""Measure the simulator: this package against numba and C++ on one core."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -25,24 +25,24 @@ Step = Callable[[], tuple[np.ndarray, ...]]
 
 
 def measure(cfg: BenchConfig) -> PartResult:
-    """All rows; curves where asked for."""
-    told, vectorised = _peers()
+    """Measure all rows, and the curves if `cfg.plots`."""
+    makers, vectorised = _peers()
     rows = []
     for dtype in cfg.dtype:
         mine = single_track_steps(dtype, cfg.cars)
-        steps = {name: make(columns(cfg.cars, dtype)) for name, make in told.items()}
+        steps = {name: make(columns(cfg.cars, dtype)) for name, make in makers.items()}
         with thread_executor(cfg.cars, cfg.threads) as threads:
             calls = {"ours": mine, "plant": double_track_steps(dtype, cfg.cars, threads)} | steps
             times = alternate(cfg.repeats, {name: timed(call, cfg.cars) for name, call in calls.items()})
-        found = tuple(map(np.asarray, mine()))
+        states = tuple(map(np.asarray, mine()))
         for name, package in PACKAGES.items():
-            facts = {"batch": cfg.cars, "dtype": dtype} | _facts(found, steps.get(name))
+            facts = {"batch": cfg.cars, "dtype": dtype} | _facts(states, steps.get(name))
             facts |= {"vectorised": vectorised} if name == VECTOR and name in steps else {}
             what = f"single-track RK4 step, batch {cfg.cars}, {dtype}"
             rows.append(Row("simulator", what, "step", times["ours"], name, times.get(name), "faster",
                             TARGETS.get((name, dtype)), missing(package), facts))  # fmt: skip
         rows.append(_plant_row(times, cfg.cars, dtype))
-    return PartResult(rows, _curves(cfg, told) if cfg.plots else [])
+    return PartResult(rows, _curves(cfg, makers) if cfg.plots else [])
 
 
 def _plant_row(times: Mapping[str, Timing], num: int, dtype: Dtype) -> Row:
@@ -53,7 +53,7 @@ def _plant_row(times: Mapping[str, Timing], num: int, dtype: Dtype) -> Row:
 
 
 def _peers() -> tuple[dict[str, Callable[[tuple[np.ndarray, ...]], Step]], bool]:
-    """Makers of the steps of those peers that are there, and whether g++ vectorised its loop."""
+    """Return makers of the steps of the installed peers, and whether g++ vectorised its loop."""
     car, makers, vectorised = load_vehicle("sedan"), {}, False
     if not missing("g++"):
         from driftjax.studies.bench import cpp_step
@@ -69,11 +69,11 @@ def _peers() -> tuple[dict[str, Callable[[tuple[np.ndarray, ...]], Step]], bool]
     return makers, vectorised
 
 
-def _facts(found: tuple[np.ndarray, ...], step: Step | None) -> dict[str, float]:
-    """Largest difference of the states after the step, over their size."""
+def _facts(states: tuple[np.ndarray, ...], step: Step | None) -> dict[str, float]:
+    """Return the largest relative difference of the states after the step."""
     if step is None:
         return {}
-    apart = [np.max(np.abs(a - b)) / np.max(np.abs(b)) for a, b in zip(found, step(), strict=True)]
+    apart = [np.max(np.abs(a - b)) / np.max(np.abs(b)) for a, b in zip(states, step(), strict=True)]
     return {"difference": float(max(apart))}
 
 

@@ -1,4 +1,4 @@
-"""The same Gaussian process in scikit-learn: one output at a time, from the same start, within the same bounds."""
+"""Fit the same Gaussian process by scikit-learn: one output at a time, same start, same bounds."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ START = (1.0, 1.0, 0.1)  # length scale, amplitude, noise: the first start of `d
 
 
 def fit_sklearn(X: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Logarithms (D, nf + 2) of length scales, amplitude and noise for inputs (n, nf) and targets (n, D), scaled."""
+    """Return logarithms (D, nf + 2) of length scales, amplitude and noise for scaled inputs (n, nf), targets (n, D)."""
     (length, amplitude, noise), bounds = START, list(zip(LOWER, UPPER, strict=True))
     squared = lambda pair: (pair[0] ** 2, pair[1] ** 2)
     logs = []

@@ -1,7 +1,9 @@
-"""The rows as Markdown: what the screen shows and docs/results/speed.md holds."""
+"""Format the rows as Markdown, as printed and documented."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from driftjax.report.table import markdown_table
 
 UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 HEAD = ("part", "what", "time", "against", "its time", "ratio", "target", "met", "remarks")
@@ -14,7 +16,7 @@ WORDS = {
 
 
 def seconds(value: float) -> str:
-    """A time with three digits and the unit that suits it."""
+    """Format a time with three digits and a suitable unit."""
     scale, unit = next(((scale, unit) for scale, unit in UNITS if value >= scale), UNITS[-1])
     return f"{value / scale:.3g} {unit}"
 
@@ -38,16 +40,16 @@ def _remarks(row: Mapping[str, Any]) -> str:
     facts = row["facts"]
     own = facts.get("remarks", "")
     other = "ipopt" if "IPOPT" in row["against"] else "fatrop"
-    told = [
+    notes = [
         words.format(facts[name])
         for name, words in WORDS.items()
         if name in facts and not (name.startswith("cost_difference") and not name.endswith(other))
     ]
-    return "; ".join([*told, *([own] if own else [])])
+    return "; ".join([*notes, *([own] if own else [])])
 
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """The columns of one row."""
+    """Return the columns of one row."""
     theirs, met = row["theirs"], row["met"]
     return (
         row["part"],
@@ -63,13 +65,12 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A Markdown table of all rows, as they stand in results.json."""
-    lines = [HEAD, tuple("---" for _ in HEAD), *map(cells, rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    """Format all rows of results.json as a Markdown table."""
+    return "\n".join(markdown_table([HEAD, *map(cells, rows)]))
 
 
 def conditions_line(machine: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    """Where, when and with which options it was measured."""
+    """Return machine, date and options of the measurement in one line."""
     versions = machine["versions"]
     packages = ", ".join(f"{name} {versions[name]}" for name in ("jax", "casadi", "numba", "scikit-learn", "g++")
                          if versions.get(name))  # fmt: skip
@@ -80,6 +81,6 @@ def conditions_line(machine: Mapping[str, Any], options: Mapping[str, Any]) -> s
 
 
 def bench_page(results: Mapping[str, Any]) -> str:
-    """results.md."""
+    """Return the content of results.md."""
     head = conditions_line(results["machine"], results["options"])
     return f"{head}\n\n{markdown(results['rows'])}\n"

@@ -12,7 +12,7 @@ from driftjax.core import BadInput, write_atomically
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import Case, read_case
 from driftjax.studies.hidden_effects.confusion import confusions
-from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
+from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.running import run_all
 from driftjax.studies.hidden_effects.score import as_json, as_text, score_results
@@ -22,10 +22,10 @@ CASES, RESULTS = "cases.jsonl", "results.jsonl"
 
 
 @dataclass(frozen=True)
-class Config:
+class StudyConfig:
     """Hide effects in cars and see what `diagnose` makes of the logs."""
 
-    numbers: Annotated[Numbers, tyro.conf.arg(name="")] = field(default_factory=Numbers)
+    numbers: Annotated[CaseNumbers, tyro.conf.arg(name="")] = field(default_factory=CaseNumbers)
     cars: tuple[str, ...] = ("sedan",)
     """Shipped cars, each with all these cases."""
     manoeuvres: tuple[str, ...] = RICH
@@ -42,7 +42,7 @@ class Config:
     """Folder for cases, results, scores and figures."""
 
 
-def main(cfg: Config) -> dict[str, Any]:
+def run_study(cfg: StudyConfig) -> dict[str, Any]:
     """Run the bench; return its scores, or the result of the one case given."""
     if cfg.case is not None:
         result = run_case(read_case(cfg.case))
@@ -52,7 +52,7 @@ def main(cfg: Config) -> dict[str, Any]:
     return report_scores(results, cfg.out)
 
 
-def _cases(cfg: Config) -> list[Case]:
+def _cases(cfg: StudyConfig) -> list[Case]:
     """Draw new cases and write them, or read those of an interrupted bench."""
     path = cfg.out / CASES
     if cfg.resume:

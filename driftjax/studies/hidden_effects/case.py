@@ -1,4 +1,4 @@
-"""One case of the bench: what is hidden in which car, and how it is measured. One JSON line repeats it."""
+"""One case of the study: the hidden effects, the car and the measurement; one JSON line repeats it."""
 
 import json
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 
 Condition = Literal["none", "single", "pair", "absent", "poor", "foreign"]
 FOREIGN = ("std", "mb")  # cars that another simulator drives
-POOR = ("steady_drift",) * 3  # runs that tell little apart
+POOR = ("steady_drift",) * 3  # runs with little excitation
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Case:
     """One measurement with its hidden truth."""
 
     condition: Condition
-    """What is drawn: no effect, one, two, one that the catalogue lacks, one in a log that tells little, with the
-    manoeuvre proposed then driven too, or a foreign simulator."""
+    """No effect, one, two, one missing from the catalogue, one in a log with little excitation (the proposed manoeuvre
+    is then driven too), or a foreign simulator."""
     car: str
     """A shipped car, or the simulator std or mb."""
     seed: int
     """Of manoeuvres, noise and the diagnosis."""
     effects: tuple[Hidden, ...] = ()
-    """What the measured car has and the nominal one has not."""
+    """Effects of the measured car that the nominal one lacks."""
     scale: float = 1.0
     """Factor that strengths were drawn with [-]."""
     process_noise: float = 1.0
@@ -53,7 +53,7 @@ class Case:
     manoeuvres: tuple[str, ...] = RICH
     """One run each."""
     without: tuple[str, ...] = ()
-    """Effects that the catalogue lacks."""
+    """Effects removed from the catalogue."""
 
     def __post_init__(self) -> None:
         require((self.condition == "foreign") == (self.car in FOREIGN), f"a {self.condition} case has no {self.car}.")

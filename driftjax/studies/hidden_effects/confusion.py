@@ -28,11 +28,11 @@ def confusions(results: list[Result]) -> list[str]:
 
 def _confusion(r: Result) -> str:
     truth = ", ".join(f"{h['name']} {h['strengths']}" for h in r["case"]["effects"]) or "nothing"
-    told = ", ".join(f"{c['effect']} {np.round(c['theta'], 2)} P {c['probability']:.2f}" for c in r["causes"])
+    named = ", ".join(f"{c['effect']} {np.round(c['theta'], 2)} P {c['probability']:.2f}" for c in r["causes"])
     looks = "; ".join(
         f"{h['effect']} T {h['T']:.1f}, rank {h['rank']}, like "
         + " ".join(f"{n} {c:.3f}" for n, c in h["alike"].items())
         for h in r.get("hidden", ())
     )
     cost = "".join(f", price {k} {v:.1f}" for k, v in r.get("prices", {}).items())
-    return f"{r['group']}: {truth} -> {r['verdict']} {told or '-'} (p left {r.get('p_left', 1):.3f}; {looks}{cost})"
+    return f"{r['group']}: {truth} -> {r['verdict']} {named or '-'} (p left {r.get('p_left', 1):.3f}; {looks}{cost})"

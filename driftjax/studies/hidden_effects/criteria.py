@@ -80,8 +80,8 @@ def driver_found(result: Result) -> bool:
 
     They are those of what remains, or of all errors of the nominal car where nothing does.
     """
-    told = result["unexplained"]["drivers"] or result["unexplained"]["at_first"]
-    return any(variable in DRIVERS[name] for name in hidden_in(result) for variable in told)
+    reported = result["unexplained"]["drivers"] or result["unexplained"]["at_first"]
+    return any(variable in DRIVERS[name] for name in hidden_in(result) for variable in reported)
 
 
 def height_within_tolerance(result: Result) -> bool:

@@ -12,7 +12,7 @@ from driftjax.vehicle.effect import EFFECTS
 
 
 @dataclass(frozen=True)
-class Numbers:
+class CaseNumbers:
     """How many cases of each condition."""
 
     none: int = 100
@@ -45,7 +45,7 @@ WEAK = 0.3  # of the typical size
 
 
 def draw_cases(
-    numbers: Numbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
+    numbers: CaseNumbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
     manoeuvres: tuple[str, ...] = RICH,
 ) -> list[Case]:  # fmt: skip
     """Draw all cases of `seed`, with effects from `choice`."""

@@ -1,4 +1,4 @@
-"""Which variables drive what an effect adds to the car's motion: what a good hint names when the catalogue lacks it.
+"""Variables that drive the contribution of each effect: what a diagnosis should name if the catalogue lacks it.
 
 Names as in the log, and ax, ay (accelerations), alpha_f, alpha_r (slip angles), t (time), heat (sliding work), 1 (a
 constant), delta_rate, Fxr_rate (of the commands). From the equations of each effect (driftjax/vehicle/effect).

@@ -1,4 +1,4 @@
-"""Figures of a bench: confusion matrix, reliability of probabilities, coverage, gain."""
+"""Plot the results of a study: confusion matrix, reliability of probabilities, coverage, gain."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from driftjax.studies.hidden_effects.criteria import BINS, Result, hidden_in
-from driftjax.studies.hidden_effects.stats import wilson
+from driftjax.studies.hidden_effects.stats import rate_interval
 from driftjax.vehicle.effect import EFFECTS
 
 NOTHING = "nothing"
@@ -21,10 +21,10 @@ def write_figures(results: list[Result], out: Path) -> list[Path]:
     good = [r for r in results if "error" not in r]
     of_one = [r for r in good if r["case"]["condition"] in ("none", "single")]
     found = {
-        "confusion": confusion(of_one),
-        "reliability": reliability([r for r in good if r["case"]["condition"] in ("single", "pair")]),
-        "coverage": coverage(good),
-        "gain": gain(good),
+        "confusion": plot_confusion(of_one),
+        "reliability": plot_reliability([r for r in good if r["case"]["condition"] in ("single", "pair")]),
+        "coverage": plot_coverage(good),
+        "gain": plot_gain(good),
     }
     paths = []
     for name, figure in found.items():
@@ -35,7 +35,7 @@ def write_figures(results: list[Result], out: Path) -> list[Path]:
     return paths
 
 
-def confusion(results: list[Result]) -> Figure | None:
+def plot_confusion(results: list[Result]) -> Figure | None:
     """Plot the hidden effect against the one named first."""
     if not results:
         return None
@@ -65,7 +65,7 @@ def confusion(results: list[Result]) -> Figure | None:
     return figure
 
 
-def reliability(results: list[Result]) -> Figure | None:
+def plot_reliability(results: list[Result]) -> Figure | None:
     """Plot how often a name with a given probability is right."""
     pairs = np.array([(c["probability"], c["effect"] in hidden_in(r)) for r in results for c in r["causes"]], float)
     if not len(pairs):
@@ -75,7 +75,7 @@ def reliability(results: list[Result]) -> Figure | None:
     axis.plot([0, 1], [0, 1], color="0.6", linestyle="--", label="calibrated")
     for k in sorted(set(bins.tolist())):
         p, right = pairs[bins == k].T
-        low, high = wilson(int(right.sum()), len(right))
+        low, high = rate_interval(int(right.sum()), len(right))
         rate = right.mean()
         axis.errorbar(p.mean(), rate, [[max(rate - low, 0)], [max(high - rate, 0)]], fmt="o", color="C0", capsize=3)
         axis.annotate(f" {len(right)}", (p.mean(), rate), ha="left", va="top")
@@ -85,7 +85,7 @@ def reliability(results: list[Result]) -> Figure | None:
     return figure
 
 
-def coverage(results: list[Result]) -> Figure | None:
+def plot_coverage(results: list[Result]) -> Figure | None:
     """Plot the errors of the parameters of named hidden effects, over the half-width of their 95 % interval."""
     errors: dict[str, list[float]] = {}
     for r in results:
@@ -107,8 +107,8 @@ def coverage(results: list[Result]) -> Figure | None:
     return figure
 
 
-def gain(results: list[Result]) -> Figure | None:
-    """Share of the explainable error that the extended car removes against that which the true car removes."""
+def plot_gain(results: list[Result]) -> Figure | None:
+    """Plot the share of the explainable error removed by the extended car against that of the true car."""
     found = [r for r in results if "oracle" in r and "extended" in r["skill"]]
     if not found:
         return None

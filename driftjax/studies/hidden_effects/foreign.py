@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from driftjax.core import BadInput
+from driftjax.core import BadInput, rk4_step
 from driftjax.logs import Run
 from driftjax.manoeuvres.campaign import SPIN
 from driftjax.manoeuvres.library import multisine
@@ -28,7 +28,7 @@ REDRAWS = 20
 
 @functools.cache
 def simulator(car: str) -> tuple[Callable, Callable, Any]:
-    """Right-hand side f(x, u, p), start x(core state, p) and parameters p of the simulator `car`."""
+    """Return right-hand side f(x, u, p), initial state x(core state, p) and parameters p of the simulator `car`."""
     try:
         from vehiclemodels import init_mb, init_std, parameters_vehicle2, vehicle_dynamics_mb, vehicle_dynamics_std
     except ImportError as error:
@@ -40,7 +40,7 @@ def simulator(car: str) -> tuple[Callable, Callable, Any]:
 
 
 def foreign_vehicle() -> VehicleConfig:
-    """The nominal car with their parameters: cornering stiffness and friction of their tyre, C as it is."""
+    """Return the nominal car with their parameters: cornering stiffness, friction and C of their tyre."""
     p = simulator("std")[2]
     mu, C = p.tire.p_dy1, p.tire.p_cy1
     weight = p.m * G
@@ -52,42 +52,42 @@ def foreign_vehicle() -> VehicleConfig:
 
 
 def height(car: str) -> float:
-    """Height of the centre of mass that moves load in their file [m]."""
+    """Return the height of the centre of mass in their load transfer [m]."""
     p = simulator(car)[2]
     return p.h_s if car == "std" else p.h_cg
 
 
 def foreign_runs(car: str, seed: int, noise: float, num: int = RUNS) -> tuple[Run, ...]:
-    """`num` runs of cornering with changing drive, measured with `noise` times the typical noise."""
+    """Simulate `num` runs of cornering with changing drive, measured with `noise` times the typical noise."""
     rng = np.random.default_rng(seed)
     return tuple(_run(f"{car}-{i + 1}", car, rng, noise) for i in range(num))
 
 
 def _run(name: str, car: str, rng: np.random.Generator, noise: float) -> Run:
-    """One run, drawn again where the car spins."""
+    """Simulate one run; it is drawn again if the car spins."""
     t = np.arange(ROWS) * DT
     for _ in range(REDRAWS):
-        lateral = LATERAL * _wave(rng, t, 0.15, 0.8)
-        drive = np.maximum(DRIVE * (0.45 + 0.55 * _wave(rng, t, 0.1, 0.6)), 0.0)  # brakes would act on all wheels
-        x, steered, weight = drive_through(car, rng.uniform(*SPEEDS), lateral, drive)
+        lateral = LATERAL * _unit_wave(rng, t, 0.15, 0.8)
+        drive = np.maximum(DRIVE * (0.45 + 0.55 * _unit_wave(rng, t, 0.1, 0.6)), 0.0)  # brakes would act on all wheels
+        x, steered, weight = follow_commands(car, rng.uniform(*SPEEDS), lateral, drive)
         if np.isfinite(x).all() and np.abs(x[:, 1]).max() < SPIN:
             V, beta, r, psi = (x + noise * np.array(SIGMA) * rng.standard_normal(x.shape)).T
             return Run(name, t, V, beta, r, steered, weight * drive, DT, {"psi": psi})
     raise RuntimeError(f"the {car} car spun in {REDRAWS} draws of {name}")
 
 
-def _wave(rng: np.random.Generator, t: np.ndarray, slow: float, fast: float) -> np.ndarray:
-    """A multisine between -1 and 1."""
+def _unit_wave(rng: np.random.Generator, t: np.ndarray, slow: float, fast: float) -> np.ndarray:
+    """Return a multisine between -1 and 1."""
     wave = multisine(rng, t, slow, fast)
     return wave / np.abs(wave).max()
 
 
-def drive_through(
+def follow_commands(
     car: str, speed: float, lateral: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """V, beta, r, psi (T, 4), the mean steering angle over each sample (T,), and mass [kg].
+    """Return V, beta, r, psi (T, 4), the mean steering angle over each sample (T,), and the mass [kg].
 
-    The steering angle aims at the lateral acceleration [m/s^2] of the neutral car; the engine at `drive` [m/s^2].
+    The steering angle is that of a neutral car at the `lateral` acceleration [m/s^2]; `drive` is the engine's [m/s^2].
     """
     f, start, p = simulator(car)
     x, rows, steered = np.array(start([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p), float), [], []
@@ -98,14 +98,6 @@ def drive_through(
         rate = np.clip((wanted * (p.a + p.b) / V**2 - x[2]) / DT, -STEER_RATE, STEER_RATE)
         before = x[2]
         for _ in range(round(DT / STEP)):
-            x = _rk4(lambda y: np.array(f(list(y), [rate, push], p)), x)  # noqa: B023
+            x = rk4_step(lambda y: np.array(f(list(y), [rate, push], p)), x, STEP)  # noqa: B023
         steered.append((before + x[2]) / 2)
     return np.array(rows), np.array(steered), p.m
-
-
-def _rk4(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
-    """One classical Runge-Kutta step of `STEP` [s]."""
-    k1 = f(x)
-    k2 = f(x + STEP / 2 * k1)
-    k3 = f(x + STEP / 2 * k2)
-    return x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + STEP * k3))

@@ -29,13 +29,13 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 
 
 def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
-    """Results of all `cases`: those in the file `path`, and the others, which are added to it; by `num` processes."""
+    """Return the results of all `cases`: those in the file `path`, and those of `num` processes, which are appended."""
     known = read_results(path)
     done = {json.dumps(result["case"]) for result in known}
     todo = [case for case in cases if case.line() not in done]
     start = time.monotonic()
     with path.open("a", encoding="utf-8") as file:
-        for i, result in enumerate(_each(todo, num), start=1):
+        for i, result in enumerate(_run_missing(todo, num), start=1):
             file.write(json.dumps(result) + "\n")
             file.flush()
             known.append(result)
@@ -44,12 +44,12 @@ def run_all(cases: list[Case], path: Path, num: int) -> list[dict[str, Any]]:
     return known
 
 
-def _each(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
-    with process_executor(num if num > 1 else 0) as blocks:
-        if blocks.pool is None:
+def _run_missing(cases: list[Case], num: int) -> Iterator[dict[str, Any]]:
+    with process_executor(num if num > 1 else 0) as executor:
+        if executor.pool is None:
             yield from map(try_case, cases)
             return
-        running = [blocks.pool.submit(try_case, case) for case in cases]
+        running = [executor.pool.submit(try_case, case) for case in cases]
         yield from (future.result() for future in as_completed(running))
 
 
@@ -58,5 +58,5 @@ def format_result(result: dict[str, Any]) -> str:
     hidden = " + ".join(f"{e['name']} {e['strengths']}" for e in result["case"]["effects"]) or "nothing"
     if "error" in result:
         return f"{result['group']}: {hidden} -> failed: {result['error'].strip().splitlines()[-1]}"
-    told = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
-    return f"{result['group']}: {hidden} -> {result['verdict']} {told}, {result['seconds']:.0f} s"
+    named = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
+    return f"{result['group']}: {hidden} -> {result['verdict']} {named}, {result['seconds']:.0f} s"

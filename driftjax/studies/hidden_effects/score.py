@@ -18,14 +18,17 @@ def score_results(results: list[Result]) -> dict[str, Measure]:
     table = {"failed": Measure(len(results) - len(good), len(results), target="0")}
     for car in sorted({r["case"]["car"] for r in good}):
         own = [r for r in good if r["case"]["car"] == car]
-        table |= {f"{car}: {name}": m for name, m in (foreign(own) if "height" in own[0] else of_car(own)).items()}
+        table |= {
+            f"{car}: {name}": m
+            for name, m in (foreign_measures(own) if "height" in own[0] else car_measures(own)).items()
+        }
     took = [r["seconds"] for r in good]
     table["seconds, median"] = Measure(float(np.median(took)) if took else float("nan"), len(took), target="<= 60")
     table["seconds, 9 of 10 below"] = Measure(float(np.quantile(took, 0.9)) if took else float("nan"), len(took))
     return table
 
 
-def foreign(own: list[Result]) -> dict[str, Measure]:
+def foreign_measures(own: list[Result]) -> dict[str, Measure]:
     """Return the measures of a foreign simulator."""
     return {
         "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in own if r["named"]), "1"),
@@ -34,7 +37,7 @@ def foreign(own: list[Result]) -> dict[str, Measure]:
     }
 
 
-def of_car(own: list[Result]) -> dict[str, Measure]:
+def car_measures(own: list[Result]) -> dict[str, Measure]:
     """Return the measures of one car with hidden effects."""
     cases = [from_dict(Case, r["case"], "result") for r in own]
     pick = lambda f: [r for r, case in zip(own, cases, strict=True) if f(case)]

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import binomtest
 
 Z = 1.96  # of a 95 % interval
 
@@ -19,26 +20,23 @@ class Measure:
     target: str = ""
 
 
-def wilson(hits: int, n: int) -> tuple[float, float]:
+def rate_interval(hits: int, n: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate (Wilson 1927)."""
-    if n == 0:
-        return float("nan"), float("nan")
-    rate, spread = hits / n, Z * np.sqrt(hits / n * (1 - hits / n) / n + Z**2 / (4 * n**2))
-    whole = 1 + Z**2 / n
-    return float((rate + Z**2 / (2 * n) - spread) / whole), float((rate + Z**2 / (2 * n) + spread) / whole)
+    ends = binomtest(hits, n).proportion_ci(method="wilson") if n else (float("nan"),) * 2
+    return float(ends[0]), float(ends[1])
 
 
-def rate(found: Iterable[bool], target: str = "") -> Measure:
+def rate(flags: Iterable[bool], target: str = "") -> Measure:
     """Return the share of true values with its interval."""
-    values = list(found)
+    values = list(flags)
     hits, n = sum(values), len(values)
-    return Measure(hits / n if n else float("nan"), n, *wilson(hits, n), target)
+    return Measure(hits / n if n else float("nan"), n, *rate_interval(hits, n), target)
 
 
 def mean(values: Iterable[float], target: str = "") -> Measure:
     """Return the mean with its 95 % interval."""
-    found = np.array(list(values), float)
-    if len(found) == 0:
+    data = np.array(list(values), float)
+    if len(data) == 0:
         return Measure(float("nan"), 0, target=target)
-    half = Z * found.std(ddof=1) / np.sqrt(len(found)) if len(found) > 1 else float("nan")
-    return Measure(float(found.mean()), len(found), float(found.mean() - half), float(found.mean() + half), target)
+    half = Z * data.std(ddof=1) / np.sqrt(len(data)) if len(data) > 1 else float("nan")
+    return Measure(float(data.mean()), len(data), float(data.mean() - half), float(data.mean() + half), target)

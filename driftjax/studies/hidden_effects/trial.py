@@ -31,12 +31,12 @@ def run_case(case: Case) -> dict[str, Any]:
     runs = measured_runs(case, vehicle)
     seconds = time.perf_counter() - start
     effects, poor = tuple(EFFECTS.values()), case.condition == "poor"
-    told = diagnose_case(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
-    if poor and told["proposed"]:
-        case = dataclasses.replace(case, manoeuvres=(told["proposed"],), seed=case.seed + LATER)
+    result = diagnose_case(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
+    if poor and result["proposed"]:
+        case = dataclasses.replace(case, manoeuvres=(result["proposed"],), seed=case.seed + LATER)
         more = tuple(dataclasses.replace(run, name=f"next-{run.name}") for run in measured_runs(case, vehicle))
-        told |= {"after": diagnose_case(case, vehicle, (*runs, *more), effects, 0)}
-    return told
+        result |= {"after": diagnose_case(case, vehicle, (*runs, *more), effects, 0)}
+    return result
 
 
 def diagnose_case(
@@ -52,19 +52,19 @@ def diagnose_case(
     evidence = found.evidence
     if evidence is None:
         raise RuntimeError(f"{len(runs)} runs are left: {found.sentence}")
-    told = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
-    told |= diagnosis_values(found, evidence) | {"naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name}
-    told |= {"hidden": [compare_hidden(evidence, case, name) for name in case.names if name not in case.without]}
+    result = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
+    result |= diagnosis_values(found, evidence) | {"naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name}
+    result |= {"hidden": [compare_hidden(evidence, case, name) for name in case.names if name not in case.without]}
     if case.condition == "foreign":
-        return told | {"height": height(case.car)}
+        return result | {"height": height(case.car)}
     if found.gain and case.effects:
         gain = found.gain
         oracle = open_loop_errors(gain.comparison.problem, case.theta(effects))
         if shares := excess_shares(gain.errors | {"oracle": oracle}, gain.noise_floor, config.seed):
-            told |= {"oracle": [shares["oracle"].value, *shares["oracle"].ci95]}
-    if set(told["named"]) != set(case.names):
-        told |= {"prices": penalised_costs(evidence, case)}
-    return told
+            result |= {"oracle": [shares["oracle"].value, *shares["oracle"].ci95]}
+    if set(result["named"]) != set(case.names):
+        result |= {"prices": penalised_costs(evidence, case)}
+    return result
 
 
 def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
@@ -93,29 +93,29 @@ def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
 
 
 def compare_hidden(found: Evidence, case: Case, name: str) -> dict[str, Any]:
-    """How a hidden effect looked: its test and rank at the nominal car, its nearest double, its estimate if named."""
+    """Return test and rank of a hidden effect at the nominal car, its most similar effects and, if named, estimate."""
     problem = found.problem
     effect = [e.name for e in problem.effects].index(name)
     columns = problem.columns((effect,))
     first = found.selection.nominal_scores
     info = np.diag(first.H)[columns]
-    told: dict[str, Any] = {
+    result: dict[str, Any] = {
         "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),
         "deviations": float(np.sqrt(info.max())), "T": float(np.abs(first.T[columns]).max()),
         "gain": float(first.gain[effect]), "rank": int(np.sum(first.gain > first.gain[effect])),
     }  # fmt: skip
     others = tuple(i for i, e in enumerate(problem.effects) if e.name in case.names and i != effect)
-    told["alike"] = nearest_effects(found, first.H, int(columns[np.argmax(info)]), problem.columns(others))
+    result["alike"] = nearest_effects(found, first.H, int(columns[np.argmax(info)]), problem.columns(others))
     for cause in found.causes:
         if cause.effect == effect:
-            told |= {"theta": cause.theta.tolist(), "half_width": cause.half_width.tolist()}
-    return told
+            result |= {"theta": cause.theta.tolist(), "half_width": cause.half_width.tolist()}
+    return result
 
 
 def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
-    """Cosine between the signature of parameter `column` and those of its nearest double and of all that was named.
+    """Return the cosine of the signature of parameter `column` with the most similar one and those of all named effects.
 
-    Parameters `taken` are taken out of every signature.
+    Parameters `taken` are projected out of every signature.
     """
     P, owner, whole = partial_out(H, taken), found.problem.owner, np.diag(H)
     H = P.T @ H @ P
@@ -125,8 +125,8 @@ def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarr
     )
     cosine[taken] = 0.0
     of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
-    told = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)
-    return {found.problem.effects[i].name: of[i] for i in told}
+    result = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)
+    return {found.problem.effects[i].name: of[i] for i in result}
 
 
 def penalised_costs(found: Evidence, case: Case) -> dict[str, float]:

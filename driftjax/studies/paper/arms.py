@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from driftjax.core import read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, files_of, load_learn_config
-from driftjax.studies.paper.config import Car, Config
+from driftjax.studies.paper.config import Car, PaperConfig
 
 MAIN = "main"
 QUICK_PLANTS = 4
@@ -57,7 +57,7 @@ class Arm:
         return f"{self.car}/{SHARED[self.name]}" if self.name in SHARED else None
 
 
-def arms(cfg: Config) -> list[Arm]:
+def arms(cfg: PaperConfig) -> list[Arm]:
     """List all runs of the comparison, car by car, the main one first."""
     found = []
     for car in cfg.cars:

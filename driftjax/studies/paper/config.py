@@ -10,7 +10,7 @@ Car = Literal["sedan", "rc"]
 
 
 @dataclass(frozen=True)
-class Config:
+class PaperConfig:
     """Every method on the same plants and noise, with ablations."""
 
     cars: tuple[Car, ...] = ("sedan", "rc")

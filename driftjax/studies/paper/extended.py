@@ -32,9 +32,9 @@ def extend(car: str, vehicle: VehicleConfig, folder: Path) -> None:
     write_log(folder / "log.csv", runs)
     log = Log(runs, paths=(folder / "log.csv",))
     sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
-    found = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors))
-    write_json(folder / JSON, found.content())
-    write_vehicle(folder / CAR, found.extended)
+    diagnosis = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors))
+    write_json(folder / JSON, diagnosis.content())
+    write_vehicle(folder / CAR, diagnosis.extended)
 
 
 def simulated_runs(plant: DoubleTrack, vehicle: VehicleConfig, rng: np.random.Generator) -> tuple[Run, ...]:
@@ -53,9 +53,9 @@ def _run(
             np.asarray, call(follow, plant, vehicle, manoeuvre, typical_conditions(vehicle).sigma, key, 1 / RATE)
         )
         if np.isfinite(y).all() and np.abs(y[:, 1]).max() < SPIN:
-            kept = t >= SETTLE
-            (V, beta, r), (delta, Fxr) = y[kept].T, command[kept].T
-            return Run(name, t[kept] - SETTLE, V, beta, r, delta, Fxr, 1 / RATE)
+            settled = t >= SETTLE
+            (V, beta, r), (delta, Fxr) = y[settled].T, command[settled].T
+            return Run(name, t[settled] - SETTLE, V, beta, r, delta, Fxr, 1 / RATE)
     raise RuntimeError(f"{vehicle.name}: it spun in {1 + REDRAWS} draws of '{kind}'")
 
 
@@ -80,11 +80,7 @@ def follow(
         return (state, filtered, command), (y, command)
 
     noise = sigma * jax.random.normal(key, manoeuvre.x_ref.shape)
-    start = (sliding(plant, first, u0), first, u0)
+    # free-rolling wheels; tyres and loads converge within `SETTLE`
+    rolling = plant.rolling(first[0], beta=first[1], r=first[2])._replace(delta=u0[0], drive=u0[1])
+    start = (rolling, first, u0)
     return jax.lax.scan(step, start, (manoeuvre.x_ref, manoeuvre.u_ref, noise))[1]
-
-
-def sliding(plant: DoubleTrack, x: Float[Array, "3"], u: Float[Array, "2"]) -> PlantState:
-    """Return the state at V, beta, r with commands applied and free-rolling wheels; tyres and loads converge within
-    `SETTLE`."""
-    return plant.rolling(x[0], beta=x[1], r=x[2])._replace(delta=u[0], drive=u[1])

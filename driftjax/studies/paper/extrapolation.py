@@ -4,7 +4,7 @@ import numpy as np
 
 from driftjax.gp.model import FADE_LENGTH, fade_factor
 from driftjax.store import RunFolder
-from driftjax.studies.paper.laps import driven
+from driftjax.studies.paper.laps import driven_steps
 
 FADED = 0.5  # fade factor below which an input counts as far from data
 STAGES = ("single-layer", "gpr-1", "gpr-best", "explore-best")
@@ -19,7 +19,7 @@ def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) 
         data, found = run.read_stage(name), []
         for entry in np.flatnonzero(data["controller"].values == controller):
             lap = data.isel(lane=int(entry))
-            inside = driven(lap, section)
+            inside = driven_steps(lap, section)
             z = np.stack([lap[key].values[inside] for key in ("V", "beta", "r", "delta", "Fxr")], axis=1)
             found.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))
         every = np.concatenate(found) if found else np.zeros(0)

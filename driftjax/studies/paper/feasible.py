@@ -29,7 +29,7 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
     corner = scenario.corner
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))
     guess, branch = (scenario.x_eq, scenario.u_eq), jnp.asarray(scenario.branch)
-    exists, steady, speed = map(np.asarray, call(on_learnt, residual, scenario.nominal, planned, guess, branch))
+    exists, steady, speed = map(np.asarray, call(drift_exists, residual, scenario.nominal, planned, guess, branch))
     found: dict[str, Any] = {"V_b": float(corner.V_b), "r_b": float(corner.r_b)}
     for who in config.controllers:
         batch = np.array([entry.controller == who for entry in scenario.batch])
@@ -39,7 +39,7 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
     return found
 
 
-def on_learnt(
+def drift_exists(
     residual: Residual, nominal: AnyCar, planned: tuple[Array, ...], guess: tuple[State, Control], branch: Array
 ) -> tuple[Array, Array, Array]:
     """Return per batch entry whether a drift at (V_b, r_b) exists; whether one at (beta, R) does, and its speed."""

@@ -23,7 +23,7 @@ def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -
     return {name: np.array([_mean([row[name] for row in found]) for found in of.values()]) for name in rows[0]}
 
 
-def driven(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
+def driven_steps(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
     """Return the steps of one lap that the drift controller drove in the section."""
     s = lap["s"].values
     return lap["alive"].values & lap["drifting"].values & (s >= section[0]) & (s <= section[1])
@@ -37,7 +37,7 @@ def _mean(values: list[float]) -> float:
 
 def _lap(lap: xr.Dataset, section: tuple[float, float]) -> dict[str, float]:
     at = {name: lap[name].values for name in ("s", "e", "beta", "beta_ref", "r", "r_ref", "e_ref")}
-    inside = driven(lap, section)
+    inside = driven_steps(lap, section)
     start = inside & (at["s"] <= section[0] + ENTRY * (section[1] - section[0]))
     rms = lambda a, b: _over(inside, (at[a] - at[b]) ** 2) ** 0.5
     completed = bool(lap["completed"].values)

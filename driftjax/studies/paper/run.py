@@ -14,46 +14,46 @@ from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
 from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
-from driftjax.studies.paper.config import Config
+from driftjax.studies.paper.config import PaperConfig
 from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
 from driftjax.studies.paper.figures import write_figures
-from driftjax.studies.paper.statistics import ablation, compared
-from driftjax.studies.paper.table import page
+from driftjax.studies.paper.statistics import ablation_results, compare_methods
+from driftjax.studies.paper.table import comparison_page
 from driftjax.vehicle import load_vehicle
 
 DIAGNOSIS = "diagnosis"  # folder below that of the car
 Report = Callable[[str, int, int], None]
 
 
-def main(cfg: Config, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
+def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
     """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, found = arms(cfg), [], {}
     for number, arm in enumerate(todo):
         say = lambda stage, done, of, arm=arm, number=number: report(f"{arm.folder}: {stage}", number, len(todo))
-        drive(arm, folder.path, say, num_workers)
+        drive_arm(arm, folder.path, say, num_workers)
         if arm.name == MAIN:
-            write_report(run_of(arm, folder.path))
+            write_report(open_arm(arm, folder.path))
         done.append((arm, arm_results(arm, folder.path)))
-        found = write(cfg, done, folder)  # written after every run, whatever happens next
+        found = write_results(cfg, done, folder)  # written after every run, whatever happens next
     report("done", len(todo), len(todo))
     write_figures(found, folder.path / "figures")
     return found
 
 
-def rebuild(cfg: Config, folder: RunFolder) -> dict[str, Any]:
+def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
     """Rebuild results, tables and figures from the finished runs."""
     cfg = cfg.reduced() if cfg.quick else cfg
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
     if not done or done[0].name != MAIN:
         raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
-    found = write(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
+    found = write_results(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
     write_figures(found, folder.path / "figures")
     return found
 
 
-def drive(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
+def drive_arm(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
     """Drive the missing laps of one run."""
     path = out / arm.folder
     run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out)
@@ -65,7 +65,7 @@ def start_run(arm: Arm, out: Path) -> RunFolder:
     """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
-        config = dataclasses.replace(config, vehicle=extended(arm, out))
+        config = dataclasses.replace(config, vehicle=extended_vehicle(arm, out))
     run = RunFolder.create(out / arm.folder, to_dict(config))
     if arm.like:
         other = RunFolder.open(out / arm.like)
@@ -74,7 +74,7 @@ def start_run(arm: Arm, out: Path) -> RunFolder:
     return run
 
 
-def extended(arm: Arm, out: Path) -> Path:
+def extended_vehicle(arm: Arm, out: Path) -> Path:
     """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
@@ -83,24 +83,24 @@ def extended(arm: Arm, out: Path) -> Path:
     return (folder / CAR).resolve()
 
 
-def run_of(arm: Arm, out: Path) -> RunFolder:
+def open_arm(arm: Arm, out: Path) -> RunFolder:
     """Open the folder of a finished run."""
     return RunFolder.open(out / arm.folder)
 
 
 def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
     """Return the results of one finished run."""
-    run = run_of(arm, out)
+    run = open_arm(arm, out)
     if arm.name == MAIN:
-        return {"settings": settings_hash(arm), **compared(run, arm.car), "feasible": feasible(run)}
-    found = {"words": ABLATIONS[arm.name][0], **ablation(run)}
+        return {"settings": settings_hash(arm), **compare_methods(run, arm.car), "feasible": feasible(run)}
+    found = {"words": ABLATIONS[arm.name][0], **ablation_results(run)}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
         found["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
     return found
 
 
-def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
+def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
     """Write results.json and results.md of the runs in `done`; return the former."""
     cars: dict[str, Any] = {}
     for arm, one in done:
@@ -113,5 +113,5 @@ def write(cfg: Config, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
     found = {"options": to_dict(cfg), "split": split, "cars": cars}
     folder.write_json("results", found)
-    (folder.path / "results.md").write_text(page(found), encoding="utf-8")
+    (folder.path / "results.md").write_text(comparison_page(found), encoding="utf-8")
     return found

@@ -34,31 +34,31 @@ BEST_ERROR = {"sedan": 0.25, "rc": 0.06}  # that the best method is to reach [m]
 DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of the section
 
 
-def compared(run: RunFolder, car: str) -> dict[str, Any]:
+def compare_methods(run: RunFolder, car: str) -> dict[str, Any]:
     """Return methods, gains, extrapolation and targets of one car."""
     section, stages = section_of(run), {name: run.read_stage(name) for name in run.finished()}
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {
         who: {name: per_plant(data, name if name in ALONE else who, section) for name, data in stages.items()}
         for who in CONTROLLERS
     }
-    gains = {who: {name: gain(found[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}
+    gains = {who: {name: paired_gain(found[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}
     beyond = {who: extrapolated(run, who, section) for who in CONTROLLERS}
     return {
-        "methods": {who: {name: summary(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
+        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
         "gains": gains,
         "extrapolation": beyond,
         "targets": targets(car, gains["paper"], found),
     }
 
 
-def gain(rows: dict[str, dict[str, np.ndarray]], before: str, after: str, figure: str) -> dict[str, Any]:
+def paired_gain(rows: dict[str, dict[str, np.ndarray]], before: str, after: str, figure: str) -> dict[str, Any]:
     """Return the reduction of a figure from one stage to another [%], paired over plants."""
     if before not in rows or after not in rows:
         return {"value": None, "ci95": [None, None]}
     return reduction(rows[before][figure], rows[after][figure])
 
 
-def summary(rows: dict[str, np.ndarray]) -> dict[str, Any]:
+def summarise_figures(rows: dict[str, np.ndarray]) -> dict[str, Any]:
     """Return mean and interval of each figure over the plants that have it, and the values of all."""
     return {name: interval(values) | {"per_plant": values.tolist()} for name, values in rows.items()}
 
@@ -82,13 +82,13 @@ def targets(car: str, gains: dict[str, Any], found: dict[str, dict[str, dict[str
     return rows
 
 
-def ablation(run: RunFolder) -> dict[str, Any]:
+def ablation_results(run: RunFolder) -> dict[str, Any]:
     """Return figures and gains of an ablation."""
     section, done = section_of(run), run.finished()
     stages = {name: run.read_stage(name) for name in ("nominal", "gpr-best", "explore-best") if name in done}
     found = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in CONTROLLERS}
     return {
-        "methods": {who: {name: summary(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
-        "gains": {who: {name: gain(found[who], *GAINS[name]) for name in ("gpr", "exploration", "all")}
+        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
+        "gains": {who: {name: paired_gain(found[who], *GAINS[name]) for name in ("gpr", "exploration", "all")}
                   for who in CONTROLLERS},
     }  # fmt: skip

@@ -1,8 +1,8 @@
-"""Write results.md: the comparison in tables."""
+"""Format results.md: the comparison in tables."""
 
 from typing import Any
 
-from driftjax.report.table import CONTROLLERS, interval, number
+from driftjax.report.table import CONTROLLERS, interval, markdown_table, number
 from driftjax.studies.paper.statistics import ALONE, METHODS
 
 HEAD = {
@@ -25,7 +25,7 @@ GAINS = {
 }
 
 
-def page(results: dict[str, Any]) -> str:
+def comparison_page(results: dict[str, Any]) -> str:
     """Return all tables, in Markdown."""
     split = results["split"]
     first, last = split["plants"][0], split["plants"][-1]
@@ -46,8 +46,7 @@ def page(results: dict[str, Any]) -> str:
 
 
 def _rows(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    bar = lambda cells: "| " + " | ".join(cells) + " |"
-    return [bar(head), bar(("---",) * len(head)), *map(bar, rows), ""]
+    return [*markdown_table([head, *rows]), ""]
 
 
 def _targets(targets: list[dict[str, Any]]) -> list[str]:

@@ -7,17 +7,17 @@ import pytest
 
 from driftjax.core import BadInput
 from driftjax.studies.hidden_effects import criteria, running
-from driftjax.studies.hidden_effects.bench import CASES, Config, main
+from driftjax.studies.hidden_effects.bench import CASES, StudyConfig, run_study
 from driftjax.studies.hidden_effects.case import Case, Hidden, read_case
-from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
+from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.drivers import DRIVERS
 from driftjax.studies.hidden_effects.figures import write_figures
-from driftjax.studies.hidden_effects.foreign import drive_through, foreign_vehicle
+from driftjax.studies.hidden_effects.foreign import follow_commands, foreign_vehicle
 from driftjax.studies.hidden_effects.score import score_results
-from driftjax.studies.hidden_effects.stats import wilson
+from driftjax.studies.hidden_effects.stats import rate_interval
 from driftjax.vehicle.effect import EFFECTS
 
-SOME = Numbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
+SOME = CaseNumbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
 
 
 def result(truth=(), causes=(), verdict="NAMED", **more) -> criteria.Result:
@@ -74,9 +74,9 @@ def test_a_bad_case_is_told(line, word):
 
 
 def test_wilsons_interval():
-    np.testing.assert_allclose(wilson(5, 10), (0.2366, 0.7634), atol=1e-4)
-    np.testing.assert_allclose(wilson(0, 10), (0.0, 0.2775), atol=1e-4)
-    assert np.isnan(wilson(0, 0)).all()
+    np.testing.assert_allclose(rate_interval(5, 10), (0.2366, 0.7634), atol=1e-4)
+    np.testing.assert_allclose(rate_interval(0, 10), (0.0, 0.2775), atol=1e-4)
+    assert np.isnan(rate_interval(0, 0)).all()
 
 
 def test_what_counts_as_found():
@@ -141,18 +141,18 @@ def test_a_stopped_bench_goes_on_and_a_case_that_fails_is_kept(monkeypatch, tmp_
         return NOTHING | {"case": json.loads(case.line())}
 
     monkeypatch.setattr(running, "run_case", fake)
-    numbers = Numbers(none=4, none_noise=0, quiet=0, single=0, weak=0, pair=0, absent=1, poor=0, std=0, mb=0)
-    scores = main(Config(numbers, seed=3, workers=1, out=tmp_path / "bench"))
+    numbers = CaseNumbers(none=4, none_noise=0, quiet=0, single=0, weak=0, pair=0, absent=1, poor=0, std=0, mb=0)
+    scores = run_study(StudyConfig(numbers, seed=3, workers=1, out=tmp_path / "bench"))
     assert scores["failed"]["value"] == 1 and len(ran) == 5
     path = tmp_path / "bench" / "results.jsonl"
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:3]) + "\n")
-    main(Config(workers=1, resume=True, out=tmp_path / "bench"))
+    run_study(StudyConfig(workers=1, resume=True, out=tmp_path / "bench"))
     assert len(ran) == 7 and len(set(ran)) == 5
     assert sorted(path.read_text().splitlines()) == sorted(lines)
     assert "no such luck" in capsys.readouterr().out
     with pytest.raises(BadInput, match=CASES):
-        main(Config(numbers, out=tmp_path / "bench"))
+        run_study(StudyConfig(numbers, out=tmp_path / "bench"))
 
 
 def test_figures_are_drawn_of_what_there_is(tmp_path):
@@ -170,7 +170,7 @@ def test_every_effect_has_driving_variables():
 def test_the_foreign_simulator_drives_as_its_own_parameters_say(car):
     """Half a second: speed gained is drive less what turns the wheels; the steering is that of a neutral car."""
     rows = 50
-    x, steered, mass = drive_through(car, 15.0, np.full(rows, 2.0), np.full(rows, 2.0))
+    x, steered, mass = follow_commands(car, 15.0, np.full(rows, 2.0), np.full(rows, 2.0))
     nominal = foreign_vehicle()
     assert mass == nominal.m
     assert x[-1, 0] - x[0, 0] == pytest.approx(2.0 * 0.49, rel=0.15)

@@ -21,7 +21,7 @@ from scipy.stats import binom
 
 from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.confusion import confusions
-from driftjax.studies.hidden_effects.draw import Numbers, draw_cases
+from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 
 pytestmark = pytest.mark.statistics
 
@@ -35,7 +35,9 @@ LEVEL = 0.01  # chance that a kind of few cases fails at its nominal rate
 def drawn(seed: int):
     """Cases on both cars in random order."""
     half, few = CASES // 2, FEWER // 2
-    numbers = Numbers(none=few, none_noise=0, quiet=0, single=half, weak=0, pair=few, absent=few, poor=0, std=0, mb=0)
+    numbers = CaseNumbers(
+        none=few, none_noise=0, quiet=0, single=half, weak=0, pair=few, absent=few, poor=0, std=0, mb=0
+    )
     return draw_cases(numbers, ("sedan", "rc"), seed, tuple(NAMES))
 
 

@@ -9,7 +9,6 @@ from driftjax.learning.config import GPConfig
 from driftjax.learning.model import empty
 from driftjax.learning.scenario import repeated
 from driftjax.parallel import call
-from driftjax.studies.paper.feasible import on_learnt
 from driftjax.vehicle import build_car, load_vehicle
 
 

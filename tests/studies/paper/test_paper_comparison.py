@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from driftjax.cli import main
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig
 from driftjax.store import RunFolder
 from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, MAIN, SHARED, arms, settings_hash
-from driftjax.studies.paper.config import Config
+from driftjax.studies.paper.config import PaperConfig
 from driftjax.studies.paper.extrapolation import extrapolated
 from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.laps import per_plant
 from driftjax.studies.paper.run import start_run
-from driftjax.studies.paper.statistics import GAINS, METHODS, gain, summary, targets
-from driftjax.studies.paper.table import page
+from driftjax.studies.paper.statistics import GAINS, METHODS, paired_gain, summarise_figures, targets
+from driftjax.studies.paper.table import comparison_page
 
 SECTION = (10.0, 20.0)
 SERIES = ("s", "e", "e_ref", "beta", "beta_ref", "r", "r_ref", "V", "delta", "Fxr")
@@ -51,7 +50,7 @@ def laps(errors: list[list[float]], completed: list[list[bool]]) -> xr.Dataset:
 
 
 def test_halves_share_no_plant_and_all_else_is_the_same():
-    of = {half: arms(Config(half=half)) for half in ("held_out", "development")}
+    of = {half: arms(PaperConfig(half=half)) for half in ("held_out", "development")}
     for car in ("sedan", "rc"):
         mains = {half: next(arm for arm in found if arm.car == car and arm.name == MAIN) for half, found in of.items()}
         numbers = [set(range(m.learn.first_plant, m.learn.first_plant + m.learn.plants)) for m in mains.values()]
@@ -61,7 +60,7 @@ def test_halves_share_no_plant_and_all_else_is_the_same():
 
 
 def test_an_ablation_differs_in_what_it_says_only():
-    found = [arm for arm in arms(Config(cars=("rc",))) if arm.name != MAIN]
+    found = [arm for arm in arms(PaperConfig(cars=("rc",))) if arm.name != MAIN]
     assert [arm.name for arm in found] == list(ABLATIONS)
     base = to_dict(found[0].learn)
     assert ABLATIONS[found[0].name][1] == {}
@@ -78,7 +77,7 @@ def test_an_ablation_differs_in_what_it_says_only():
 
 
 def test_runs_that_share_laps_differ_in_exploration_only():
-    found = {arm.name: arm for arm in arms(Config(cars=("rc",)))}
+    found = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
     for name, other in SHARED.items():
         without = [dataclasses.replace(found[one].learn, explore=ExploreConfig()) for one in (name, other)]
         assert without[0] == without[1] and found[name].like == f"rc/{other}"
@@ -86,7 +85,7 @@ def test_runs_that_share_laps_differ_in_exploration_only():
 
 
 def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
-    arm = next(arm for arm in arms(Config(cars=("rc",))) if arm.name == "variance")
+    arm = next(arm for arm in arms(PaperConfig(cars=("rc",))) if arm.name == "variance")
     other = RunFolder.create(tmp_path / "rc/as_it_is", {})
     for name in ("nominal", "gpr-1", "gpr-best", "explore-1"):
         other.write_stage(name, laps([[0.2]], [[True]]), name.encode())
@@ -104,7 +103,7 @@ def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkey
         (folder / "extended.yaml").write_text("")
 
     monkeypatch.setattr("driftjax.studies.paper.run.extend", extend)
-    arm, plain = (next(a for a in arms(Config(cars=("rc",))) if a.name == name) for name in (EXTENDED, "as_it_is"))
+    arm, plain = (next(a for a in arms(PaperConfig(cars=("rc",))) if a.name == name) for name in (EXTENDED, "as_it_is"))
     run = start_run(arm, tmp_path)
     shutil.rmtree(run.path)
     assert start_run(arm, tmp_path).config == run.config and made == [("rc", "rc", 1.0)]
@@ -112,7 +111,7 @@ def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkey
 
 
 def test_quick_is_small_and_asks_for_the_main_comparison_only():
-    found = arms(Config(quick=True).reduced())
+    found = arms(PaperConfig(quick=True).reduced())
     assert [(arm.car, arm.name) for arm in found] == [("sedan", MAIN), ("rc", MAIN)]
     assert all(arm.learn.plants == 4 and arm.learn.noise_seeds == 1 for arm in found)
 
@@ -133,7 +132,7 @@ def test_figures_of_a_plant_are_means_over_its_seeds():
 def test_a_plant_without_a_completed_lap_has_no_lap_time_and_the_mean_is_of_the_others():
     found = per_plant(laps([[0.2], [3.0]], [[True], [False]]), "paper", SECTION)
     assert np.isnan(found["lap_time"][1])
-    cell = summary(found)["lap_time"]
+    cell = summarise_figures(found)["lap_time"]
     assert cell["mean"] == pytest.approx(3.0) and np.isnan(cell["per_plant"][1])
 
 
@@ -163,16 +162,16 @@ def test_a_gain_is_shown_by_its_size_and_its_interval(value, ci95, met):
 def test_gains_are_paired_over_plants():
     rows = ends(0.5, 0.3, 0.2, 0.05)
     rows["gpr-best"]["lateral_error"] = 0.5 * rows["nominal"]["lateral_error"]  # half on every plant: no doubt is left
-    found = gain(rows, "nominal", "gpr-best", "lateral_error")
+    found = paired_gain(rows, "nominal", "gpr-best", "lateral_error")
     assert found["value"] == pytest.approx(50) and np.ptp(found["ci95"]) < 1e-9
-    assert gain(rows, "nominal", "single-layer", "lateral_error")["value"] is None
+    assert paired_gain(rows, "nominal", "single-layer", "lateral_error")["value"] is None
 
 
 def results() -> dict:
     rows = ends(0.5, 0.12, 0.11, 0.02)
-    one = gain(rows, "nominal", "gpr-best", "lateral_error")
+    one = paired_gain(rows, "nominal", "gpr-best", "lateral_error")
     gains = {who: {name: one for name in GAINS} for who in ("paper", "path")}
-    methods = {who: {name: summary(stage) for name, stage in rows.items()} for who in ("paper", "path")}
+    methods = {who: {name: summarise_figures(stage) for name, stage in rows.items()} for who in ("paper", "path")}
     beyond = {who: {"gpr-best": 0.25} for who in ("paper", "path")}
     small = {"words": "an ablation", "methods": methods, "gains": gains}
     small |= {"diagnosis": {"verdict": "NAMED", "sentence": "The car lacks drag."}}
@@ -185,7 +184,7 @@ def results() -> dict:
 
 
 def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
-    words = page(results())
+    words = comparison_page(results())
     missed = [line for line in words.splitlines() if line.endswith("| no |")]
     assert any("lateral error of the best method" in line for line in missed)
     assert "Plants 16 to 31 (seed 6, half: held out), 2 noise seeds each" in words and "abababab" in words
@@ -217,25 +216,25 @@ def test_states_far_from_the_data_are_counted(tmp_path):
 
 def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
     RunFolder.create(tmp_path / "learn", {}, "learn")
-    assert main(["paper", "--resume", str(tmp_path / "learn")]) == 2
+    assert run_comparison(["paper", "--resume", str(tmp_path / "learn")]) == 2
     assert "not of `driftjax paper`" in capsys.readouterr().err
-    assert main(["paper", "--resume", str(tmp_path / "learn"), "--plants", "3"]) == 2
+    assert run_comparison(["paper", "--resume", str(tmp_path / "learn"), "--plants", "3"]) == 2
     assert "leave out every flag" in capsys.readouterr().err
-    RunFolder.create(tmp_path / "paper", to_dict(Config()), "paper")
-    assert main(["report", str(tmp_path / "paper")]) == 2
+    RunFolder.create(tmp_path / "paper", to_dict(PaperConfig()), "paper")
+    assert run_comparison(["report", str(tmp_path / "paper")]) == 2
     assert "its main comparison is not finished" in capsys.readouterr().err
-    assert main(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
+    assert run_comparison(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
     assert "'plants' is 0" in capsys.readouterr().err and not (tmp_path / "new").exists()
     with pytest.raises(BadInput, match="noise_seeds"):
-        Config(noise_seeds=0)
+        PaperConfig(noise_seeds=0)
 
 
 @pytest.mark.slow
 def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     out = tmp_path / "paper"
-    cfg = dataclasses.replace(Config(), cars=("sedan",), plants=1, noise_seeds=1, ablations=False)
+    cfg = dataclasses.replace(PaperConfig(), cars=("sedan",), plants=1, noise_seeds=1, ablations=False)
     options = ["--cars", "sedan", "--plants", "1", "--noise-seeds", "1", "--no-ablations", "--half", "development"]
-    assert main(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
+    assert run_comparison(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
     whole = json.loads((out / "results.json").read_text())
     assert whole["split"]["plants"] == [0] and cfg.first_plant == 1
     run = RunFolder.open(out / "sedan/main")
@@ -243,8 +242,8 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     for path in (out / "sedan/main/stages").glob(f"[0-9][0-9]_{stages[-1]}.*"):
         path.unlink()
     (out / "sedan/main/results.json").unlink()
-    assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
+    assert run_comparison(["paper", "--resume", str(out), "--workers", "1"]) == 0
     assert json.loads((out / "results.json").read_text()) == whole
     (out / "results.md").unlink()
-    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == page(whole)
+    assert run_comparison(["report", str(out)]) == 0 and (out / "results.md").read_text() == comparison_page(whole)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
