@@ -127,8 +127,7 @@ class DriftOCP(AbstractOCP):
         return jnp.concatenate([self._motion(jnp.concatenate([x[:5], acting]), p), u, end])
 
     def _selection(self) -> tuple[Array, Array]:
-        """Return the constant derivatives by (x, u): of the arguments of `_motion` (7, 11), of last command and
-        actuator outputs (4, 11)."""
+        """Return derivatives by (x, u): of `_motion`'s arguments (7, 11), of command and actuator outputs (4, 11)."""
         mean, left = (jnp.diag(share) for share in lag_step(jnp.ones(2), jnp.zeros(2), self.residual.lags, self.dt))
         one, none = jnp.eye(2), jnp.zeros((2, 2))
         path = jnp.concatenate([jnp.eye(5), jnp.zeros((5, 6))], axis=1)
@@ -154,8 +153,7 @@ class DriftOCP(AbstractOCP):
         return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
 
     def curvature(self, x: Array, u: Array, costate: Array, p: Reference, around: Nearby) -> Array:
-        """Return the second derivative (11, 11) of `costate @ step`; without the residual's part solves do not
-        converge."""
+        """Return the second derivative (11, 11) of `costate @ step`; convergence needs the residual's part."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()
         return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
@@ -259,8 +257,7 @@ def solve_mpc(
     U: Float[Array, "N 2"],
     options: Options,
 ) -> MPCSolution:
-    """Solve Eq. 10 from state `x` = (V, beta, r, e, theta), last command `previous`, actuator outputs `lagged_input`,
-    and the guess `X`, `U`, all SI."""
+    """Solve Eq. 10 from `x` (V, beta, r, e, theta), command `previous`, actuator outputs and guess `X`, `U`, all SI."""
     U = within_limits(ocp, U, previous)
     before = jnp.concatenate([previous[None], U])
     guess = jnp.concatenate([X, before, along(ocp, lagged_input, U)], axis=1) / ocp.x_scale

@@ -51,8 +51,7 @@ class PurePursuit(eqx.Module):
         speed: Array,
         acceleration: Array,
     ) -> Control:
-        """Return the command, without actuator limits, for a car at (x, y, psi), `s` along `path`, for the target
-        `speed` and its rate `acceleration` [m/s^2].
+        """Return the command of a car at (x, y, psi), `s` along `path`, for a target `speed` with rate `acceleration`.
 
         delta = atan(2 L sin(eta) / d), eta the bearing of the look-ahead point from the rear axle at distance d. The
         force leaves the rear axle the grip to turn at V and `r`, so that full drive out of a corner does not spin the

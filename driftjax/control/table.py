@@ -33,8 +33,7 @@ class ReferenceTable(eqx.Module):
         return values[i] + share * (values[i + 1] - values[i])
 
     def slope(self, values: Float[Array, " n"], s: Array) -> Array:
-        """Return the derivative of one column by arc length at `s` [unit/m]; beyond the ends that of the
-        nearest rows."""
+        """Return the derivative of one column by arc length at `s` [unit/m]; of the nearest rows beyond the ends."""
         i, _ = self._position(values, s)
         return (values[i + 1] - values[i]) / self.spacing
 

@@ -1,20 +1,13 @@
 """Steady states: all of the nominal car, and those of a corrected one, with explicit branch checks."""
 
 from driftjax.equilibrium.branch import Branch as Branch
-from driftjax.equilibrium.branch import classify as classify
 from driftjax.equilibrium.continuation import continuation as continuation
 from driftjax.equilibrium.continuation import solve_steady as solve_steady
-from driftjax.equilibrium.decoupled import Roots as Roots
 from driftjax.equilibrium.decoupled import decoupled_roots as decoupled_roots
-from driftjax.equilibrium.decoupled import drift_roots as drift_roots
-from driftjax.equilibrium.decoupled import pick as pick
 from driftjax.equilibrium.decoupled import preference as preference
-from driftjax.equilibrium.solve import ANY as ANY
 from driftjax.equilibrium.solve import Equilibrium as Equilibrium
 from driftjax.equilibrium.solve import SlipRadius as SlipRadius
 from driftjax.equilibrium.solve import SlipSpeed as SlipSpeed
 from driftjax.equilibrium.solve import SpeedYaw as SpeedYaw
 from driftjax.equilibrium.solve import solve as solve
-from driftjax.equilibrium.solve import solve_at as solve_at
-from driftjax.equilibrium.solve import solve_drift as solve_drift
 from driftjax.equilibrium.solve import solve_nominal as solve_nominal

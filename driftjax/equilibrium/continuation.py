@@ -47,8 +47,7 @@ def continuation(
 
 
 def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
-    """Solve for the steady state of a car on `branch`, without a guess; `no_root` where the published car has none
-    there.
+    """Solve for the steady state of a car on `branch` without a guess; `no_root` if the published car has none.
 
     For an extended car it is continued from its nominal car while all effects grow, see `continuation`; each stage is
     judged by its own slip angles and peaks. At fixed speed and yaw rate drifts come in pairs that may merge and vanish

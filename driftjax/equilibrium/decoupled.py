@@ -99,8 +99,7 @@ def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
 
 
 def preference(x: State, u: Control) -> Array:
-    """Return the order of roots of one kind: most sideslip, then most steering into the turn; the same for both
-    turns."""
+    """Return the rank of roots of one kind in either turn: most sideslip, then most steering into the turn."""
     return jnp.abs(x.beta) + 1e-6 * jnp.sign(x.r) * u.delta
 
 

@@ -105,8 +105,7 @@ def solve(
     branch: Array | int = ANY,
     throw: bool = False,
 ) -> Equilibrium:
-    """Solve for the steady state of `model` with `fixed` quantities, from `guess`; `nominal` gives scales and the
-    branch.
+    """Solve for the steady state of `model` with `fixed` quantities from `guess`; `nominal` gives scales and branch.
 
     `branch` is the required `Branch`: a solution on another one has result `off_branch`. `not_converged` means that no
     zero was found near the guess, not that there is none. Differentiable in `model` and `fixed` by the implicit
@@ -145,8 +144,7 @@ def _judge(worst: Array, on_branch: Array) -> RESULTS:
 def solve_nominal(
     nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int, throw: bool = False
 ) -> Equilibrium:
-    """Solve for the nominal car's steady state on `branch`, without a guess; `no_root` where the published car has
-    none.
+    """Solve for the nominal car's steady state on `branch` without a guess; `no_root` if the published car has none.
 
     With a friction ellipse the closed form of the published car, which has none, is the guess.
     """
@@ -156,15 +154,3 @@ def solve_nominal(
     result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
     out = eqx.tree_at(lambda e: e.result, out, result)
     return result.error_if(out, result != RESULTS.successful) if throw else out
-
-
-def solve_at(model: Model, nominal: AnyCar, V: Array, r: Array, guess: tuple[State, Control], **options) -> Equilibrium:
-    """Solve at speed `V` [m/s] and yaw rate `r` [rad/s], as in the paper; see `solve`."""
-    return solve(model, nominal, SpeedYaw(V, r), guess, **options)
-
-
-def solve_drift(
-    model: Model, nominal: AnyCar, beta: Array, R: Array, guess: tuple[State, Control], **options
-) -> Equilibrium:
-    """Solve at sideslip `beta` [rad] on radius `R` [m] (positive to the left); see `solve`."""
-    return solve(model, nominal, SlipRadius(beta, R), guess, **options)

@@ -27,8 +27,7 @@ class SpeedSets(eqx.Module):
 
 
 def residuals(gamma: Array, V: Array, s: Array, target: Array, w1: Array, w2: Array) -> Array:
-    """Return the residuals (2N - 2,) whose squares are summed in Wu et al. 2025, Sec. III-B (V-sets), in a physically
-    consistent reading.
+    """Return the residuals (2N - 2,) of the V-sets (Wu et al. 2025, Sec. III-B), in a physically consistent reading.
 
     sqrt(w1) (phi_k - phi_{k-1}) / (s_k - s_{k-1}) for k = 3..N with the slope phi_k = arctan(d(V + gamma) / ds) of
     the speed over the path, then sqrt(w2) (gamma - target) with the target r_b e. The arctan of a slope in 1/s is

@@ -20,8 +20,7 @@ class Arrival(eqx.Module):
 
 
 def planned_arrival(table: ReferenceTable, lead: Array | float) -> Arrival:
-    """Return the planned arrival `lead` [m] before the drift section of `table`: on the path, with its inputs
-    applied."""
+    """Return the planned arrival `lead` [m] before the drift section of `table`, on the path with its inputs."""
     x, u = table.state(table.drift_start - lead)
     inputs, zero = jnp.stack([u.delta, u.Fxr]), jnp.zeros_like(x.V)
     return Arrival(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))

@@ -57,8 +57,7 @@ def drifts(scenario: Scenario) -> Drifts:
 
 
 def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
-    """Compute V-sets (Eq. 9) around the planned speed from the measured lateral error of the laps in `trace`, which
-    tracked the offset `aimed` (batch, AIM_POINTS) from the path."""
+    """Compute V-sets (Eq. 9) from the lateral errors in `trace`, which tracked `aimed` (batch, AIM_POINTS)."""
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
     origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))

@@ -120,8 +120,7 @@ def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
 
 
 def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
-    """Return the mean of `after` minus `before` over pairs, with its 95 % interval by Student's t; none for one
-    pair."""
+    """Return the mean of `after` - `before` over pairs with its 95 % interval by Student's t; none for one pair."""
     found = interval(np.asarray(after, float) - np.asarray(before, float))
     return {"mean": found["mean"], "ci95": found["ci95"], "pairs": found["plants"]}
 

@@ -46,8 +46,7 @@ def learn(
     known_basis: KnownEffectBasis | None = None,
     shortest: Array | None = None,
 ) -> ModelState:
-    """Update `model_state` with a lap's rows, in driving order: new dictionary, GP and trust factor; `lags` (2,) are
-    the lap's.
+    """Update dictionary, GP and trust factor with a lap's rows, in driving order, and its actuator `lags` (2,) [s].
 
     The trust factor of an output is the factor in 0..1 on the mean that minimises the squared error at held-out rows
     (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, an exaggerated or wrong mean

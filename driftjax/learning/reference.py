@@ -1,5 +1,4 @@
-"""Build references along the planned path: the plan, the paper's step, and the corner replanned on the
-corrected car."""
+"""Build references along the planned path: the plan, the paper's step, the corner replanned on the corrected car."""
 
 import dataclasses
 import math

@@ -43,8 +43,7 @@ def residual_rate(nominal: AnyCar, x: State, u: Control, after: State, dt: Array
 
 
 def lag_response(command: Float[Array, "T *n"], lag: Array, dt: Array) -> tuple[Array, Array]:
-    """Return the response of a first-order lag [s] to commands held over steps of `dt` [s]: at each sample, and the
-    mean over the step that follows.
+    """Return the response of a first-order lag [s] to held commands: at each sample, and the mean over the next step.
 
     It starts from 0, as do the actuators of a rolling plant and the driver's state.
     """

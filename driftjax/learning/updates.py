@@ -1,5 +1,4 @@
-"""Learning updates (Section V-A): start, update of model and best lap, reference planning; each entry keeps its
-best."""
+"""Learning updates (Section V-A): start, update of model and best lap of each entry, reference planning."""
 
 import equinox as eqx
 import jax
@@ -99,8 +98,7 @@ def update_progress(
 
 
 def plan_reference(scenario: Scenario, residual: Residual, arrival: Arrival, aim: Aim | None = None) -> Planned:
-    """Plan the reference of every entry for its corrected car, with the exploration targets `aim` (leading axis:
-    batch).
+    """Plan the reference of every entry for its corrected car, with exploration targets `aim` (batch).
 
     `entry` replans the corner on nominal + GP; `step` is the paper's equilibrium at the shifted speed.
     """

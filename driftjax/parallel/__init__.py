@@ -1,6 +1,5 @@
 """Batches, worker processes, devices and compiled programs that outlive the process; imports `core` only."""
 
-from driftjax.parallel.batch import batch_size as batch_size
 from driftjax.parallel.batch import concatenate as concatenate
 from driftjax.parallel.batch import vmap_batch as vmap_batch
 from driftjax.parallel.devices import DeviceExecutor as DeviceExecutor

@@ -22,8 +22,7 @@ class Nodes(NamedTuple):
 
 
 def nodes(track: Track, wheelbase: float, config: PlanConfig) -> Nodes:
-    """Place the nodes of an open track from end to end; of a closed one over a lap with run-up and run-out, to be cut
-    off.
+    """Place the nodes of an open track from end to end, of a closed one over a lap with run-up and run-out.
 
     A closed lap starts rolling in the middle of its longest straight, is cut in the middle of a later straight, and
     runs out to a still later one, so that neither the start nor the finish affects the lap.

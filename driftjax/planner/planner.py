@@ -136,8 +136,7 @@ def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Soluti
 
 
 def _step_times(ocp: MinimumTime, X: Array, U: Array, stage: Stage) -> Array:
-    """Return the duration of each step [s], by Simpson's rule with the middle state from a half-length Runge-Kutta
-    step."""
+    """Return the duration of each step [s] by Simpson's rule, the middle state from half a Runge-Kutta step."""
     half = eqx.tree_at(lambda o: o.ds, ocp, ocp.ds / 2)
     stages = jax.tree.map(lambda p: p[:-1], stage)
     quarter = (stages.kappa[:, 0] + stages.kappa[:, 1]) / 2

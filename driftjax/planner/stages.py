@@ -46,8 +46,7 @@ def tight_corners(s: np.ndarray, kappa: np.ndarray, config: PlanConfig) -> list[
 
 
 def device(s: np.ndarray, corners: list[TightCorner], config: PlanConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `(side, slip, beta_max)` at the nodes; a drift corner requires -side beta >= slip, which ramps up to
-    beta_d.
+    """Return `(side, slip, beta_max)` at the nodes; drift corners require -side beta >= slip, ramped up to beta_d.
 
     Sideslip beyond `beta_normal` is allowed only in these corners and their surroundings.
     """
@@ -84,8 +83,7 @@ def stages(track: Track, vehicle: VehicleConfig, config: PlanConfig, s: np.ndarr
 
 
 def speed_profile(s: np.ndarray, kappa: np.ndarray, vehicle: VehicleConfig, config: PlanConfig) -> np.ndarray:
-    """Return the speed on the centre line at 0.85 mu g lateral acceleration, with gentle braking and acceleration
-    [m/s]."""
+    """Return the speed [m/s] on the centre line at 0.85 mu g lateral acceleration, braking and accelerating gently."""
     radius = 1 / np.maximum(np.abs(kappa), 1e-6)
     square = np.minimum(0.85 * vehicle.mu * G * radius, (0.95 * config.V_max) ** 2)
     brake, drive = 0.6 * abs(vehicle.Fxr_min) / vehicle.m, 0.6 * vehicle.Fxr_max / vehicle.m

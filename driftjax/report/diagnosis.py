@@ -95,8 +95,7 @@ def parity_statement(parity: dict[str, Any] | None) -> str:
 
 
 def gain_table(gain: dict[str, Any]) -> str:
-    """Format the open-loop errors on held-out runs per model and horizon: in units, all three over those of the nominal
-    car, and the share of the explainable error removed."""
+    """Format the open-loop errors on held-out runs per model and horizon, their ratio to nominal, and the skill."""
     if not gain["held_out_runs"]:
         return "gain: not measured, for want of runs to hold out.\n"
     lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]

@@ -7,11 +7,9 @@ from driftjax.sim.lap import Sensed as Sensed
 from driftjax.sim.lap import Trace as Trace
 from driftjax.sim.lap import drive as drive
 from driftjax.sim.lap import where_tree as where_tree
-from driftjax.sim.lap import wrap as wrap
 from driftjax.sim.plant_files import batch_of as batch_of
 from driftjax.sim.plant_files import load_any_plant as load_any_plant
 from driftjax.sim.plant_files import load_plants as load_plants
 from driftjax.sim.simulate import simulate as simulate
 from driftjax.sim.universal_plant import AnyPlant as AnyPlant
-from driftjax.sim.universal_plant import UniversalPlant as UniversalPlant
 from driftjax.sim.universal_plant import plant_of as plant_of

@@ -86,8 +86,7 @@ def record(
     plant: Universal, vehicle: VehicleConfig, manoeuvre: Manoeuvre, conditions: Conditions, key: Array, dt: float,
     substeps: int = 10,
 ) -> Recording:  # fmt: skip
-    """Record one run of `manoeuvre` at sample time `dt` [s], with `substeps` plant steps per sample, from its first
-    row."""
+    """Record one run of `manoeuvre` at sample time `dt` [s] with `substeps` plant steps per sample."""
     h = dt / substeps
     lower, upper, rate = vehicle.command_limits()
     nominal = vehicle.build()

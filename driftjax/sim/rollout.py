@@ -37,8 +37,7 @@ class StepResult(NamedTuple):
 
 
 def acting(model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"], dt: float) -> Float[Array, "w 4"]:
-    """Return the actuator response to commands held for one step each, from rest: steering [rad] and drive [N], means
-    and slopes.
+    """Return means and slopes of the actuator response from rest to held commands: steering [rad], drive [N].
 
     Lags and delays have finite memory: start `SETTLE` before the commands of interest.
     """
@@ -79,8 +78,7 @@ def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "4"], pl
 def move(
     model: Universal, z: Float[Array, "6"], u: Float[Array, "4"], place: Place, dt: Array, push: State | None = None
 ) -> StepResult:
-    """Return state and lagged state one step later, under the inputs `u` (means and slopes); `push` is added to the
-    rates."""
+    """Return state and lagged state after a step under inputs `u` (means, slopes); `push` is added to the rates."""
 
     def on(z, u):
         x, lagged = State(z[0], z[1], z[2]), LaggedState(z[3:5], z[5])
@@ -99,8 +97,7 @@ def move(
 
 
 def sensor_reading(model: Universal, x: Float[Array, "3"], rates: Float[Array, "3 3"], dt: Array) -> Float[Array, "3"]:
-    """Return the noise-free sensor reading of the state `x`, whole steps of the delay aside; `rates` are those of the
-    last step.
+    """Return the noise-free sensor reading of `x`, whole steps of the delay aside, from the `rates` of the last step.
 
     Within that step the state follows the cubic through its ends with the rates there.
     """

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import State
+from driftjax.core.integrate import RK4_INTO, RK4_WEIGHTS
 from driftjax.sim.step import (
     LaggedState,
     StepStart,
@@ -25,8 +25,6 @@ from driftjax.sim.step import (
 )
 from driftjax.vehicle.effect.flow import Place, rates
 from driftjax.vehicle.universal import Universal
-
-NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6  # of the classical Runge-Kutta
 
 
 class Dual(NamedTuple):
@@ -99,5 +97,5 @@ def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, pu
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
 
     nothing = jax.tree.map(jnp.zeros_like, state)
-    (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
+    (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS)))
     return through(reach, join(began, after), model.theta)

@@ -61,8 +61,7 @@ def midpoints(num: int) -> np.ndarray:
 
 
 def hold_segment(u: Float[Array, "4 *k"], middle: Array, num: int) -> Float[Array, "4 *k"]:
-    """Restrict the line of `hold_of` to one of `num` equal parts of its step, about `middle`; also for derivatives of
-    lines."""
+    """Restrict the line of `hold_of`, or its derivatives, to one of `num` equal parts of its step, about `middle`."""
     return jnp.concatenate([u[:2] + middle * u[2:], u[2:] / num])
 
 

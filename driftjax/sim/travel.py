@@ -53,8 +53,7 @@ def travel(
     model: Universal, nominal: SingleTrack, lap: Array, now: Travel, command: Control, h: Array,
     push: State | None = None,
 ) -> Travel:  # fmt: skip
-    """Advance by one step `h` [s] under constant `command`; `push` is added to the rates, `lap` is the length of a lap
-    [m].
+    """Advance one step `h` [s] under constant `command`, with `push` added to the rates; `lap` is a lap's length [m].
 
     Tyre heat follows the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
     """

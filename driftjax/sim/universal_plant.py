@@ -42,8 +42,7 @@ class UniversalPlant(eqx.Module):
         self, V: ArrayLike, x: ArrayLike = 0.0, y: ArrayLike = 0.0, psi: ArrayLike = 0.0, beta: ArrayLike = 0.0,
         r: ArrayLike = 0.0,
     ) -> Travel:  # fmt: skip
-        """Return the state at speed `V` [m/s] with actuators at rest, at the start of a lap; straight unless `beta`,
-        `r`."""
+        """Return the state at speed `V` [m/s] at the start of a lap, actuators at rest; straight unless `beta`, `r`."""
         model, V = self.universal, as_float(V)
         zero = jnp.zeros_like(V)
         state, idle = State(V, zero + beta, zero + r), Control(zero, zero)
@@ -55,8 +54,7 @@ class UniversalPlant(eqx.Module):
         return Travel(state, lagged, model.start(self.step), place, position, zero, still, idle, past, step)
 
     def advance(self, state: Travel, command: Control, dt: ArrayLike, num_substeps: int) -> Travel:
-        """Return the state after `dt` [s] of constant `command`, in `num_substeps` equal steps, none shorter than
-        `step`."""
+        """Return the state after `dt` [s] of constant `command` in `num_substeps` steps, none shorter than `step`."""
         model, h = self.universal, as_float(dt) / num_substeps
         fine = lambda now, _: (travel(model, self.nominal, self.lap, now, command, h), None)
         return jax.lax.scan(fine, state, length=num_substeps)[0]

@@ -3,7 +3,5 @@
 from driftjax.store.folder import RunFolder as RunFolder
 from driftjax.store.folder import list_runs as list_runs
 from driftjax.store.variables import DIAGNOSIS as DIAGNOSIS
-from driftjax.store.variables import PLAN as PLAN
-from driftjax.store.variables import STAGE as STAGE
 from driftjax.store.variables import code_names as code_names
 from driftjax.store.variables import dataset as dataset

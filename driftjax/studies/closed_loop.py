@@ -34,8 +34,7 @@ class ClosedLoopCase:
 
 
 def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
-    """Load the corner of the car `vehicle`, and the car that `plant` names: a truth.yaml, a plant or vehicle YAML, or a
-    shipped plant."""
+    """Load the corner of `vehicle` and its plant: a truth.yaml, a plant or vehicle YAML, or a shipped plant."""
     if vehicle.name not in CARS:
         raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
                        f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
@@ -51,8 +50,7 @@ def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
 
 
 def without_estimates(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
-    """Return the `extended` car with its effects at their initial values: the same car as `vehicle`, and the same
-    compiled program."""
+    """Return `extended` with its effects at their initial values: the car `vehicle` in the same compiled program."""
     start = {one.name: one.value for one in vehicle.effects}
     effects = (dataclasses.replace(e, value=start.get(e.name, 0.0), ci95_half=None) for e in extended.effects)
     return dataclasses.replace(extended, effects=tuple(effects), covariance=())
@@ -101,8 +99,7 @@ def summarise_laps(stage: StageResult) -> dict[str, Any]:
 
 
 def compare_laps(nominal: StageResult, extended: StageResult) -> dict[str, Any]:
-    """Return extended minus nominal, seed by seed, with intervals over seeds; velocity errors of laps that both
-    completed."""
+    """Return extended minus nominal with intervals over seeds; velocity errors only of laps that both completed."""
     both = np.asarray(nominal.figures.completed & extended.figures.completed)
     every = np.ones_like(both)
     pairs = {"lateral_error": every, "velocity_rmse": both, "drift_share": every}

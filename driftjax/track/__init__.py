@@ -1,9 +1,5 @@
 """Tracks as curvilinear frames: build, load, check, project points."""
 
-from driftjax.track.build import corner as corner
-from driftjax.track.build import from_curvature as from_curvature
-from driftjax.track.build import from_points as from_points
-from driftjax.track.build import playground as playground
 from driftjax.track.check import check_width as check_width
 from driftjax.track.frame import Track as Track
 from driftjax.track.frame import curvilinear_rates as curvilinear_rates

@@ -1,2 +1,1 @@
-"""Tune weights and switching lead of the drift MPC by gradients through closed-loop laps, compared with random
-search."""
+"""Tune weights and switching lead of the drift MPC by gradients through closed-loop laps, or random search."""

@@ -58,8 +58,7 @@ def gradients_batch(
     scales: Scales,
     width: float,
 ) -> LapGradients:
-    """Differentiate in forward mode through plant, sensors and solved MPC, for entries (drivers, plants, initial
-    speeds, keys)."""
+    """Differentiate in forward mode through plant, sensors and solved MPC, for entries (drivers, plants, V0, keys)."""
     drivers, plants, speed, keys = batch
 
     def errors(p: Array) -> tuple[Array, tuple[Array, Array]]:

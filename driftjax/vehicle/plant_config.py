@@ -1,6 +1,7 @@
 """Contents of a plant YAML file, validated, and the double-track car built from them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from driftjax.vehicle.wheels import Wheels
 
 NON_NEGATIVE = ("h", "load_sensitivity", "carcass_time", "rolling_resistance", "drive_inertia", "diff_coupling",
                 "diff_preload", "diff_bias", "drag", "roll_split")  # fmt: skip
+T = TypeVar("T")
 ANY_SIGN = ("name", "E", "Fxr_min")
 
 
@@ -115,24 +117,12 @@ class PlantConfig:
 
     def build(self) -> DoubleTrack:
         """Build the double-track car."""
-        chassis = Chassis(
-            m=self.m, Iz=self.Iz, a=self.a, b=self.b, h=self.h, track_f=self.track_f, track_r=self.track_r,
-            roll_split=self.roll_split, roll_lag=self.roll_lag, pitch_lag=self.pitch_lag, drag=self.drag,
-        )  # fmt: skip
-        tyre = MagicFormula(
-            mu=np.array([self.muf, self.muf, self.mur, self.mur]), B=np.array([self.Bf, self.Bf, self.Br, self.Br]),
-            C=self.C, E=self.E, slip_ratio=self.slip_ratio, load_sensitivity=self.load_sensitivity,
-        )  # fmt: skip
-        wheels = Wheels(
-            radius=self.wheel_radius, inertia=self.wheel_inertia, drive_inertia=self.drive_inertia,
-            relaxation=self.relaxation, relaxation_long=self.relaxation_long, carcass_time=self.carcass_time,
-            rolling_resistance=self.rolling_resistance, diff_coupling=self.diff_coupling,
-            diff_preload=self.diff_preload, diff_bias=self.diff_bias, diff_speed=self.diff_speed,
-            creep_speed=self.creep_speed,
-        )  # fmt: skip
-        actuators = Actuators(
-            steer_lag=self.steer_lag, delta_max=self.delta_max, delta_rate_max=self.delta_rate_max,
-            drive_lag=self.drive_lag, Fxr_min=self.Fxr_min, Fxr_max=self.Fxr_max, Fxr_rate_max=self.Fxr_rate_max,
-            power_max=self.power_max, creep_speed=self.creep_speed,
-        )  # fmt: skip
-        return DoubleTrack(chassis=chassis, tyre=tyre, wheels=wheels, actuators=actuators)
+
+        def part(cls: type[T], **given: Any) -> T:
+            """Build a part from the values of this file that have the names of its fields, and `given` ones."""
+            names = [field.name for field in fields(cls) if field.name not in given]  # pyright: ignore[reportArgumentType]
+            return cls(**{name: getattr(self, name) for name in names}, **given)
+
+        mu, B = np.array([self.muf, self.muf, self.mur, self.mur]), np.array([self.Bf, self.Bf, self.Br, self.Br])
+        wheels = part(Wheels, radius=self.wheel_radius, inertia=self.wheel_inertia)
+        return DoubleTrack(part(Chassis), part(MagicFormula, mu=mu, B=B), wheels, part(Actuators))

@@ -16,7 +16,7 @@ from driftjax.control.residual import nearby
 from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput, Control, State, features, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
-from driftjax.track import from_curvature
+from driftjax.track.build import from_curvature
 from driftjax.vehicle import Residual, load_vehicle, no_residual
 
 CAR = load_vehicle("sedan")

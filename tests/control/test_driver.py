@@ -15,7 +15,7 @@ from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
 from driftjax.sim import Sensed
 from driftjax.solve import Options
-from driftjax.track import from_curvature
+from driftjax.track.build import from_curvature
 from driftjax.vehicle import load_vehicle, no_residual
 
 CAR = load_vehicle("sedan")

@@ -18,8 +18,6 @@ from driftjax.equilibrium import (
     drift_roots,
     pick,
     solve,
-    solve_at,
-    solve_drift,
     solve_nominal,
 )
 from driftjax.vehicle import load_vehicle
@@ -39,7 +37,7 @@ def at_each_root(car, V, r):
 
         def polish(x, u, kind):
             guess = x._replace(beta=x.beta + 0.01), Control(u.delta - 0.01, u.Fxr + 0.01 * car.m * 9.81)
-            return solve_at(car, car, V, r, guess, branch=kind)
+            return solve(car, car, SpeedYaw(V, r), guess, branch=kind)
 
         return roots, jax.vmap(polish)(roots.x, roots.u, roots.kind)
 
@@ -126,7 +124,7 @@ def test_fixing_sideslip_and_radius_finds_the_same_points(name):
     @eqx.filter_vmap
     def through_radius(beta, R):
         x, u, found = pick(drift_roots(car, beta, R), Branch.COUNTERSTEER)
-        return found, solve_drift(car, car, beta, R, (x._replace(V=1.1 * x.V), u), branch=Branch.COUNTERSTEER)
+        return found, solve(car, car, SlipRadius(beta, R), (x._replace(V=1.1 * x.V), u), branch=Branch.COUNTERSTEER)
 
     found, out = through_radius(direct.x.beta, V / direct.x.r)
     assert jnp.all(found) and jnp.all(out.result == RESULTS.successful)
@@ -144,7 +142,7 @@ def test_a_wrong_guess_never_passes_for_the_branch_asked_for():
     guess = State(*(jnp.asarray(v) for v in (np.full(200, 9.0), rng.uniform(-1.2, 0.6, 200), np.full(200, 1.1))))
     control = Control(jnp.asarray(rng.uniform(-0.9, 0.9, 200)), jnp.asarray(rng.uniform(0, 15e3, 200)))
     V, r = jnp.asarray(9.0), jnp.asarray(1.1)
-    out = eqx.filter_jit(jax.vmap(lambda x, u: solve_at(car, car, V, r, (x, u), branch=Branch.COUNTERSTEER)))(
+    out = eqx.filter_jit(jax.vmap(lambda x, u: solve(car, car, SpeedYaw(V, r), (x, u), branch=Branch.COUNTERSTEER)))(
         guess, control
     )
     right = jnp.abs(out.x.beta + 0.5450732) + jnp.abs(out.u.delta + 0.2967579) < 1e-5

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from driftjax.core import BadInput
-from driftjax.logs import load_columns
+from driftjax.logs.columns import load_columns
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_by_name
 from experiments import real_logs

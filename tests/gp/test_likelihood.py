@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.gp import KERNELS, Hyper
+from driftjax.gp import Hyper
+from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives, likelihood
 from driftjax.gp.model import gram, squared_differences
 from driftjax.gp.orthogonal import orthonormal_basis

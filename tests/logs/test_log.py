@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.logs import ColumnMap, Run, load_columns, read_log, write_log
-from driftjax.logs.columns import CHANNELS, Channel, Condition, Drive
+from driftjax.logs import Run, read_log, write_log
+from driftjax.logs.columns import CHANNELS, Channel, ColumnMap, Condition, Drive, load_columns
 
 LOGS = Path(__file__).parent / "logs"  # small ones in the layouts of the shipped column maps
 N = 300

@@ -12,7 +12,8 @@ from asammdf import MDF, Signal
 from scipy.spatial.transform import Rotation
 
 from driftjax.cli import main
-from driftjax.logs import Log, load_columns, read_log, sampling
+from driftjax.logs import Log, read_log, sampling
+from driftjax.logs.columns import load_columns
 
 
 def every(dt: float, until: float = 10.0, jitter: float = 0.0, seed: int = 0) -> np.ndarray:

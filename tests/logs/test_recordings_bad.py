@@ -13,7 +13,8 @@ from asammdf import MDF, Signal
 
 from driftjax.cli import main
 from driftjax.core import BadInput
-from driftjax.logs import ColumnMap, load_columns, read_log
+from driftjax.logs import read_log
+from driftjax.logs.columns import ColumnMap, load_columns
 
 NS = (1e7 * np.arange(200)).astype(np.int64)
 MANY = {

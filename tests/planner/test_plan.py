@@ -17,7 +17,8 @@ from driftjax.planner.planner import problem
 from driftjax.planner.problem import MinimumTime
 from driftjax.planner.stages import device, guesses, stages, tight_corners
 from driftjax.studies.bench.casadi_plan import CasadiPlan
-from driftjax.track import corner, load_track, playground
+from driftjax.track import load_track
+from driftjax.track.build import corner, playground
 from driftjax.vehicle import load_vehicle
 
 G = 9.81

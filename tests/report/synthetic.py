@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from driftjax.store import PLAN, RunFolder, dataset
+from driftjax.store import RunFolder, dataset
+from driftjax.store.variables import PLAN
 
 CODES = {"RUNNING": 0, "COMPLETED": 1, "SPUN": 2, "OFF_TRACK": 3, "STALLED": 4, "TIMEOUT": 5, "NON_FINITE": 6}
 DT, STEPS, ROWS = 0.05, 220, 80

@@ -12,9 +12,10 @@ from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.core import Control
 from driftjax.gp import zero_gp
-from driftjax.sim import LapCode, LapConfig, drive, wrap
+from driftjax.sim import LapCode, LapConfig, drive
+from driftjax.sim.lap import wrap
 from driftjax.sim.sensors import SensorConfig
-from driftjax.track import from_curvature
+from driftjax.track.build import from_curvature
 from driftjax.vehicle import load_plant, load_vehicle, no_residual, stack_plants
 
 DT, SPEED = 0.05, 10.0

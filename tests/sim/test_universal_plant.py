@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput, Control, State, rk4_step
-from driftjax.sim import LapCode, LapConfig, UniversalPlant, batch_of, drive, load_plants, plant_of
+from driftjax.sim import LapCode, LapConfig, batch_of, drive, load_plants, plant_of
 from driftjax.sim.record import Conditions, Manoeuvre, record
 from driftjax.sim.sensors import SensorConfig
-from driftjax.track import from_curvature
+from driftjax.sim.universal_plant import UniversalPlant
+from driftjax.track.build import from_curvature
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import EFFECTS
 

@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 from driftjax.core import BadInput, write_atomically
-from driftjax.store import PLAN, STAGE, RunFolder, code_names, dataset, list_runs
+from driftjax.store import RunFolder, code_names, dataset, list_runs
+from driftjax.store.variables import PLAN, STAGE
 
 CONFIG = {"car": "sedan", "plants": 2, "path": {"Q": [5.0, 100.0, 50.0]}, "track": "sedan_corner"}
 CODES = {"RUNNING": 0, "COMPLETED": 1, "SPUN": 2}

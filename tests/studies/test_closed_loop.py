@@ -19,7 +19,8 @@ from driftjax.learning.metrics import LapFigures
 from driftjax.learning.scenario import lay_out
 from driftjax.logs import Run, write_log
 from driftjax.manoeuvres.campaign import Campaign
-from driftjax.sim import LapCode, UniversalPlant
+from driftjax.sim import LapCode
+from driftjax.sim.universal_plant import UniversalPlant
 from driftjax.studies.closed_loop import closed_loop, compare_laps, load_case, summarise_laps, without_estimates
 from driftjax.vehicle import DoubleTrack, Extended, actuator_lags, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue

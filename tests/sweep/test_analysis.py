@@ -7,10 +7,10 @@ from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.report.table import aligned
 from driftjax.store import RunFolder
-from driftjax.sweep import Store
 from driftjax.sweep.analysis import Analysis, analyse, best_trials, explained_share, sensitivity, to_json
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.query import differences, find_laps, read_run
+from driftjax.sweep.store import Store
 from tests.sweep.test_sweep import config_of, run
 from tests.sweep.toy import TOY
 

@@ -3,8 +3,9 @@
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.sweep import Store, open_executor, run_trials
+from driftjax.sweep import open_executor, run_trials
 from driftjax.sweep.optuna_source import OptunaSource
+from driftjax.sweep.store import Store
 from tests.sweep.test_sweep import config_of, table
 from tests.sweep.toy import TOY
 

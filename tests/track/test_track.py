@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
 from driftjax.core import BadInput
-from driftjax.track import check_width, corner, curvilinear_rates, from_points, load_track, playground
+from driftjax.track import check_width, curvilinear_rates, load_track
+from driftjax.track.build import corner, from_points, playground
 from driftjax.track.load import read_csv
 
 R = 15.0

@@ -18,7 +18,7 @@ from driftjax.gp import zero_gp
 from driftjax.sim import LapConfig, drive
 from driftjax.sim.sensors import SensorConfig
 from driftjax.solve import Options
-from driftjax.track import from_curvature
+from driftjax.track.build import from_curvature
 from driftjax.tune.blend import blended
 from driftjax.tune.config import Scales
 from driftjax.tune.loss import lap_errors, lap_loss

@@ -113,7 +113,7 @@ def compare_hidden(found: Evidence, case: Case, name: str) -> dict[str, Any]:
 
 
 def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
-    """Return the cosine of the signature of parameter `column` with the most similar one and those of all named effects.
+    """Return the cosine of the signature of parameter `column` with the most similar effect and all named ones.
 
     Parameters `taken` are projected out of every signature.
     """

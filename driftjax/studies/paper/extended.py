@@ -62,8 +62,7 @@ def _run(
 def follow(
     plant: DoubleTrack, vehicle: VehicleConfig, manoeuvre: Manoeuvre, sigma: Float[Array, "3"], key: Array, dt: float
 ) -> tuple[Float[Array, "T 3"], Float[Array, "T 2"]]:
-    """Return measured V, beta, r with noise `sigma`, and the commands (rad, N) of a driver with a measurement
-    filter."""
+    """Return measured V, beta, r with noise `sigma`, and the commands [rad, N] of a driver who filters them."""
     lower, upper, rate = vehicle.command_limits()
     smooth = 1 - jnp.exp(-dt / (FILTER * vehicle_units(vehicle).time))
     first, u0 = manoeuvre.x_ref[0], jnp.clip(manoeuvre.u_ref[0], lower, upper)

@@ -19,8 +19,10 @@ STAGE = "gpr-best"
 
 
 def feasible(run: RunFolder) -> dict[str, Any] | None:
-    """Return for each controller whether its plants have a drift at the planned V_b and r_b, and the speed of the one
-    at the planned sideslip and radius relative to V_b, on nominal + GP; None where the run has no GP laps."""
+    """Return per controller the share of plants with a drift at the planned V_b and r_b on nominal + GP.
+
+    Also the speed of the drift at the planned sideslip and radius over V_b. None where the run has no GP laps.
+    """
     if STAGE not in run.finished():
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
