@@ -5,12 +5,12 @@ from typing import Annotated
 
 import tyro
 
-from driftjax.equilibrium.map import Config, main
+from driftjax.equilibrium.map import MapConfig, write_map
 
 
-def draw_map(options: Annotated[Config, tyro.conf.arg(name="")], out: Path = Path("runs/equilibria")) -> None:
+def draw_map(options: Annotated[MapConfig, tyro.conf.arg(name="")], out: Path = Path("runs/equilibria")) -> None:
     """Write equilibria.png and equilibria.csv to the folder `out`, and print the figures of the map."""
-    for name, value in main(options, out).items():
+    for name, value in write_map(options, out).items():
         print(f"{name:32s} {value:.6g}")
 
 

@@ -32,13 +32,11 @@ def run(argv: list[str]) -> int:
     options = flags.options
     name = "quick" if options.quick else "all" if options.only == PARTS else "-".join(options.only)
     folder = RunFolder.create(flags.out or default_out("bench", name), to_dict(options), "bench")
-    return run_in(folder, lambda: work(options, folder))
 
+    def work() -> int:
+        with progress() as report:
+            print(bench_page(run_bench(options, folder.path, report)), end="")
+        print(f"bench: {folder.path}")
+        return 0
 
-def work(options: BenchConfig, folder: RunFolder) -> int:
-    """Measure into `folder` and print the table."""
-    with progress() as report:
-        results = run_bench(options, folder.path, report)
-    print(bench_page(results), end="")
-    print(f"bench: {folder.path}")
-    return 0
+    return run_in(folder, work)

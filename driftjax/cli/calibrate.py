@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, run_in
+from driftjax.cli.console import default_out, parse, print_notes, run_in
 from driftjax.core import require
 from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, calibrate
 from driftjax.diagnosis.held_out import check_held_out
@@ -61,8 +61,7 @@ def run(argv: list[str]) -> int:
     )
 
     def work() -> int:
-        for note in log.notes:
-            print(f"note: {note}")
+        print_notes(log.notes)
         calibration = calibrate(vehicle, log, flags.effects, held_out=flags.held_out)
         calibration.save(folder.path)
         print(calibration)

@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +15,6 @@ from driftjax.cli.front import Terminated
 from driftjax.core import BadInput, write_atomically
 from driftjax.core.config import require_finite
 from driftjax.store import RunFolder
-from driftjax.vehicle import VehicleConfig, unmodelled_effects
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
@@ -67,9 +66,9 @@ def run_in(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
         return 1
 
 
-def print_notes(vehicle: VehicleConfig) -> None:
-    """Print which effects of an extended car planner and controller leave out."""
-    for note in unmodelled_effects(vehicle):
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes, such as those of a log or the `unmodelled_effects` of a car."""
+    for note in notes:
         print(f"note: {note}", flush=True)
 
 

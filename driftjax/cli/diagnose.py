@@ -15,7 +15,7 @@ from driftjax.manoeuvres.truth import drive_again
 from driftjax.report import closed_loop_table, gain_table, parity_statement, worth_table, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
-from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 STEPS = ("noise and nominal car", "naming", "gain", "show", "done")
 
@@ -81,8 +81,7 @@ def work(
     vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, case: ClosedLoopCase | None
 ) -> Diagnosis:
     """Diagnose into `folder` and print the result, with closed-loop laps on `case`."""
-    for note in log.notes:
-        print(f"note: {note}")
+    print_notes(log.notes)
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
         diagnosis = diagnose(vehicle, log, config, report=step)
@@ -100,7 +99,7 @@ def work(
         print(gain_table(content["gain"]))
     if case and diagnosis.evidence:
         print(f"closed loop: driving on {case.name}", flush=True)
-        print_notes(diagnosis.extended)
+        print_notes(unmodelled_effects(diagnosis.extended))
         content["closed_loop"] = closed_loop(case, vehicle, diagnosis.extended)
         folder.write_json("diagnosis", content)
         print(closed_loop_table(folder.read_json("diagnosis")["closed_loop"]))

@@ -8,17 +8,16 @@ import tyro
 
 from driftjax.cli.console import default_out, parse, print_notes, run_in
 from driftjax.core.config import to_dict
-from driftjax.equilibrium.map import Config
-from driftjax.equilibrium.map import main as draw_map
+from driftjax.equilibrium.map import MapConfig, write_map
 from driftjax.store import RunFolder
-from driftjax.vehicle import load_vehicle
+from driftjax.vehicle import load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
 class Equilibria:
     """Map of a car's steady states over speed and yaw rate."""
 
-    options: Annotated[Config, tyro.conf.arg(name="")] = Config()
+    options: Annotated[MapConfig, tyro.conf.arg(name="")] = MapConfig()
     out: Path | None = None
     """Output folder; runs/equilibria-VEHICLE-TIME where left out."""
 
@@ -29,14 +28,13 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(flags.options.vehicle)
     out = flags.out or default_out("equilibria", vehicle.name)
     folder = RunFolder.create(out, to_dict(flags.options), "equilibria")
-    print_notes(vehicle)
-    return run_in(folder, lambda: work(flags.options, folder))
+    print_notes(unmodelled_effects(vehicle))
 
+    def work() -> int:
+        results = write_map(flags.options, folder.path)
+        folder.write_json("results", results)
+        print("\n".join(f"{name:32s} {value:.6g}" for name, value in results.items()))
+        print(f"map: {folder.path / 'equilibria.png'}")
+        return 0
 
-def work(options: Config, folder: RunFolder) -> int:
-    """Write the map into `folder` and print its figures."""
-    results = draw_map(options, folder.path)
-    folder.write_json("results", results)
-    print("\n".join(f"{name:32s} {value:.6g}" for name, value in results.items()))
-    print(f"map: {folder.path / 'equilibria.png'}")
-    return 0
+    return run_in(folder, work)

@@ -7,6 +7,7 @@ help is fast.
 
 import importlib
 import os
+import re
 import signal
 import sys
 import threading
@@ -15,21 +16,6 @@ from contextlib import contextmanager
 
 from driftjax import __version__
 
-VERBS = (
-    "learn",
-    "diagnose",
-    "inspect",
-    "calibrate",
-    "simulate",
-    "plan",
-    "equilibria",
-    "tune",
-    "sweep",
-    "paper",
-    "bench",
-    "runs",
-    "report",
-)
 HELP = """usage: driftjax VERB [options]
 
 A differentiable, jit-compiled car in JAX that learns to drift.
@@ -50,6 +36,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
 
 `driftjax VERB --help` lists the options of a verb with their units; `driftjax --version` says the version.
 """
+VERBS = tuple(re.findall(r"^  (\w+)", HELP, re.MULTILINE))
 
 
 class Terminated(BaseException):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, run_in
+from driftjax.cli.console import default_out, parse, print_notes, run_in
 from driftjax.logs import inspect, read_log
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
@@ -38,8 +38,7 @@ def run(argv: list[str]) -> int:
     def work() -> int:
         inspection = inspect(log, vehicle.a + vehicle.b if vehicle else None)
         folder.write_json("inspection", inspection.content())
-        for note in log.notes:
-            print(f"note: {note}")
+        print_notes(log.notes)
         print(inspection)
         for path in write_inspection(log.runs, folder.path):
             print(f"figure: {path}")

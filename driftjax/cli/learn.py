@@ -13,7 +13,7 @@ from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.run import check_files, learn
 from driftjax.store import RunFolder
-from driftjax.vehicle import load_vehicle
+from driftjax.vehicle import load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +68,7 @@ def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     from driftjax.report import results_table, write_report
 
     print(f"run folder: {folder.path}", flush=True)
-    print_notes(load_vehicle(config.vehicle))
+    print_notes(unmodelled_effects(load_vehicle(config.vehicle)))
     with progress() as report:
         results = learn(config, folder.path, workers=workers, report=report).results
     page = write_report(folder)

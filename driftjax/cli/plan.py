@@ -16,7 +16,7 @@ from driftjax.planner.dataset import plan_dataset, write_plan_csv
 from driftjax.report import write_plan_figures
 from driftjax.store import RunFolder
 from driftjax.track import Track, check_width, load_track
-from driftjax.vehicle import VehicleConfig, load_vehicle
+from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ def run(argv: list[str]) -> int:
     check_width(track, vehicle.width, str(flags.track))
     options = {"vehicle": str(flags.vehicle), "track": str(flags.track)} | to_dict(flags.options)
     folder = RunFolder.create(flags.out or default_out("plan", flags.car), options, "plan")
-    print_notes(vehicle)
+    print_notes(unmodelled_effects(vehicle))
     print(f"planning {vehicle.name} on {flags.track}", flush=True)
     return run_in(folder, lambda: work(vehicle, track, flags.options, folder))
 

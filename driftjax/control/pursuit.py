@@ -71,12 +71,5 @@ class PurePursuit(eqx.Module):
 
 def pure_pursuit(config: PursuitConfig, vehicle: VehicleConfig) -> PurePursuit:
     """Build the controller of one car."""
-    return PurePursuit(
-        config.preview_time,
-        config.preview_min,
-        config.speed_gain,
-        vehicle.a + vehicle.b,
-        vehicle.b,
-        vehicle.m,
-        vehicle.mu,
-    )
+    car = {"wheelbase": vehicle.a + vehicle.b, "b": vehicle.b, "m": vehicle.m, "mu": vehicle.mu}
+    return PurePursuit(**vars(config), **car)

@@ -37,7 +37,7 @@ TITLES = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class MapConfig:
     """Map of a car's steady states in left turns; the nominal car's in right turns mirror them."""
 
     vehicle: str = "sedan"
@@ -125,14 +125,14 @@ def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
     return eqx.tree_at(lambda e: (e.kind, e.result), out, (kind, jax.vmap(unless)(kind, out.result)))
 
 
-def grid(cfg: Config, car: AnyCar) -> tuple[np.ndarray, np.ndarray]:
+def grid(cfg: MapConfig, car: AnyCar) -> tuple[np.ndarray, np.ndarray]:
     """Return speeds [m/s] and V r / (mu g) [-] of the map."""
     limit, wheelbase = float(car.tyre.mu) * G, float(car.a + car.b)
     low = cfg.V_min or (3 * wheelbase * limit) ** 0.5
     return np.linspace(low, cfg.V_max or 3 * low, cfg.num_V), np.linspace(cfg.ratio_min, cfg.ratio_max, cfg.num_ratio)
 
 
-def main(cfg: Config, out: Path) -> dict[str, float]:
+def write_map(cfg: MapConfig, out: Path) -> dict[str, float]:
     """Write map and table to `out`; return counts and the worst residual."""
     vehicle = load_vehicle(cfg.vehicle)
     car = build_car(vehicle)

@@ -22,10 +22,7 @@ COMPARED = {
     "extended_gp": ("#2E8B57", "extended, with a Gaussian process"),
 }  # models of a diagnosis
 ERROR_LABEL = "lateral error against the\nplanned minimum-time path [m]"
-CONTROLLERS = {
-    "path": "path-tracking controller",
-    "paper": "paper's controller",
-}
+CONTROLLERS = {"path": "path-tracking controller", "paper": "paper's controller"}
 STYLE: dict[Any, Any] = {
     "font.size": 10.0, "axes.titlesize": 10.5, "axes.labelsize": 10.0, "legend.fontsize": 9.0, "axes.grid": True,
     "grid.alpha": 0.25, "grid.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False,

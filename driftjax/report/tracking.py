@@ -6,15 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from driftjax.report.laps import Lap, best_laps, controlled_span, mean_curve, mean_figure
-from driftjax.report.style import (
-    CONTROLLERS,
-    ERROR_LABEL,
-    KINDS,
-    PINK,
-    YELLOW,
-    new_figure,
-    shade,
-)
+from driftjax.report.style import CONTROLLERS, ERROR_LABEL, KINDS, PINK, YELLOW, new_figure, shade
 from driftjax.report.table import number
 from driftjax.store import RunFolder
 

@@ -12,7 +12,6 @@ import yaml
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal, solve_steady
-from driftjax.equilibrium.map import Config, main
 from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 
@@ -72,7 +71,7 @@ def test_the_map_of_an_extended_car_is_true(tmp_path):
     nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}
     path = tmp_path / "car.yaml"
     path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"friction": {"p": -0.08}}}))
-    numbers = main(Config(vehicle=str(path), num_V=2, num_ratio=2, ratio_min=0.7, ratio_max=0.95), tmp_path)
+    numbers = write_map(MapConfig(vehicle=str(path), num_V=2, num_ratio=2, ratio_min=0.7, ratio_max=0.95), tmp_path)
     with (tmp_path / "equilibria.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == numbers["steady_states"] >= 4 and numbers["worst_residual"] < 1e-9

@@ -7,12 +7,11 @@ import pytest
 from scipy_steady_states import balance
 
 from driftjax.core import BadInput
-from driftjax.equilibrium.map import Config, main
 from driftjax.vehicle import load_vehicle
 
 
 def test_map_and_table_are_written_and_true(tmp_path):
-    numbers = main(Config(vehicle="rc", num_V=3, num_ratio=3, ratio_min=0.8, ratio_max=1.1), tmp_path)
+    numbers = write_map(MapConfig(vehicle="rc", num_V=3, num_ratio=3, ratio_min=0.8, ratio_max=1.1), tmp_path)
     assert (tmp_path / "equilibria.png").stat().st_size > 10_000
     with (tmp_path / "equilibria.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -27,4 +26,4 @@ def test_map_and_table_are_written_and_true(tmp_path):
 
 def test_a_map_upside_down_is_refused():
     with pytest.raises(BadInput, match="ratio_max"):
-        Config(ratio_min=1.2, ratio_max=1.0)
+        MapConfig(ratio_min=1.2, ratio_max=1.0)

@@ -11,7 +11,7 @@ import tyro
 from driftjax.core import BadInput, write_atomically
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import Case, read_case
-from driftjax.studies.hidden_effects.confusion import confusions
+from driftjax.studies.hidden_effects.criteria import confusions
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.running import run_all

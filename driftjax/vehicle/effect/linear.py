@@ -1,4 +1,4 @@
-"""Effects that are linear in one quantity: gains (1 + p), offsets + p and first-order lags tau x_dot + x = command."""
+"""Effects that are linear in one quantity: gains (1 + p), offsets + p, splits p : 1 - p, first-order lags."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +8,7 @@ from jax import Array
 
 from driftjax.core import Control, lag_step
 from driftjax.vehicle.effect.base import Effect, Parameter
+from driftjax.vehicle.effect.flow import Flow, move_to_front
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,17 @@ class Lag:
         """Return the lagged value at the end of the step, and the command with the mean over the step."""
         mean, end = lag_step(memory, getattr(u, self.field), p[0], dt)
         return end, u._replace(**{self.field: mean})
+
+
+@dataclass(frozen=True)
+class Split:
+    """Move the fraction p of the drive force, or of the brake force, from the rear to the front axle."""
+
+    drive: bool
+
+    def __call__(self, flow: Flow, p: tuple[Array, ...]) -> Flow:
+        """Return the flow with F_xf = p F and F_xr = (1 - p) F."""
+        return move_to_front(flow, p[0] * (jnp.maximum if self.drive else jnp.minimum)(flow.u.Fxr, 0.0))
 
 
 def at_rest(dt: float) -> Array:
@@ -113,7 +125,13 @@ LINEAR = (
     # as of another wheel radius
     Effect("speed_scale", 42, "sensor", (Parameter("p", "1", 0.03),), Gain(("V",)), "Carlson and Gerdes 2005",
            "the measured speed is off by a factor", kinematic=True),
+    # 0 is a rear-driven car, 1 a front-driven one; before the tyre forces, from which the force of their axle takes
+    Effect("drive_split", 45, "slip", (Parameter("p", "1", 0.15, lower=0.0, upper=20 / 3),), Split(drive=True),
+           "Milliken and Milliken 1995, Ch. 20", "a part of the drive force is on the front axle"),
     Effect("yaw_moment", 46, "force", (Parameter("M", "N m", 0.01, "moment"),), Offset(("N",)),
            "Gillespie 1992, Ch. 3", "a constant moment turns the car, as of a brake that drags on one side"),
+    # 0 is a car that brakes with its rear axle only, as by a motor there; 0.6 to 0.75 is common with four brakes
+    Effect("brake_split", 48, "slip", (Parameter("p", "1", 0.25, lower=0.0),), Split(drive=False),
+           "Milliken and Milliken 1995, Ch. 20", "a part of the brake force is on the front axle"),
 )
 # fmt: on

@@ -20,7 +20,7 @@ from diagnosis.recorded import NAMES
 from scipy.stats import binom
 
 from driftjax.studies.hidden_effects import criteria
-from driftjax.studies.hidden_effects.confusion import confusions
+from driftjax.studies.hidden_effects.criteria import confusions
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 
 pytestmark = pytest.mark.statistics
