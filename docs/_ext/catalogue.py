@@ -44,8 +44,9 @@ def variables_page() -> str:
 
 
 def _sentence(effect: Effect) -> str:
-    doc = (sys.modules[effect.apply.__module__].__doc__ or "").strip()
+    module = sys.modules[effect.apply.__module__].__doc__ or ""
+    doc = f"{effect.equation} ({effect.source})." if effect.equation else module.strip()
     needs = f" Needs {' and '.join(f'`{one}`' for one in effect.needs)} in the log." if effect.needs else ""
     past = " Depends on the past, so steady states do not have it." if effect.transient else ""
     sentence = effect.sentence[0].upper() + effect.sentence[1:]
-    return f"{sentence}. Acts on: {effect.station}.{needs}{past}\n\n{doc}"
+    return f"{sentence}. Acts on: {effect.station}.{needs}{past}\n\n{(doc or '').strip()}"

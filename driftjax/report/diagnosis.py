@@ -36,6 +36,7 @@ TITLES = {
 }  # fmt: skip
 
 
+GAIN_HEAD = ("model", "after [s]", "V [m/s]", "beta [rad]", "r [rad/s]", "over nominal", "explainable removed")
 NO_SKILL = "nothing to explain beyond noise"
 CLOSED_LOOP = ("lateral_error", "velocity_rmse", "drift_share")  # columns of its table
 
@@ -99,7 +100,7 @@ def gain_table(gain: dict[str, Any]) -> str:
     if not gain["held_out_runs"]:
         return "gain: not measured, for want of runs to hold out.\n"
     lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
-    rows = [("model", "after [s]", "V [m/s]", "beta [rad]", "r [rad/s]", "over nominal", "explainable removed")]
+    rows: list[tuple[str, ...]] = [GAIN_HEAD]
     for name, channels in gain["rmse"].items():
         for i, horizon in enumerate(gain["horizons_s"]):
             values = (number(channels[c][i], ".4f") for c in MEASURED)

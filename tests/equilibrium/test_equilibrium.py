@@ -8,18 +8,9 @@ import pytest
 from scipy_steady_states import balance, nearest, steady_states
 
 from driftjax.core import RESULTS, Control, State, rk4_step
-from driftjax.equilibrium import (
-    ANY,
-    Branch,
-    SlipRadius,
-    SlipSpeed,
-    SpeedYaw,
-    decoupled_roots,
-    drift_roots,
-    pick,
-    solve,
-    solve_nominal,
-)
+from driftjax.equilibrium import Branch, SlipRadius, SlipSpeed, SpeedYaw, decoupled_roots, solve, solve_nominal
+from driftjax.equilibrium.decoupled import drift_roots, pick
+from driftjax.equilibrium.solve import ANY
 from driftjax.vehicle import load_vehicle
 
 CONFIGS = {name: load_vehicle(name) for name in ("sedan", "rc")}

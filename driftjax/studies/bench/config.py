@@ -40,7 +40,7 @@ class BenchConfig:
         require_at_least(self, 1, "batch", "cars", "repeats", "threads")
         require_at_least(self, 0, "workers")
 
-    def reduced(self) -> "Config":
+    def reduced(self) -> "BenchConfig":
         """Return the options with the sizes of `quick`."""
         only = tuple(part for part in self.only if part != "compile")
         require(len(only) > 0, "the part 'compile' takes minutes and has no quick form; leave out --quick.")

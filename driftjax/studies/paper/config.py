@@ -40,6 +40,6 @@ class PaperConfig:
         """Number of the half's first plant."""
         return self.plants if self.half == "held_out" else 0
 
-    def reduced(self) -> "Config":
+    def reduced(self) -> "PaperConfig":
         """Return the reduced configuration of `quick`."""
         return dataclasses.replace(self, noise_seeds=1, ablations=False)

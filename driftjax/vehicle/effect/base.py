@@ -101,6 +101,8 @@ class Effect:
     """Memory of a command effect at rest."""
     sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
+    equation: str = ""
+    """Equation and remarks; those of the module's docstring where left out."""
 
     def __repr__(self) -> str:
         """Return the fields, own functions by name: without addresses compiled programs can be reused."""

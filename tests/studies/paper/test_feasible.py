@@ -19,7 +19,7 @@ def test_a_car_that_learnt_nothing_holds_its_own_corner_and_no_faster_one():
     x: State = steady.x
     residual, branch = repeated(empty(GPConfig(size=20)).residual, 2), jnp.asarray(Branch.COUNTERSTEER)
     guess = (steady.x, steady.u)
-    held_on = lambda *planned: call(on_learnt, residual, nominal, planned, guess, branch)
+    held_on = lambda *planned: call(drift_exists, residual, nominal, planned, guess, branch)
     # within its grip; at its very edge drifts meet and vanish
     exists, held, speed = held_on(0.97 * x.V, 0.97 * x.r, beta, R)
     assert np.all(held) and np.all(exists)

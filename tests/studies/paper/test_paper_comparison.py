@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from driftjax.cli import main
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig
@@ -216,14 +217,14 @@ def test_states_far_from_the_data_are_counted(tmp_path):
 
 def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
     RunFolder.create(tmp_path / "learn", {}, "learn")
-    assert run_comparison(["paper", "--resume", str(tmp_path / "learn")]) == 2
+    assert main(["paper", "--resume", str(tmp_path / "learn")]) == 2
     assert "not of `driftjax paper`" in capsys.readouterr().err
-    assert run_comparison(["paper", "--resume", str(tmp_path / "learn"), "--plants", "3"]) == 2
+    assert main(["paper", "--resume", str(tmp_path / "learn"), "--plants", "3"]) == 2
     assert "leave out every flag" in capsys.readouterr().err
     RunFolder.create(tmp_path / "paper", to_dict(PaperConfig()), "paper")
-    assert run_comparison(["report", str(tmp_path / "paper")]) == 2
+    assert main(["report", str(tmp_path / "paper")]) == 2
     assert "its main comparison is not finished" in capsys.readouterr().err
-    assert run_comparison(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
+    assert main(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
     assert "'plants' is 0" in capsys.readouterr().err and not (tmp_path / "new").exists()
     with pytest.raises(BadInput, match="noise_seeds"):
         PaperConfig(noise_seeds=0)
@@ -234,7 +235,7 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     out = tmp_path / "paper"
     cfg = dataclasses.replace(PaperConfig(), cars=("sedan",), plants=1, noise_seeds=1, ablations=False)
     options = ["--cars", "sedan", "--plants", "1", "--noise-seeds", "1", "--no-ablations", "--half", "development"]
-    assert run_comparison(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
+    assert main(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
     whole = json.loads((out / "results.json").read_text())
     assert whole["split"]["plants"] == [0] and cfg.first_plant == 1
     run = RunFolder.open(out / "sedan/main")
@@ -242,8 +243,8 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     for path in (out / "sedan/main/stages").glob(f"[0-9][0-9]_{stages[-1]}.*"):
         path.unlink()
     (out / "sedan/main/results.json").unlink()
-    assert run_comparison(["paper", "--resume", str(out), "--workers", "1"]) == 0
+    assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
     assert json.loads((out / "results.json").read_text()) == whole
     (out / "results.md").unlink()
-    assert run_comparison(["report", str(out)]) == 0 and (out / "results.md").read_text() == comparison_page(whole)
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == comparison_page(whole)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
