@@ -141,31 +141,31 @@ def write_map(cfg: MapConfig, out: Path) -> dict[str, float]:
     V, ratio = (axis.ravel() for axis in np.meshgrid(speeds, ratios))
     points = solve_map(car, jnp.asarray(V), jnp.asarray(ratio * limit / V))
     out.mkdir(parents=True, exist_ok=True)
-    found = np.asarray(points.result == RESULTS.successful)
-    write_table(out / "equilibria.csv", points, found)
+    solved = np.asarray(points.result == RESULTS.successful)
+    write_table(out / "equilibria.csv", points, solved)
     words = "the nominal car" if isinstance(car, SingleTrack) else f"the car with {', '.join(car.names)}"
-    figure = draw(points, found, speeds, ratios, f"{vehicle.name}: steady states of {words}")
+    figure = draw(points, solved, speeds, ratios, f"{vehicle.name}: steady states of {words}")
     figure.savefig(out / "equilibria.png", dpi=130)
     plt.close(figure)
     kind = np.asarray(points.kind)
-    share = {b: float(np.mean(np.any(found & (kind == b), axis=1))) for b in SHOWN}
-    drift_ratio = ratio[np.any(found & (kind == Branch.COUNTERSTEER), axis=1)]
+    share = {b: float(np.mean(np.any(solved & (kind == b), axis=1))) for b in SHOWN}
+    drift_ratio = ratio[np.any(solved & (kind == Branch.COUNTERSTEER), axis=1)]
     return {
-        "steady_states": float(found.sum()),
-        "unconfirmed": float(np.sum((kind >= 0) & ~found)),
+        "steady_states": float(solved.sum()),
+        "unconfirmed": float(np.sum((kind >= 0) & ~solved)),
         "share_with_grip": share[Branch.GRIP],
         "share_with_countersteer_drift": share[Branch.COUNTERSTEER],
         "share_with_front_saturated_drift": share[Branch.FRONT_SATURATED],
         "lowest_drift_ratio": float(drift_ratio.min()) if drift_ratio.size else float("nan"),
-        "worst_residual": float(np.max(np.asarray(points.residual)[found], initial=0.0)),
+        "worst_residual": float(np.max(np.asarray(points.residual)[solved], initial=0.0)),
     }
 
 
-def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
+def write_table(path: Path, points: Equilibrium, solved: np.ndarray) -> None:
     """Write one row per steady state, SI and radians."""
     columns = (points.x.V, points.x.r, points.x.beta, points.u.delta, points.u.Fxr, points.residual)
-    values = [np.asarray(column)[found] for column in columns]
-    names = [Branch(k).name.lower() for k in np.asarray(points.kind)[found]]
+    values = [np.asarray(column)[solved] for column in columns]
+    names = [Branch(k).name.lower() for k in np.asarray(points.kind)[solved]]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["V", "r", "beta", "delta", "Fxr", "residual", "branch"])
@@ -173,13 +173,13 @@ def write_table(path: Path, points: Equilibrium, found: np.ndarray) -> None:
             writer.writerow([f"{number:.9g}" for number in numbers] + [name])
 
 
-def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.ndarray, title: str) -> Figure:
+def draw(points: Equilibrium, solved: np.ndarray, speeds: np.ndarray, ratios: np.ndarray, title: str) -> Figure:
     """Draw one row per branch, one column per unknown; hatched where no such steady state exists.
 
     Of two on one branch the one with more sideslip is shown, then the one with more steering into the turn.
     """
     kind = np.asarray(points.kind)
-    force = 1e3 if np.nanmax(np.abs(np.asarray(points.u.Fxr)[found]), initial=0.0) > 1e3 else 1.0
+    force = 1e3 if np.nanmax(np.abs(np.asarray(points.u.Fxr)[solved]), initial=0.0) > 1e3 else 1.0
     columns = (
         ("sideslip beta [deg]", np.rad2deg(points.x.beta), "viridis"),
         ("steering delta [deg]", np.rad2deg(points.u.delta), "coolwarm"),
@@ -187,7 +187,7 @@ def draw(points: Equilibrium, found: np.ndarray, speeds: np.ndarray, ratios: np.
     )
     figure, axes = plt.subplots(3, 3, figsize=(13, 10), sharex=True, sharey=True, layout="constrained")
     for row, branch in zip(axes, SHOWN, strict=True):
-        match = found & (kind == branch)
+        match = solved & (kind == branch)
         exists = match.any(axis=1)
         best = np.argmax(np.where(match, preference(points.x, points.u), -np.inf), axis=1)
         for axis, (label, values, colours) in zip(row, columns, strict=True):

@@ -10,9 +10,9 @@ from driftjax.gp import GP
 
 
 class Choice(NamedTuple):
-    """Result of one selection; `chosen` is undefined where `exhausted`."""
+    """Result of one selection; `index` is undefined where `exhausted`."""
 
-    chosen: Array  # index of the candidate to drive next
+    index: Array  # index of the candidate to drive next
     score: Array  # (n,) lambda V - (1 - lambda) D, -inf for visited ones
     distance: Array  # (n,) D over its largest among the unvisited [-]
     variance: Array  # (n,) V over its largest among the unvisited [-]

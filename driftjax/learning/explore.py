@@ -75,8 +75,8 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Arra
     return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
 
 
-def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
-    """Return the offset from the path (batch, AIM_POINTS) [m] to track with candidate `chosen` (batch,).
+def offset(scenario: Scenario, sets: Candidates, index: Array) -> Array:
+    """Return the offset from the path (batch, AIM_POINTS) [m] to track with candidate `index` (batch,).
 
     Candidate k of K shifts the target by k/K of the measured error e, opposite to that error, limited to the error that
     the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve alone is not enough: where
@@ -84,19 +84,19 @@ def offset(scenario: Scenario, found: Candidates, chosen: Array) -> Array:
     """
     config, corner = scenario.config.explore, scenario.corner
     most = config.gamma_share * corner.V_b / abs(corner.r_b)
-    share = (chosen + 1) / config.num_sets
-    return found.aimed - share[:, None] * jnp.clip(found.e, -most, most)
+    share = (index + 1) / config.num_sets
+    return sets.aimed - share[:, None] * jnp.clip(sets.e, -most, most)
 
 
 def remaining(
-    scenario: Scenario, found: Candidates, chosen: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
+    scenario: Scenario, sets: Candidates, index: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
 ) -> Candidates:
-    """Return the candidates after the laps in `trace`, which drove `chosen` (batch,) with the offset `aimed`.
+    """Return the candidates after the laps in `trace`, which drove `index` (batch,) with the offset `aimed`.
 
     An entry that improved (`better`) gets new sets around this lap, the others keep their remaining candidates.
     """
-    visited = found.visited | jax.nn.one_hot(chosen, found.visited.shape[1], dtype=bool)
-    left = eqx.tree_at(lambda c: c.visited, found, visited)
+    visited = sets.visited | jax.nn.one_hot(index, sets.visited.shape[1], dtype=bool)
+    left = eqx.tree_at(lambda c: c.visited, sets, visited)
     if scenario.config.explore.speeds != "sets":
         return left
     return where_tree(better, candidates(scenario, trace, residual, aimed), left)
@@ -152,11 +152,11 @@ def drift_states_batch(batch: tuple[Array, Residual], states: Drifts) -> tuple[A
     return vmap_batch(lambda V, d: jax.vmap(lambda one: states(one, d))(V))(*batch)
 
 
-def choose(scenario: Scenario, found: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
+def choose(scenario: Scenario, sets: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Apply Algorithm 1 to every batch entry: index of the next candidate, its speed, and whether any remained."""
-    z, _ = _states(scenario, found.V_ep, residual)
+    z, _ = _states(scenario, sets.V_ep, residual)
     options = scenario.config.explore
-    batch = (found.V_ep, found.visited, z, residual)
+    batch = (sets.V_ep, sets.visited, z, residual)
     return scenario.executor.map(choose_batch, batch, jnp.asarray(options.P), jnp.asarray(options.lam))
 
 
@@ -165,6 +165,6 @@ def choose_batch(batch: tuple[Array, Array, Array, Residual], P: Array, lam: Arr
 
     def one(V_ep: Array, visited: Array, z: Array, d: Residual):
         choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
-        return choice.chosen, V_ep[choice.chosen], ~choice.exhausted
+        return choice.index, V_ep[choice.index], ~choice.exhausted
 
     return vmap_batch(one)(*batch)

@@ -54,17 +54,17 @@ def is_uniform(t: np.ndarray, dt: float) -> bool:
     return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
 
 
-def resample(t: np.ndarray, values: Channels, held: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
+def resample(t: np.ndarray, values: Channels, held_names: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
     """Return the channels at every `dt` from the start: samples on the grid unchanged, others interpolated.
 
-    Where samples are lost, the channels named in `held` keep their value and the others are missing.
+    Where samples are lost, the channels named in `held_names` keep their value and the others are missing.
     """
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + SLACK) + 1)
     inside = np.minimum(grid, t[-1])  # the last point may lie half a sample time past the last sample
 
     def at_grid(name: str, y: np.ndarray) -> np.ndarray:
         values = interpolate(inside, t, y, dt)
-        return np.where(np.isnan(values), sample_and_hold(inside, t, y, dt), values) if name in held else values
+        return np.where(np.isnan(values), sample_and_hold(inside, t, y, dt), values) if name in held_names else values
 
     return grid, {name: at_grid(name, y) for name, y in values.items()}
 

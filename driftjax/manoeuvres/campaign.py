@@ -127,10 +127,10 @@ def log_flaws(vehicle: VehicleConfig, campaign: Campaign) -> Flaws:
     return Flaws(campaign.dropouts, campaign.outliers, sigma, metres, heading, acceleration)
 
 
-def is_lost(vehicle: VehicleConfig, one: Recording) -> bool:
+def is_lost(vehicle: VehicleConfig, recording: Recording) -> bool:
     """Return whether the car spun, stopped or reached states that are not finite."""
-    x = np.asarray(one.x)
-    held = np.isfinite(one.y).all() and np.abs(x[:, 1]).max() <= SPIN
+    x = np.asarray(recording.x)
+    held = np.isfinite(recording.y).all() and np.abs(x[:, 1]).max() <= SPIN
     return not (held and x[:, 0].min() >= SLOWEST * vehicle_units(vehicle).speed)
 
 

@@ -23,17 +23,17 @@ class Flaws(NamedTuple):
     acceleration: float  # standard deviation of ax, ay [m/s^2]
 
 
-def logged(name: str, one: Recording, lap: float, dt: float, flaws: Flaws, rng: np.random.Generator) -> Run:
+def logged(name: str, recording: Recording, lap: float, dt: float, flaws: Flaws, rng: np.random.Generator) -> Run:
     """Return a recorded run as a log sampled every `dt` [s]; s restarts at every lap of length `lap` [m]."""
-    y, num = np.array(one.y), len(one.y)
+    y, num = np.array(recording.y), len(recording.y)
     off = rng.uniform(*OUTLIER, y.shape) * rng.choice([-1.0, 1.0], y.shape) * flaws.typical
     y += np.where(rng.uniform(size=y.shape) < flaws.outliers, off, 0.0)
     V, beta, r = np.where(dropouts(rng, num, flaws.dropouts)[:, None], np.nan, y).T
     V = np.maximum(V, 0.0)  # a speed is never negative
-    delta, Fxr = np.array(one.command).T
-    x, y, s = np.stack([*one.position.T, lap * one.place.s]) + flaws.metres * rng.standard_normal((3, num))
-    psi = np.asarray(one.place.psi) + flaws.heading * rng.standard_normal(num)
-    ax, ay = np.array(one.a).T + flaws.acceleration * rng.standard_normal((2, num))
+    delta, Fxr = np.array(recording.command).T
+    x, y, s = np.stack([*recording.position.T, lap * recording.place.s]) + flaws.metres * rng.standard_normal((3, num))
+    psi = np.asarray(recording.place.psi) + flaws.heading * rng.standard_normal(num)
+    ax, ay = np.array(recording.a).T + flaws.acceleration * rng.standard_normal((2, num))
     extra = {"x": x, "y": y, "psi": psi, "s": np.clip(s, 0.0, lap), "ax": ax, "ay": ay}
     return Run(name, np.arange(num) * dt, V, beta, r, delta, Fxr, dt, extra)
 

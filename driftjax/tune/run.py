@@ -69,14 +69,14 @@ def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str,
     return {"default": first, "tuned": tuned, "random": drawn}
 
 
-def results_content(evaluator: LapEvaluator, found: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:
+def results_content(evaluator: LapEvaluator, searches: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:
     """Return the content of `results.json`."""
     config, names = evaluator.config, evaluator.plants
     error = np.asarray(driven.figures.lateral_error)
     settings = {
         kind: one
         | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(evaluator.drivers, one["p"])}
-        for kind, one in found.items()
+        for kind, one in searches.items()
     }
     per_plant = [
         {

@@ -28,19 +28,19 @@ def score_results(results: list[Result]) -> dict[str, Measure]:
     return table
 
 
-def foreign_measures(own: list[Result]) -> dict[str, Measure]:
+def foreign_measures(results: list[Result]) -> dict[str, Measure]:
     """Return the measures of a foreign simulator."""
     return {
-        "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in own if r["named"]), "1"),
-        "held-out gain": mean((r["skill"]["extended"][0] for r in own), "> 0"),
-        "height within 15 % or in the set": rate(map(criteria.height_within_tolerance, own), "1"),
+        "held-out gain above 0": rate((r["skill"]["extended"][1] > 0 for r in results if r["named"]), "1"),
+        "held-out gain": mean((r["skill"]["extended"][0] for r in results), "> 0"),
+        "height within 15 % or in the set": rate(map(criteria.height_within_tolerance, results), "1"),
     }
 
 
-def car_measures(own: list[Result]) -> dict[str, Measure]:
+def car_measures(results: list[Result]) -> dict[str, Measure]:
     """Return the measures of one car with hidden effects."""
-    cases = [from_dict(Case, r["case"], "result") for r in own]
-    pick = lambda f: [r for r, case in zip(own, cases, strict=True) if f(case)]
+    cases = [from_dict(Case, r["case"], "result") for r in results]
+    pick = lambda f: [r for r, case in zip(results, cases, strict=True) if f(case)]
     none = pick(lambda c: c.condition == "none" and c.noise == 1)
     single = pick(lambda c: c.condition == "single" and c.scale == 1 and c.process_noise > 0)
     quiet = pick(lambda c: c.condition == "single" and c.process_noise == 0)

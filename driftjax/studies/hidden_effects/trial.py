@@ -91,7 +91,7 @@ def diagnose_case(
     return result
 
 
-def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
+def diagnosis_values(diagnosis: Diagnosis, evidence: Evidence) -> dict[str, Any]:
     """Return the diagnosis as plain values; parameters in typical sizes."""
     problem, name = evidence.problem, lambda i: evidence.problem.effects[i].name
     causes = [
@@ -104,11 +104,11 @@ def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
         }
         for c in evidence.causes
     ]  # fmt: skip
-    skills = found.gain.skills if found.gain else {}
+    skills = diagnosis.gain.skills if diagnosis.gain else {}
     noise = [*problem.noise.sigma, *problem.noise.disturbance, problem.noise.correlation]
     return {
-        "proposed": found.proposal.manoeuvre if found.proposal else None, "verdict": str(found.verdict),
-        "sentence": found.sentence, "causes": causes,
+        "proposed": diagnosis.proposal.manoeuvre if diagnosis.proposal else None, "verdict": str(diagnosis.verdict),
+        "sentence": diagnosis.sentence, "causes": causes,
         "named": [c["effect"] for c in causes], "p_first": evidence.selection.nominal_scores.p_value,
         "p_left": evidence.unexplained.p_value, "gain_left": evidence.unexplained.gain,
         "unexplained": unexplained_json(evidence.unexplained), "noise": [float(v) for v in noise],
@@ -116,12 +116,12 @@ def diagnosis_values(found: Diagnosis, evidence: Evidence) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def compare_hidden(found: Evidence, case: Case, name: str) -> dict[str, Any]:
+def compare_hidden(evidence: Evidence, case: Case, name: str) -> dict[str, Any]:
     """Return test and rank of a hidden effect at the nominal car, its most similar effects and, if named, estimate."""
-    problem = found.problem
+    problem = evidence.problem
     effect = [e.name for e in problem.effects].index(name)
     columns = problem.columns((effect,))
-    first = found.selection.nominal_scores
+    first = evidence.selection.nominal_scores
     info = np.diag(first.H)[columns]
     result: dict[str, Any] = {
         "effect": name, "strengths": list(next(h.strengths for h in case.effects if h.name == name)),
@@ -129,19 +129,19 @@ def compare_hidden(found: Evidence, case: Case, name: str) -> dict[str, Any]:
         "gain": float(first.gain[effect]), "rank": int(np.sum(first.gain > first.gain[effect])),
     }  # fmt: skip
     others = tuple(i for i, e in enumerate(problem.effects) if e.name in case.names and i != effect)
-    result["alike"] = nearest_effects(found, first.H, int(columns[np.argmax(info)]), problem.columns(others))
-    for cause in found.causes:
+    result["alike"] = nearest_effects(evidence, first.H, int(columns[np.argmax(info)]), problem.columns(others))
+    for cause in evidence.causes:
         if cause.effect == effect:
             result |= {"theta": cause.theta.tolist(), "half_width": cause.half_width.tolist()}
     return result
 
 
-def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
+def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.ndarray) -> dict[str, float]:
     """Return the cosine of the signature of parameter `column` with the most similar effect and all named ones.
 
     Parameters `taken` are projected out of every signature.
     """
-    P, owner, whole = partial_out(H, taken), found.problem.owner, np.diag(H)
+    P, owner, whole = partial_out(H, taken), evidence.problem.owner, np.diag(H)
     H = P.T @ H @ P
     own = np.diag(H) > CONDITION * whole
     cosine = np.where(
@@ -149,17 +149,17 @@ def nearest_effects(found: Evidence, H: np.ndarray, column: int, taken: np.ndarr
     )
     cosine[taken] = 0.0
     of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
-    result = {max(of, key=lambda i: of[i]), *(c.effect for c in found.causes)} & set(of)
-    return {found.problem.effects[i].name: of[i] for i in result}
+    result = {max(of, key=lambda i: of[i]), *(c.effect for c in evidence.causes)} & set(of)
+    return {evidence.problem.effects[i].name: of[i] for i in result}
 
 
-def penalised_costs(found: Evidence, case: Case) -> dict[str, float]:
+def penalised_costs(evidence: Evidence, case: Case) -> dict[str, float]:
     """Return the penalised costs of what was named and of the truth refitted: was the search or the evidence wrong?"""
-    problem = found.problem
+    problem = evidence.problem
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
     true = evaluate(problem, case.theta(problem.effects))
     true = refit_to_convergence(problem, true, problem.columns(selected))[0]
     return {
-        "named": penalised_cost(problem, found.selection.fit, found.selection.selected),
+        "named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
         "truth": penalised_cost(problem, true, selected),
     }

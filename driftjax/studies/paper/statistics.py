@@ -63,14 +63,14 @@ def summarise_figures(rows: dict[str, np.ndarray]) -> dict[str, Any]:
     return {name: interval(values) | {"per_plant": values.tolist()} for name, values in rows.items()}
 
 
-def targets(car: str, gains: dict[str, Any], found: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[dict]:
+def targets(car: str, gains: dict[str, Any], methods: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[dict]:
     """Return each target, its measured value, and whether it is met: gains need an interval that excludes 0."""
     rows = []
     for name, aim in TARGETS[car].items():
         low = gains[name]["ci95"][0]
         met = gains[name]["value"] is not None and gains[name]["value"] >= aim and low is not None and low > 0
         rows.append({"name": name, "aim": aim, **gains[name], "met": met})
-    ends = {(who, name): stages[name] for who, stages in found.items() for name in METHODS if name in stages}
+    ends = {(who, name): stages[name] for who, stages in methods.items() for name in METHODS if name in stages}
     if not ends:
         return rows
     best = min(ends, key=lambda key: float(ends[key]["lateral_error"].mean()))

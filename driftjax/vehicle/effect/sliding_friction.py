@@ -16,12 +16,12 @@ def apply(flow: Flow, p) -> Flow:
     """Lower the friction of each axle by its own sliding speed, V |sin alpha| with a smooth bottom."""
     unit, x = flow.car.unit_speed, flow.x
 
-    def left(alpha):
+    def share_left(alpha):
         share = x.V * jnp.sin(alpha) / unit
         speed = jnp.sqrt(share**2 + BOTTOM**2) - BOTTOM
         return 1 - p[0] * (1 - jnp.exp(-speed))
 
-    return flow._replace(muf=flow.muf * left(flow.alpha_f), mur=flow.mur * left(flow.alpha_r))
+    return flow._replace(muf=flow.muf * share_left(flow.alpha_f), mur=flow.mur * share_left(flow.alpha_r))
 
 
 EFFECT = Effect(
