@@ -60,7 +60,7 @@ def defaults(car: str | None, file: str | None) -> Plan:
 
 
 def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunFolder) -> int:
-    """The plan into `folder`; 1 where it cannot be trusted."""
+    """Plan into `folder`; returns 1 if the plan is not valid."""
     plan = solve(track, vehicle, options)
     data = plan_dataset(plan, track, vehicle.name)
     folder.write_dataset("plan.nc", data)

@@ -159,7 +159,7 @@ def load_learn_config(name: str | Path) -> LearnConfig:
 
 
 def files_of(config: LearnConfig) -> dict[str, Path]:
-    """The files that its options name, and the distribution of the car's plants unless plants are given."""
+    """Return the files that the options name, and the distribution of the car's plants unless plants are given."""
     named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
     found = {kind: find_config(kind, name) for kind, name in named.items()}
     given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {"plant": f"{config.car}_distribution"}

@@ -52,7 +52,7 @@ def _hold(nominal: SingleTrack, at: Array, Q: Array, R_u: Array, dt: Array) -> t
 
 
 def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excited: bool = True) -> Manoeuvre:
-    """A drift on a circle, either way, held by an LQR; where `excited`, steering and drive are wiggled."""
+    """Plan a drift on a circle, left or right, stabilised by an LQR; if `excited`, steering and drive vary."""
     unit, nominal, turn = vehicle_units(vehicle), vehicle.build(), rng.choice([-1.0, 1.0])
     beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(3.5, 9.0)
     Q = jnp.array([(10 / unit.speed) ** 2, 10.0**2, (5 * unit.time) ** 2])
@@ -69,12 +69,12 @@ def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excit
 
 
 def steady_drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """A drift held as still as noise lets it."""
+    """Plan a drift without excitation."""
     return drift(vehicle, rng, t, excited=False)
 
 
 def _cruise(vehicle: VehicleConfig, speed: np.ndarray, steer: np.ndarray, push: np.ndarray, hold: bool = True):
-    """Open-loop steering [rad] and drive [N] around the speed [m/s] that a feedback holds."""
+    """Plan open-loop steering [rad] and drive [N] at a speed [m/s] that a feedback holds."""
     unit = vehicle_units(vehicle)
     x = np.stack([speed, np.zeros_like(speed), np.zeros_like(speed)], axis=1)
     gain = 0.5 * vehicle.m / unit.time if hold else 0.0
@@ -83,12 +83,12 @@ def _cruise(vehicle: VehicleConfig, speed: np.ndarray, steer: np.ndarray, push: 
 
 
 def _steer_for(vehicle: VehicleConfig, speed: float, share: float) -> float:
-    """Steering angle [rad] at which the car corners at `share` of its friction, tyres linear."""
+    """Return the steering angle [rad] at which a car with linear tyres uses `share` of its friction."""
     return min(share * vehicle.mu * G * (vehicle.a + vehicle.b) / speed**2 * 1.3, 0.5 * vehicle.delta_max)
 
 
 def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Cornering with grip: steering wiggled around zero, drive too."""
+    """Plan cornering with grip: multisines in steering and drive."""
     unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(2.2, 4.2)
     steer = 0.6 * _steer_for(vehicle, speed, 0.6) * multisine(rng, t, 0.12 / unit.time, 0.8 / unit.time)
@@ -97,7 +97,7 @@ def grip_sine(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -
 
 
 def slalom(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Steering sine whose frequency grows, at a steady speed."""
+    """Plan a steering sine of growing frequency at constant speed."""
     unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(1.6, 2.4)
     slow, fast = 0.1 / unit.time, 0.8 / unit.time
@@ -106,7 +106,7 @@ def slalom(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> M
 
 
 def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Steering steps to both sides and back."""
+    """Plan steering steps to both sides and back."""
     unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(1.6, 2.4)
     levels = rng.permutation(np.array([0.0, 0.7, -0.7, 0.4, -0.4, 0.0]))
@@ -115,7 +115,7 @@ def step_steer(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) 
 
 
 def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Drive and brake in steps while cornering gently."""
+    """Plan steps of drive and brake while cornering gently."""
     unit = vehicle_units(vehicle)
     speed = unit.speed * rng.uniform(2.0, 3.6)
     levels = rng.permutation(np.array([0.25, -0.2, 0.15, -0.1, 0.2, -0.15, 0.0]))
@@ -125,13 +125,13 @@ def throttle_steps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarr
 
 
 def coast_down(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Rolling straight without drive from a high speed."""
+    """Plan rolling straight without drive from a high speed."""
     speed = vehicle_units(vehicle).speed * rng.uniform(3.0, 4.0)
     return _cruise(vehicle, np.full(len(t), speed), 0 * t, 0 * t, hold=False)
 
 
 def laps(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray) -> Manoeuvre:
-    """Lap after lap of an oval with grip, slower in its two turns; steered by its curvature, the path is not held."""
+    """Plan laps of an oval with grip, slower in its two turns; steered by its curvature, without path feedback."""
     unit, turn = vehicle_units(vehicle), rng.choice([-1.0, 1.0])
     R, straight = unit.length * rng.uniform(8, 12), unit.length * rng.uniform(10, 16)
     half, slow = straight + np.pi * R, np.sqrt(0.45 * vehicle.mu * G * R)

@@ -63,7 +63,7 @@ def stage_label(name: str) -> str:
 
 
 def new_figure(rows: int, columns: int, size: tuple[float, float], **more: Any) -> tuple[Figure, Any]:
-    """A figure in the common style; axes as a 2-D array."""
+    """Create a figure in the common style; axes are a 2-D array."""
     with plt.rc_context(STYLE):
         return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **more)
 

@@ -1,4 +1,4 @@
-"""What each named effect is worth: its share of what all explain, and the error without it on held-out runs."""
+"""Report the worth of each named effect: its share of the explained error, and the held-out error without it."""
 
 from typing import Any
 

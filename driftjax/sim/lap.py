@@ -65,8 +65,7 @@ class Sensed(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """One control step of each batch entry; a lap is a stack of these. Rows after the end of a lap are undefined: use
-    those where `alive`."""
+    """One control step of each batch entry; a lap is a stack of these, valid where `alive`."""
 
     alive: Array  # whether the lap was still running
     sensed: Sensed

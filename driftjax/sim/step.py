@@ -1,4 +1,4 @@
-"""One step of the universal car in detail: inputs over the step, lagged slip and roll, and the resulting rates."""
+"""One step of the universal car: inputs over the step, lagged slip and roll, and the resulting rates."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""How fast is each part, beside a peer that does the same work on the same machine in the same run?
+"""Bench: speed of each part against a peer that does the same work on the same machine in the same run.
 
     driftjax bench                                everything: some minutes; the laps and the compilations take longest
     driftjax bench --only mpc simulator           these parts

@@ -52,7 +52,7 @@ def _named(axis: Axes, words: list[str]) -> None:
 
 
 def _log(axis: Axes) -> None:
-    """Errors of controllers differ by factors; ticks at 1, 2 and 5 keep their labels apart."""
+    """Set up a logarithmic error axis: errors differ by factors; ticks at 1, 2 and 5 keep labels apart."""
     axis.set_xscale("log")
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")
