@@ -8,8 +8,7 @@ from typing import Any
 from driftjax.core import BadInput
 from driftjax.logs.extras import import_extra
 from driftjax.sweep.analysis import analyse
-from driftjax.sweep.config import Choices, SweepConfig
-from driftjax.sweep.design import Point
+from driftjax.sweep.config import Choices, Point, SweepConfig
 from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial, objective

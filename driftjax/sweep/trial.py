@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 from driftjax.core import BadInput, set_option
 from driftjax.parallel import BatchExecutor, source_hash
-from driftjax.sweep.config import SweepConfig, Value
-from driftjax.sweep.design import Point
+from driftjax.sweep.config import Point, SweepConfig, Value
 
 Row = dict[str, Value]
 Watch = Callable[[int, float], bool]  # of a step and the mean objective up to it: whether to give the trial up

@@ -15,10 +15,9 @@ import pytest
 from driftjax.core import BadInput, from_dict
 from driftjax.sweep import check, open_executor, run_trials
 from driftjax.sweep.config import SweepConfig
-from driftjax.sweep.design import num_points, points
 from driftjax.sweep.engine import CHUNK_SECONDS
 from driftjax.sweep.executors import ChunkExecutor
-from driftjax.sweep.source import DesignSource
+from driftjax.sweep.source import DesignSource, num_points, points
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import objective
 from tests.sweep.toy import TOY

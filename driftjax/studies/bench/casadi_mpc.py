@@ -12,7 +12,7 @@ import numpy as np
 
 from driftjax.control.mpc import MPCConfig, Weights
 from driftjax.studies.bench.casadi_car import generated, single_track
-from driftjax.studies.bench.peers import Solver
+from driftjax.studies.bench.config import Solver
 from driftjax.vehicle import VehicleConfig
 
 KN = np.array([1.0, 1000.0])

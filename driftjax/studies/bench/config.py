@@ -1,6 +1,8 @@
-"""Options of the bench."""
+"""Options of the bench, and its optional peers."""
 
 import dataclasses
+import importlib.util
+import shutil
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,6 +11,8 @@ from driftjax.core import require, require_at_least
 Part = Literal["mpc", "simulator", "gp", "plan", "laps", "compile"]
 PARTS: tuple[Part, ...] = ("mpc", "simulator", "gp", "plan", "laps", "compile")
 Dtype = Literal["float64", "float32"]
+Solver = Literal["fatrop", "ipopt"]
+PEERS: dict[Solver, str] = {"fatrop": "CasADi FATROP", "ipopt": "CasADi IPOPT"}
 
 
 @dataclass(frozen=True)
@@ -46,3 +50,12 @@ class BenchConfig:
         require(len(only) > 0, "the part 'compile' takes minutes and has no quick form; leave out --quick.")
         small = {"dtype": ("float64",), "batch": 1, "cars": 256, "repeats": 2, "threads": 1, "workers": 0}
         return dataclasses.replace(self, only=only, **small)
+
+
+def missing(package: str) -> str:
+    """Return how to install a missing Python package or program; empty if it is installed."""
+    if package == "g++":
+        return "" if shutil.which("g++") else "missing: install g++"
+    names = {"scikit-learn": "sklearn"}
+    there = importlib.util.find_spec(names.get(package, package)) is not None
+    return "" if there else f"missing: pip install {package}"

@@ -11,14 +11,14 @@ from driftjax.gp import FitResult, Hyper, KernelGP, data_scales, fit, fit_kernel
 from driftjax.gp.fit import FINE, LOWER, UPPER
 from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squared_differences
-from driftjax.studies.bench.config import BenchConfig
+from driftjax.studies.bench.config import BenchConfig, missing
 from driftjax.studies.bench.drift import residual_rows
-from driftjax.studies.bench.peers import missing
 from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, alternate, measure_curve, timed
 
 TARGETS = {300: 8.0, 1000: 4.0}
 ANY_SIZES = (50, 200, 500)  # rows of the fit with automatic gradient
 SIZES = (50, 100, 200, 400, 1000)
+START = (1.0, 1.0, 0.1)  # length scale, amplitude, noise: the first start of `driftjax.gp.fit`
 NOISE = 0.05  # of the targets, over their root mean square
 SAME = 1e-3  # by so much per data row our log likelihood may be below theirs and still count as the same
 
@@ -95,12 +95,27 @@ def _any_row(cfg: BenchConfig, num: int) -> Row:
 
 
 def _scikit_learn(rows: Data) -> Callable[[], np.ndarray]:
-    def run() -> np.ndarray:
-        from driftjax.studies.bench import sklearn_gp
+    return lambda: fit_sklearn(rows.X, rows.T)
 
-        return sklearn_gp.fit_sklearn(rows.X, rows.T)
 
-    return run
+def fit_sklearn(X: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Fit scaled inputs (n, nf) and targets (n, D) by scikit-learn, same start and bounds, one output at a time.
+
+    Returns the logarithms (D, nf + 2) of length scales, amplitude and noise.
+    """
+    from sklearn.gaussian_process import GaussianProcessRegressor  # an optional peer
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    (length, amplitude, noise), bounds = START, list(zip(LOWER, UPPER, strict=True))
+    squared = lambda pair: (pair[0] ** 2, pair[1] ** 2)
+    logs = []
+    for y in T.T:
+        signal = ConstantKernel(amplitude**2, squared(bounds[1])) * RBF(np.full(X.shape[1], length), bounds[0])  # pyright: ignore[reportArgumentType]
+        kernel = signal + WhiteKernel(noise**2, squared(bounds[2]))
+        fitted: Any = GaussianProcessRegressor(kernel, n_restarts_optimizer=0).fit(X, y).kernel_
+        theta = fitted.theta
+        logs.append([*theta[1:-1], theta[0] / 2, theta[-1] / 2])  # theirs are logarithms of variances
+    return np.array(logs)
 
 
 def _logs(hyper: Hyper) -> np.ndarray:

@@ -6,10 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from driftjax.studies.bench.config import BenchConfig, Dtype
+from driftjax.studies.bench.config import PEERS, BenchConfig, Dtype, Solver, missing
 from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
 from driftjax.studies.bench.mpc import TOLERANCES, Kind, Solved, example_gp, mpc_solves
-from driftjax.studies.bench.peers import PEERS, Solver, missing
 from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, Timing, alternate, measure_curve, timed
 
 NAMES: dict[Kind, str] = {"rti": "real-time iteration", "converged": "converged"}

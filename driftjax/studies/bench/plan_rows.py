@@ -16,8 +16,7 @@ from driftjax.planner.planner import BARRIER, problem, solve_from
 from driftjax.planner.problem import MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
 from driftjax.solve import Options, Plan
-from driftjax.studies.bench.config import BenchConfig
-from driftjax.studies.bench.peers import PEERS, missing
+from driftjax.studies.bench.config import PEERS, BenchConfig, missing
 from driftjax.studies.bench.rows import PartResult, RecordedCall, Row, alternate, timed
 from driftjax.track import load_track
 from driftjax.vehicle import VehicleConfig, load_vehicle

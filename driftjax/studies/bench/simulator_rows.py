@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from driftjax.parallel import thread_executor
-from driftjax.studies.bench.config import BenchConfig, Dtype
-from driftjax.studies.bench.peers import missing
+from driftjax.studies.bench.config import BenchConfig, Dtype, missing
 from driftjax.studies.bench.rows import Curve, PartResult, Row, Timing, alternate, measure_curve, timed
 from driftjax.studies.bench.simulator import columns, double_track_steps, single_track_steps
 from driftjax.vehicle import load_vehicle

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from driftjax.studies.hidden_effects.criteria import BINS, Result, hidden_in
-from driftjax.studies.hidden_effects.stats import rate_interval
+from driftjax.studies.hidden_effects.score import rate_interval
 from driftjax.vehicle.effect import EFFECTS
 
 NOTHING = "nothing"

@@ -16,10 +16,9 @@ from driftjax.environment import SERIAL_LOOPS
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from driftjax.studies.bench.casadi_mpc import CasadiMPC
 from driftjax.studies.bench.compile_rows import EVENTS, Spans
-from driftjax.studies.bench.config import BenchConfig
+from driftjax.studies.bench.config import BenchConfig, missing
 from driftjax.studies.bench.drift import TOLERANCE, WEIGHTS, X_REF, car, config, starts
 from driftjax.studies.bench.mpc import Solved
-from driftjax.studies.bench.peers import missing
 from driftjax.studies.bench.rows import Row, Timing, alternate, timed
 from driftjax.studies.bench.run import environment
 from driftjax.studies.bench.table import cells, markdown, seconds

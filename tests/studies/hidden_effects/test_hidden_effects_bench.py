@@ -13,8 +13,7 @@ from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.drivers import DRIVERS
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.foreign import follow_commands, foreign_vehicle
-from driftjax.studies.hidden_effects.score import score_results
-from driftjax.studies.hidden_effects.stats import rate_interval
+from driftjax.studies.hidden_effects.score import rate_interval, score_results
 from driftjax.vehicle.effect import EFFECTS
 
 SOME = CaseNumbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
