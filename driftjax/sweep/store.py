@@ -75,9 +75,9 @@ class Store:
         rows = [row for outcome in outcomes for row in _rows(outcome)]
         columns = {name: [row.get(name) for row in rows] for name in self.schema.names}
         table = pa.table(columns, schema=self.schema)
-        for folder in (PARTS, ERRORS):
-            (self.path / folder).mkdir(exist_ok=True)
-        for outcome in filter(lambda one: one.error, outcomes):
+        (self.path / PARTS).mkdir(exist_ok=True)
+        for outcome in (one for one in outcomes if one.error):
+            (self.path / ERRORS).mkdir(exist_ok=True)
             write = lambda p, text=outcome.error: p.write_text(text)
             write_atomically(self.path / ERRORS / f"{outcome.trial.id}.txt", write)
         path = self.path / PARTS / f"{outcomes[0].trial.number:08d}-{uuid.uuid4().hex[:8]}.parquet"
