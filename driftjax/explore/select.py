@@ -10,9 +10,9 @@ from driftjax.gp import GP
 
 
 class Choice(NamedTuple):
-    """Result of one selection; `index` is undefined where `exhausted`."""
+    """Result of one selection; `candidate` is undefined where `exhausted`."""
 
-    index: Array  # index of the candidate to drive next
+    candidate: Array  # index of the one to drive next
     score: Array  # (n,) lambda V - (1 - lambda) D, -inf for visited ones
     distance: Array  # (n,) D over its largest among the unvisited [-]
     variance: Array  # (n,) V over its largest among the unvisited [-]

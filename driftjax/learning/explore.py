@@ -165,6 +165,6 @@ def choose_batch(batch: tuple[Array, Array, Array, Residual], P: Array, lam: Arr
 
     def one(V_ep: Array, visited: Array, z: Array, d: Residual):
         choice = select(z[:-1], visited, z[-1], d.gp, P, lam)
-        return choice.index, V_ep[choice.index], ~choice.exhausted
+        return choice.candidate, V_ep[choice.candidate], ~choice.exhausted
 
     return vmap_batch(one)(*batch)

@@ -12,6 +12,7 @@ import yaml
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium import Branch, SlipRadius, solve_nominal, solve_steady
+from driftjax.equilibrium.map import MapConfig, write_map
 from driftjax.vehicle import Extended, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 

@@ -7,6 +7,7 @@ import pytest
 from scipy_steady_states import balance
 
 from driftjax.core import BadInput
+from driftjax.equilibrium.map import MapConfig, write_map
 from driftjax.vehicle import load_vehicle
 
 

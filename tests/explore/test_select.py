@@ -33,17 +33,17 @@ def test_scores_are_the_formula():
 
 
 def test_only_variance_goes_far_and_only_distance_stays_near():
-    assert select(CANDIDATES, NONE, Z_REF, GP, P, 1.0).index == 3
-    assert select(CANDIDATES, NONE, Z_REF, GP, P, 0.0).index == 0
+    assert select(CANDIDATES, NONE, Z_REF, GP, P, 1.0).candidate == 3
+    assert select(CANDIDATES, NONE, Z_REF, GP, P, 0.0).candidate == 0
 
 
 def test_each_candidate_is_visited_once_then_all_are_exhausted():
     visited, order = NONE, []
     for _ in range(4):
         out = select(CANDIDATES, visited, Z_REF, GP, P, 0.6)
-        assert not out.exhausted and not visited[out.index] and out.score[out.index] == jnp.max(out.score)
-        order.append(int(out.index))
-        visited = visited.at[out.index].set(True)
+        assert not out.exhausted and not visited[out.candidate] and out.score[out.candidate] == jnp.max(out.score)
+        order.append(int(out.candidate))
+        visited = visited.at[out.candidate].set(True)
     assert sorted(order) == [0, 1, 2, 3]
     assert select(CANDIDATES, visited, Z_REF, GP, P, 0.6).exhausted
 
@@ -59,7 +59,7 @@ def test_units_of_the_inputs_do_not_matter():
 
 def test_a_candidate_at_the_reference_alone_has_distance_zero():
     out = select(CANDIDATES[:1], jnp.zeros(1, bool), Z_REF, GP, P, 0.5)
-    assert out.distance[0] == 0 and out.variance[0] == 1 and out.index == 0
+    assert out.distance[0] == 0 and out.variance[0] == 1 and out.candidate == 0
 
 
 def test_lanes_equal_single_calls():
@@ -67,4 +67,4 @@ def test_lanes_equal_single_calls():
     visited = jnp.stack([NONE, NONE.at[2].set(True)])
     batch = jax.vmap(lambda v, z: select(CANDIDATES, v, z, GP, P, 0.5))(visited, references)
     for i in range(2):
-        assert batch.index[i] == select(CANDIDATES, visited[i], references[i], GP, P, 0.5).index
+        assert batch.candidate[i] == select(CANDIDATES, visited[i], references[i], GP, P, 0.5).candidate

@@ -173,8 +173,11 @@ def test_a_worker_that_dies_is_replaced_and_a_trial_that_kills_every_worker_fail
 class Breaking(ChunkExecutor):
     """Its pool is found broken at every second submission, before anything of it has begun."""
 
-    slots = property(lambda self: 2)
     submitted, restarted = 0, 0
+
+    @property
+    def slots(self):
+        return 2
 
     def submit(self, function, *args):
         self.submitted += 1

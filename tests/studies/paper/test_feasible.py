@@ -9,6 +9,7 @@ from driftjax.learning.config import GPConfig
 from driftjax.learning.model import empty
 from driftjax.learning.scenario import repeated
 from driftjax.parallel import call
+from driftjax.studies.paper.feasible import drift_exists
 from driftjax.vehicle import build_car, load_vehicle
 
 
