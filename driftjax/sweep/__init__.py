@@ -1,5 +1,6 @@
 """Sweeps: many trials of a verb over its options, stored as they end; knows no verb itself."""
 
+from driftjax.sweep.config import SweepConfig as SweepConfig
 from driftjax.sweep.config import load_sweep as load_sweep
 from driftjax.sweep.engine import run_trials as run_trials
 from driftjax.sweep.executors import open_executor as open_executor
