@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import driftjax as dj
-from driftjax.report.laps import Lap, laps_of
+from driftjax.report.laps import Lap, read_laps
 from driftjax.report.posture import outline
 from driftjax.report.style import EXPLORED, NOMINAL, new_figure
 
@@ -100,7 +100,7 @@ def build(run: dj.RunFolder, plan: xr.Dataset, vehicle: dj.VehicleConfig, config
     near = (plan["path_s"].values >= start) & (plan["path_s"].values <= end)
     x, y, pad = plan["path_x"].values[near], plan["path_y"].values[near], 1.4 * vehicle.length
     view = (x.min() - pad, x.max() + pad, y.min() - pad, y.max() + pad)
-    laps = {stage: laps_of(run.read_stage(stage), "path")[config.lane] for stage in STAGES}
+    laps = {stage: read_laps(run.read_stage(stage), "path")[config.lane] for stage in STAGES}
     worst = max(np.abs(lap["e"][(lap["s"] > start) & (lap["s"] < end)]).max() for lap in laps.values())
     figure, axes = new_figure(2, 2, (8.4, 5.6), height_ratios=[3.4, 1.0])
     for axis in axes[1]:
