@@ -46,7 +46,7 @@ def steady_reference(V: float, beta: float, r: float, horizon: int) -> Reference
     Speed `V` [m/s], sideslip `beta` [rad] and yaw rate `r` [rad/s], left positive.
     """
     columns = (V, beta, r, 0.0, -beta, r / V)
-    return Reference(*(jnp.full(horizon + 1, value) for value in columns))
+    return Reference(*(jnp.full(horizon + 1, value, float) for value in columns))
 
 
 class DriftMPC(eqx.Module):

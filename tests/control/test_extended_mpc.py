@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from driftjax.control.lqr import lqr
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp, solve_mpc
@@ -35,6 +36,7 @@ def ocp() -> DriftOCP:
     return drift_ocp(CONFIG, Weights(front_slip=1000.0), CAR, residual)
 
 
+@pytest.mark.slow  # compiles for a minute
 def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
     x, u = steady().x, steady().u
     assert steady().result == RESULTS.successful

@@ -15,6 +15,7 @@ from driftjax.solve import Options
 from driftjax.studies.bench.drift import U_REF, WEIGHTS, X_REF, car, config
 from driftjax.vehicle import no_residual
 
+pytestmark = pytest.mark.slow  # compiles for a minute; tests/control/test_drift_mpc.py has the case without limits
 N = 10
 UNIT = np.array([1.0, 1e4])  # of commands
 # start from the reference drift in V, beta, r; how many input limits and rate limits then hold
@@ -93,7 +94,6 @@ def test_a_solve_that_does_not_converge_has_no_derivative():
     assert all(bool(jnp.all(jnp.isnan(slope))) for slope in slopes)
 
 
-@pytest.mark.slow
 def test_reverse_mode_equals_forward_mode():
     points = jnp.stack([jnp.asarray(theta(name)) for name in CASES])
     reverse = eqx.filter_jit(jax.vmap(lambda theta: jax.jacrev(lambda t: commands(t, 100)[0])(theta)))(points)

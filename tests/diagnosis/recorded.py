@@ -94,3 +94,9 @@ def build_problem(
     """The problem of a diagnosis, with the noise estimated from `runs` as what no active effect explains."""
     problem = initial_problem(vehicle, effects, runs, without)
     return with_estimated_noise(problem, problem.start, problem.active)
+
+
+@functools.cache
+def problem_of(seed: int, noise_seed: int, **truth: float) -> Problem:
+    """The problem of the sedan with the effects `truth`, in typical sizes, hidden in its recording."""
+    return build_problem(sedan(), EFFECTS, recorded(hidden(**truth), seed, noise_seed))

@@ -52,7 +52,7 @@ def test_an_error_of_a_sensor_is_no_rate_that_the_car_lacks():
     np.testing.assert_allclose(found, 0.0, atol=0.01)
 
 
-@pytest.mark.parametrize("rate", [100, pytest.param(24, marks=pytest.mark.slow), 12])
+@pytest.mark.parametrize("rate", [12, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (24, 100))])
 def test_a_rate_is_the_change_over_the_time_that_it_took_at_any_sample_rate(rate):
     missing = 0.4  # [m/s^2]
     run = noise_free([0.0, 0.0], [8.0, 0.0, 0.0], np.zeros(NUM), np.zeros(NUM), 1 / rate, push=(missing, 0.0, 0.0))

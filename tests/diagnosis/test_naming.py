@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
+from diagnosis.recorded import ORDER, problem_of
 
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
@@ -31,7 +31,7 @@ def selection_of(problem, names) -> Selection:
     ids=lambda names: "-".join(names),
 )
 def test_a_rival_that_is_more_probable_is_named_instead(truth, named):
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(**truth), 21, 22))
+    problem = problem_of(21, 22, **truth)
     wrong = selection_of(problem, named)
     better = prefer_probable(problem, wrong)
     assert {ORDER[i] for i in better.selected} == set(truth)
@@ -43,7 +43,7 @@ def test_a_rival_that_is_more_probable_is_named_instead(truth, named):
 
 def test_from_a_set_far_off_it_ends_where_no_rival_is_more_probable():
     """One replacement at a time need not lead to the truth; that is for the search."""
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0, drive_gain=1.2), 21, 22))
+    problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
     wrong = selection_of(problem, ["drive_gain", "relaxation_length"])
     better = prefer_probable(problem, wrong)
     assert len(better.selected) == 2 and better.fit.cost < wrong.fit.cost
@@ -52,14 +52,14 @@ def test_from_a_set_far_off_it_ends_where_no_rival_is_more_probable():
 
 
 def test_what_is_most_probable_stays():
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    problem = problem_of(21, 22, steer_lag=1.0)
     right = selection_of(problem, ["steer_lag"])
     assert prefer_probable(problem, right).fit is right.fit
 
 
 @pytest.mark.parametrize(("upper", "ends"), [(0.5, True), (3.0, False)])
 def test_a_cause_at_its_bound_is_marked(upper, ends):
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    problem = problem_of(21, 22, steer_lag=1.0)
     bounds = problem.upper.copy()
     bounds[ORDER.index("steer_lag")] = upper
     problem = problem._replace(upper=bounds)
@@ -70,13 +70,13 @@ def test_a_cause_at_its_bound_is_marked(upper, ends):
 
 
 def test_where_nothing_is_named_there_is_nothing_to_replace():
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(), 21, 22))
+    problem = problem_of(21, 22)
     assert prefer_probable(problem, nothing := selection_of(problem, [])) is nothing
 
 
 def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
     """A promise of the quadratic model that refitting does not keep counts for nothing."""
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(steer_lag=1.0), 21, 22))
+    problem = problem_of(21, 22, steer_lag=1.0)
     right = selection_of(problem, ["steer_lag"])
     model = quadratic_cost(problem, right.fit, right.linearisation)
     monkeypatch.setattr("driftjax.diagnosis.evidence.rival_gains", lambda model, rest: np.full(len(ORDER), 1e9))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
+from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, problem_of, recorded, sedan
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
@@ -21,15 +21,15 @@ BLOCKS, LENGTH, SIZE = 24, 8, 5  # of the synthetic data: blocks, samples in eac
 FREE, ONE_SIDED = np.full(SIZE, -4.0), np.zeros(SIZE)
 
 
-def diagnosed(theta, seed):
-    """The search on a recording of a car with the parameters `theta`; all cases drive the same manoeuvres."""
-    problem = build_problem(sedan(), EFFECTS, recorded(theta, 31, seed))
+def diagnosed(seed, **truth):
+    """The search on a recording of a car with the effects `truth`; all cases drive the same manoeuvres."""
+    problem = problem_of(31, seed, **truth)
     return problem, search(problem, evaluate(problem, np.zeros(len(ORDER))))
 
 
 @pytest.mark.parametrize(("name", "size", "seed"), [("stiffness_front", -0.8, 1), ("steer_offset", 1.3, 2)])
 def test_a_hidden_effect_is_named_and_measured(name, size, seed):
-    problem, found = diagnosed(hidden(**{name: size}), seed)
+    problem, found = diagnosed(seed, **{name: size})
     assert [ORDER[i] for i in found.selected] == [name]
     columns = problem.columns(found.selected)
     deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
@@ -46,7 +46,7 @@ def test_a_hidden_effect_is_named_and_measured(name, size, seed):
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_nothing_is_named_where_nothing_is_hidden(seed):
-    assert diagnosed(hidden(), seed)[1].selected == ()
+    assert diagnosed(seed)[1].selected == ()
 
 
 def test_a_search_begins_where_the_file_of_the_car_does():
@@ -65,7 +65,7 @@ def test_a_search_begins_where_the_file_of_the_car_does():
 
 
 def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
-    problem = build_problem(sedan(), EFFECTS, recorded(hidden(drive_gain=1.2, steer_lag=1.0), 21, 22))
+    problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
     found = search(problem, evaluate(problem, problem.start), most=1)
     assert len(found.selected) == 1 and ORDER[found.selected[0]] in ("drive_gain", "steer_lag")
     assert found.scores.p_value < 0.05

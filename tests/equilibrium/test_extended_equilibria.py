@@ -67,6 +67,7 @@ def test_no_nominal_drift_is_not_a_success():
     assert out.result == RESULTS.no_root
 
 
+@pytest.mark.slow
 def test_the_map_of_an_extended_car_is_true(tmp_path):
     vehicle = dataclasses.asdict(load_vehicle("rc"))
     nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}

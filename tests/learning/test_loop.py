@@ -100,7 +100,8 @@ def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, fin
         assert again.read_stage(name).identical(folder.read_stage(name))
 
 
-@pytest.mark.parametrize("batch", [2, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("batch", [2, 16])
 def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
     scenario = build(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))

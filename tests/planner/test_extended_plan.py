@@ -6,6 +6,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.planner import Plan, PlanConfig, plan
@@ -27,6 +28,7 @@ def solved(friction: float) -> Plan:
     return plan(load_track("rc_corner"), vehicle(friction=("p", friction)), CONFIG)
 
 
+@pytest.mark.slow  # compiles for a minute
 def test_less_friction_takes_longer():
     times = []
     for friction in (-0.05, 0.0):
@@ -36,6 +38,7 @@ def test_less_friction_takes_longer():
     assert times[0] > 1.003 * times[1]
 
 
+@pytest.mark.slow
 def test_the_plan_is_one_of_the_extended_car():
     """Its states move along the track as the extended car's rates say, and not as the nominal car's do."""
     found = solved(-0.05)

@@ -198,7 +198,8 @@ def test_what_is_late_is_told_as_it_was(steps):
     np.testing.assert_array_equal(model.split_delays(DT)[0], np.floor([0.0, steps, 0.4 * steps]))
 
 
-@pytest.mark.parametrize("substeps", [pytest.param(1, marks=pytest.mark.slow), 3])  # each compiles for 25 s
+@pytest.mark.slow  # each compiles for 25 s; tests/diagnosis/test_observer.py compares with differences
+@pytest.mark.parametrize("substeps", [1, 3])
 def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
     model, (z, u, place) = replace(bent(), substeps=substeps), rich()
     u = u.at[:, 2:].set(u[:, :2] / 5)
