@@ -36,16 +36,22 @@ def score(result: Result) -> Result:
     found = match(causes, hidden)
     families = {FAMILY_OF[name] for name in [*named, *found.values()]}
     wanted = {FAMILY_OF[name] for name in hidden}
-    false = [name for name in named if name not in found]
+    tentative = {cause["effect"] for cause in causes if cause.get("exploratory")}
+    wrong = [name for name in named if name not in found]
+    false = [name for name in wrong if name not in tentative]
+    physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS]
     return {
         "first": bool(causes) and causes[0]["effect"] in found,
         "found": sorted(found.values()),
         "missed": sorted(set(hidden) - set(found.values())),
         "false": false,
+        "exploratory": sorted(tentative),
+        "false_exploratory": [name for name in wrong if name in tentative],
         "families_found": sorted(wanted & families),
         "families_missed": sorted(wanted - families),
         "families_false": sorted({FAMILY_OF[name] for name in false} - wanted),
-        "physics": [name for name in named if FAMILY_OF[name] not in OF_SENSORS],
+        "physics": [name for name in physics if name not in tentative],
+        "physics_exploratory": [name for name in physics if name in tentative],
         "covered": coverage(causes, truth),
     }
 
@@ -72,7 +78,7 @@ GROUPS: dict[str, Callable[[int], bool]] = {
 }  # fmt: skip
 HEAD = (
     "hidden", "car", "cases", "first", "effects found", "all found", "families found", "all families", "no false name",
-    "no false family", "right verdict", "UNKNOWN", "in 95 % interval", "explained", "s",
+    "no false family", "false exploratory", "right verdict", "UNKNOWN", "in 95 % interval", "explained", "s",
 )  # fmt: skip
 
 
@@ -89,7 +95,9 @@ def group_row(results: list[Result]) -> list[str]:
         str(len(results)), share([s["first"] for s in with_truth]), share(effects),
         share([not s["missed"] for s in with_truth]), share(families),
         share([not s["families_missed"] for s in with_truth]), share([not s["false"] for s in each]),
-        share([not s["families_false"] for s in each]), share([right_verdict(one) for one in results]),
+        share([not s["families_false"] for s in each]),
+        share([name in s["false_exploratory"] for s in each for name in s["exploratory"]]),
+        share([right_verdict(one) for one in results]),
         share([one["verdict"] == "UNKNOWN" for one in results]),
         share([held for s in each for held in s["covered"].values()]),
         f"{np.median(explained):.2f}" if explained else "-", f"{np.median([one['seconds'] for one in results]):.0f}",
@@ -97,7 +105,10 @@ def group_row(results: list[Result]) -> list[str]:
 
 
 def table(results: list[Result]) -> str:
-    """Return the scores as a Markdown table, by number of hidden effects and car; failed cases are counted below."""
+    """Return the scores as a Markdown table, by number of hidden effects and car; failed cases are counted below.
+
+    False names and families are those of causes that are not exploratory; of these the false ones have a column.
+    """
     done = [one for one in results if "error" not in one]
     lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     for group, belongs in GROUPS.items():
@@ -115,8 +126,10 @@ def alarm_table(results: list[Result]) -> str:
     physics = sum(bool(s["physics"]) for s in each)
     hidden = sum(len(one["case"]["hidden"]) for one in done)
     found, false = sum(len(s["found"]) for s in each), sum(bool(s["false"]) for s in each)
-    return (f"Of {len(done)} logs in which only sensors err {physics} name physics and {false} anything false; "
-            f"{found} of {hidden} errors of sensors were found; {len(results) - len(done)} cases failed.")  # fmt: skip
+    tentative = sum(bool(s["physics_exploratory"]) for s in each)
+    return (f"Of {len(done)} logs in which only sensors err {physics} name physics, {tentative} as exploratory, "
+            f"and {false} anything false; {found} of {hidden} errors of sensors were found; "
+            f"{len(results) - len(done)} cases failed.")  # fmt: skip
 
 
 def line(result: Result) -> str:
@@ -128,5 +141,5 @@ def line(result: Result) -> str:
         return f"{head} -> failed: {result['error'].strip().splitlines()[-1]}"
     s = score(result)
     told = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
-    wrong = "".join(f"; {what}: {', '.join(s[what])}" for what in ("missed", "false") if s[what])
+    wrong = "".join(f"; {what}: {', '.join(s[what])}" for what in ("missed", "false", "false_exploratory") if s[what])
     return f"{head} -> {result['verdict']} {told}{wrong}; {result['seconds']:.0f} s"

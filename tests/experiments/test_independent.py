@@ -216,7 +216,8 @@ def cause(effect: str, rivals: tuple[str, ...] = (), value: float = 0.0) -> dict
     parameters = {
         p: {"value": value, "ci95": [value - 0.01, value + 0.01], "unit": "1"} for p in PARAMETERS.get(effect, ())
     }
-    return {"effect": effect, "rivals": dict.fromkeys(rivals, 0.2), "probability": 0.6, "parameters": parameters}
+    return {"effect": effect, "rivals": dict.fromkeys(rivals, 0.2), "probability": 0.6, "parameters": parameters,
+            "exploratory": False}  # fmt: skip
 
 
 def result(hidden: dict, causes: list, verdict: str = "NAMED", number: int = 0) -> dict:
@@ -233,6 +234,9 @@ def test_an_effect_is_found_by_name_or_in_a_small_set_once():
     assert both["false"] == ["drive_gain"] and both["missed"] == [] and both["first"]
     assert both["covered"] == {"mass.p": True, "steer_lag.tau": False}
     assert both["families_false"] == ["drive and brake"] and both["physics"] == ["mass", "drive_gain", "steer_lag"]
+    tentative = score(result(hidden, [cause("steer_lag"), cause("drive_lag") | {"exploratory": True}]))
+    assert tentative["false"] == [] and tentative["false_exploratory"] == ["drive_lag"]
+    assert tentative["physics"] == ["steer_lag"] and tentative["physics_exploratory"] == ["drive_lag"]
     family = score(result(hidden, [cause("yaw_inertia"), cause("gyro_bias")]))
     assert family["families_found"] == ["chassis"] and family["families_missed"] == ["steering"]
     assert family["false"] == ["yaw_inertia", "gyro_bias"] and family["families_false"] == ["sensor"]
@@ -246,11 +250,11 @@ def test_tables_count_right_wrong_and_failed_cases():
     failed = {"case": good["case"], "error": "Traceback\nValueError: no"}
     rows = {row.split(" | ")[0].strip("| "): row for row in table([good, missed, nothing, failed]).splitlines()}
     assert rows["one"].split(" | ")[2:10] == ["2", "1/2", "1/2", "1/2", "1/2", "1/2", "2/2", "2/2"]
-    assert "| 0/1 | 0/1 | 0/1 |" in rows["nothing"]
+    assert rows["nothing"].split(" | ")[8:12] == ["0/1", "0/1", "-", "0/1"]
     assert "1 of 4 cases failed" in table([good, missed, nothing, failed])
     alarms = [nothing, result({"gyro_bias": {"p": 0.1}}, [cause("gyro_bias"), cause("mass")])]
     assert alarm_table(alarms).startswith(
-        "Of 2 logs in which only sensors err 1 name physics and 2 anything false; 1 of 1"
+        "Of 2 logs in which only sensors err 1 name physics, 0 as exploratory, and 2 anything false; 1 of 1"
     )
 
 
