@@ -66,6 +66,7 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
     devices = {device for leaf in arrays if isinstance(leaf, jax.Array) and leaf.committed for device in leaf.devices()}
+    devices -= {_default_device()}
     shapes = tuple(map(jax.typeof, arrays))
     key = (function, structure, traced, shapes, tuple(map(repr, static)), around, frozenset(devices))
     if key not in _programs:
@@ -73,9 +74,20 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
             lock = _locks.setdefault(key, threading.Lock())
         with lock:  # of several threads one compiles
             if key not in _programs:
-                _programs[key] = _compiled(_Plain(function, structure, static, traced), arrays, around)
+                like = arrays if devices else list(map(_unplaced, shapes))
+                _programs[key] = _compiled(_Plain(function, structure, static, traced), like, around)
     run, skeleton, _ = _programs[key]
     return run, arrays, skeleton
+
+
+def _unplaced(a: Any) -> jax.ShapeDtypeStruct:
+    """Return shape and type alone."""
+    return jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type)
+
+
+def _default_device() -> Any:
+    """Return the device of arrays that were put nowhere: those put there share their programs."""
+    return jax.config.values["jax_default_device"] or jax.local_devices()[0]
 
 
 def _strongly_typed(leaf: Any) -> Any:

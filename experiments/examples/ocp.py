@@ -26,7 +26,7 @@ class Landing(AbstractOCP):
 
 starts = jnp.stack([jnp.linspace(1.0, 4.0, 8), jnp.zeros(8)], axis=1)
 limits, X, U = jnp.full(61, 1.8), jnp.linspace(starts, 0 * starts, 61, axis=1), jnp.ones((60, 1))
-plan = jax.vmap(lambda x, X: solve(Landing(), x, limits, X, U))(starts, X)
+plan = jax.jit(jax.vmap(lambda x, X: solve(Landing(), x, limits, X, U)))(starts, X)
 print("converged:", plan.result == dj.RESULTS.successful, "iterations:", plan.num_steps)
 print("height and speed at the end:", plan.X[:, -1].round(3).tolist())
-print("cost by starting height:", jax.grad(lambda x: solve(Landing(), x, limits, X[0], U).cost)(starts[0]))
+print("cost by start:", jax.jit(jax.grad(lambda x: solve(Landing(), x, limits, X[0], U).cost))(starts[0]))

@@ -11,7 +11,7 @@ import driftjax as dj
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "experiments" / "examples").glob("*.py"))
 LEARN = "learn.py"  # minutes of compiling: run with the other tests that learn, in tests/learning/test_loop.py
-LINES = 22  # of statements, classes and functions with their docstrings
+LINES = 12  # of statements; the equations of a problem of one's own, a class, come on top
 
 
 @pytest.mark.parametrize("path", [path for path in EXAMPLES if path.name != LEARN], ids=lambda path: path.stem)
@@ -30,7 +30,7 @@ def test_an_example_runs_as_it_stands(path, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short(path):
     code = ast.parse(path.read_text(encoding="utf-8")).body[1:]
-    statements = [node for node in code if not isinstance(node, ast.Import | ast.ImportFrom)]
+    statements = [node for node in code if not isinstance(node, ast.Import | ast.ImportFrom | ast.ClassDef)]
     assert sum((node.end_lineno or 0) - node.lineno + 1 for node in statements) <= LINES
 
 

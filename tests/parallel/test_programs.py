@@ -71,6 +71,14 @@ def test_an_integer_from_python_is_the_same_program_as_an_array(folder):
     assert len(traced) == 1
 
 
+def test_arrays_put_on_the_default_device_are_the_same_program(folder):
+    free = jnp.arange(3.0)
+    placed = jax.device_put(free, jax.local_devices()[0])
+    assert placed.committed and not free.committed
+    np.testing.assert_array_equal(call(scaled, free, 2), call(scaled, placed, 2))
+    assert len(traced) == 1 == len(programs._programs)
+
+
 def test_what_prints_as_an_address_is_not_stored(folder):
     assert [float(call(applied, jnp.ones(()), times(k))) for k in (4.0, 5.0)] == [4.0, 5.0]
     assert not (folder / "programs").exists()
