@@ -22,7 +22,8 @@ HYPER: Any = Hyper(*(np.log(value) for value in (LENGTH, AMPLITUDE, NOISE)))
 
 @eqx.filter_jit
 def conditioned(Z, Y, mask, kernel, fixed):
-    return condition(Z, Y, mask, HYPER, *(data_scales(Z, Y, mask) if fixed is None else fixed), kernel)
+    scale, output_scale = data_scales(Z, Y, mask) if fixed is None else fixed
+    return condition(Z, Y, mask, HYPER, scale, output_scale, kernel)
 
 
 def build(Z, Y, kernel="se", mask=None, fixed=None):
