@@ -3,13 +3,14 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from driftjax import explore
 from driftjax.gp import Hyper, condition, data_scales
 
-P = np.array([1.0, 2.0, 3.0])
-CANDIDATES = np.array([[10.0, 7e3], [10.5, 7e3], [12.0, 7e3], [14.0, 7e3]])
+P: Any = np.array([1.0, 2.0, 3.0])
+CANDIDATES: Any = np.array([[10.0, 7e3], [10.5, 7e3], [12.0, 7e3], [14.0, 7e3]])
 Z_REF = np.array([10.0, 7e3])
 LENGTH = np.array([[0.5, 2.0], [1.0, 2.0], [2.0, 2.0]])
 select = jax.jit(explore.select)
@@ -18,8 +19,7 @@ select = jax.jit(explore.select)
 @jax.jit
 def learnt(Z, Y):
     """A GP of two inputs and three outputs."""
-    mask = np.ones(len(Z), bool)
-    hyper: Any = Hyper(np.log(LENGTH), np.zeros(3), np.full(3, -3.0))
+    mask, hyper = jnp.ones(len(Z), bool), Hyper(jnp.log(LENGTH), jnp.zeros(3), jnp.full(3, -3.0))
     return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")
 
 

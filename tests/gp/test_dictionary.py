@@ -4,14 +4,15 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from driftjax.gp import Hyper, condition, data_scales, select_dictionary
 
-select = eqx.filter_jit(select_dictionary)
+select: Any = eqx.filter_jit(select_dictionary)
 
 
-def clustered(N=400, seed=0):
+def clustered(N=400, seed=0) -> Any:
     """A lap-like record: most rows near one spot, a few along the way to it."""
     rng = np.random.default_rng(seed)
     t = np.where(rng.uniform(size=N) < 0.85, rng.normal(0.0, 0.05, N), rng.uniform(-2, 2, N))
@@ -21,9 +22,9 @@ def clustered(N=400, seed=0):
 
 @jax.jit
 def means(Z, Y, mask, points):
-    hyper: Any = Hyper(np.zeros((1, 2)), np.zeros(1), np.full(1, np.log(0.1)))
-    scale = data_scales(clustered()[0], Y[:1], np.ones(400, bool))[0]
-    return jax.vmap(condition(Z, Y, mask, hyper, scale, np.ones(1), "se").mean)(points)
+    hyper = Hyper(jnp.zeros((1, 2)), jnp.zeros(1), jnp.full(1, jnp.log(0.1)))
+    scale = data_scales(clustered()[0], Y[:1], jnp.ones(400, bool))[0]
+    return jax.vmap(condition(Z, Y, mask, hyper, scale, jnp.ones(1), "se").mean)(points)
 
 
 def held_out_error(Z, Y, mask):

@@ -17,7 +17,7 @@ from driftjax.gp.model import squared_differences
 
 LENGTH = np.array([[0.7, 1.1, 1.6], [1.3, 0.6, 0.9]])
 AMPLITUDE, NOISE = np.array([0.8, 1.7]), np.array([0.05, 0.2])
-HYPER: Any = Hyper(*(np.log(value) for value in (LENGTH, AMPLITUDE, NOISE)))
+HYPER = Hyper(*(jnp.asarray(np.log(value)) for value in (LENGTH, AMPLITUDE, NOISE)))
 
 
 @eqx.filter_jit
@@ -106,10 +106,10 @@ def test_derivatives_equal_central_differences(kernel):
 def test_likelihood_gradient_equals_central_differences(kernel):
     Z, Y = smooth(30)
     gp = build(Z, Y, kernel, mask=np.arange(30) < 22)
-    X, y = gp.Z / gp.scale, np.where(gp.mask, Y[:, 0] / gp.output_scale[0], 0)
+    X, y = map(jnp.asarray, (gp.Z / gp.scale, np.where(gp.mask, Y[:, 0] / gp.output_scale[0], 0)))
 
     def value(x):
-        return likelihood(kernel, Hyper(x[:3], x[3], x[4]), squared_differences(jnp.asarray(X)), y, gp.mask)
+        return likelihood(kernel, Hyper(x[:3], x[3], x[4]), squared_differences(X), y, gp.mask)
 
     x, steps = np.log([0.7, 1.1, 1.6, 0.8, 0.05]), 1e-5 * np.eye(5)
     up, down = np.split(jax.jit(jax.vmap(value))(np.concatenate([x + steps, x - steps])), 2)

@@ -1,7 +1,5 @@
 """The orthogonal GP against the dense algebra of its prior; what known causes can say it leaves to them."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,7 +15,7 @@ from driftjax.gp.orthogonal import orthonormal_basis
 N, D, K = 50, 2, 3
 LENGTH = np.array([[0.7, 1.1, 1.6], [1.3, 0.6, 0.9]])
 AMPLITUDE, NOISE = np.array([0.8, 1.7]), np.array([0.05, 0.2])
-HYPER: Any = Hyper(*(np.log(value) for value in (LENGTH, AMPLITUDE, NOISE)))
+HYPER = Hyper(*(jnp.asarray(np.log(value)) for value in (LENGTH, AMPLITUDE, NOISE)))
 
 
 def basis_at(Z):

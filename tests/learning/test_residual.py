@@ -18,8 +18,9 @@ NOMINAL = load_vehicle("sedan").build()
 DT, T = 0.05, 40
 NONE = np.zeros(2)  # no lags
 lag_response, lagged_input, smooth = map(jax.jit, (residual.lag_response, residual.lagged_input, residual.smooth))
+compiled: Any = eqx.filter_jit
 residual_rate, estimate_lags, samples, rows = map(
-    eqx.filter_jit, (residual.residual_rate, residual.estimate_lags, residual.samples, residual.rows)
+    compiled, (residual.residual_rate, residual.estimate_lags, residual.samples, residual.rows)
 )
 PLANTED = np.array([0.4, -0.15, 0.3])
 X0 = State(*(jnp.asarray(v) for v in (9.0, -0.54507, 1.1)))
@@ -40,7 +41,7 @@ def driven(x0: State = X0, command: Control | None = None, lags=(0.0, 0.0)) -> t
 @jax.jit
 def _states(x0: State, command: Control, lags) -> State:
     model = Corrected(NOMINAL, lambda z: jnp.asarray(PLANTED))
-    acting = Control(*(residual.lagged_input(one, lag, DT) for one, lag in zip(command, lags, strict=True)))
+    acting = Control(*(lagged_input(one, lag, jnp.asarray(DT)) for one, lag in zip(command, lags, strict=True)))
 
     def move(x, u):
         return rk4_step(lambda w: model(w, u), x, DT), x
