@@ -176,6 +176,7 @@ def condition(
     return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)
 
 
+@eqx.filter_jit
 def zero_gp(M: int, nf: int, D: int, kernel: str = "se") -> GP:
     """Return a GP without data: mean 0, in the shapes of one fitted on `M` rows (so nothing recompiles)."""
     dtype = jnp.result_type(float)

@@ -3,8 +3,10 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, Control, State, features
 from driftjax.equilibrium import SlipSpeed, continuation
 from driftjax.explore import select, v_sets
@@ -59,12 +61,10 @@ def drifts(scenario: Scenario) -> Drifts:
 def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
     """Compute V-sets (Eq. 9) from the lateral errors in `trace`, which tracked `aimed` (batch, AIM_POINTS)."""
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
-    s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
-    origin, r_b = (jax.vmap(lambda one, c=c: table.row(c, one))(s) for c in (table.V, table.r))
-    shares, most = jnp.arange(1, config.num_sets + 1) / config.num_sets, config.gamma_share * V_b
+    shares, most = jnp.asarray(np.arange(1, config.num_sets + 1) / config.num_sets), config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
     shaped = scenario.executor.map(
-        speed_sets_batch, (trace, aimed), s, origin, r_b, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
+        speed_sets_batch, (trace, aimed), table, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
     )
     if config.speeds != "sets":
         V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
@@ -99,7 +99,7 @@ def remaining(
     left = eqx.tree_at(lambda c: c.visited, sets, visited)
     if scenario.config.explore.speeds != "sets":
         return left
-    return where_tree(better, candidates(scenario, trace, residual, aimed), left)
+    return eqx.filter_jit(where_tree)(better, candidates(scenario, trace, residual, aimed), left)
 
 
 def _offsets(config: ExploreConfig, keys: Array) -> Array:
@@ -114,9 +114,7 @@ def _offsets(config: ExploreConfig, keys: Array) -> Array:
 
 def speed_sets_batch(
     batch: tuple[Trace, Array],
-    s: Array,
-    origin: Array,
-    r_b: Array,
+    table: ReferenceTable,
     shares: Array,
     most: Array,
     weights: tuple[Array, Array],
@@ -127,6 +125,8 @@ def speed_sets_batch(
     Their bounds are fractions `shares` of what the entry's own error requires, at most `most` [m/s]: larger bounds
     would all give the same curve.
     """
+    s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
+    origin, r_b = table.row(table.V, s), table.row(table.r, s)
 
     def one(trace: Trace, aimed: Array) -> Candidates:
         at = jnp.where(trace.alive, trace.sensed.s, jnp.inf)

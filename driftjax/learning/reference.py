@@ -35,7 +35,7 @@ def plan_table(plan: Plan) -> ReferenceTable:
     s = np.linspace(0.0, float(plan.path.length), POINTS)
     at = lambda values: jnp.asarray(np.interp(s, np.asarray(plan.S), np.asarray(values)))
     beta = at(plan.beta)
-    kappa = jax.vmap(lambda one: plan.path.pose(one)[3])(jnp.asarray(s))
+    kappa = eqx.filter_jit(plan.path.pose)(s)[3]
     return ReferenceTable(
         0.0, s[1], speed=at(plan.V), kappa=kappa, V=at(plan.V), beta=beta, r=at(plan.r), e=jnp.zeros(POINTS),
         theta=-beta, delta=at(plan.delta), Fxr=at(plan.Fxr), drift_start=start, drift_end=end,

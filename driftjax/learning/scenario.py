@@ -79,6 +79,7 @@ class Scenario:
         return repeated(tree, self.batch_size)
 
 
+@eqx.filter_jit  # one program for all leaves
 def repeated(tree, num: int):
     """Repeat `tree` `num` times along a leading axis."""
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (num, *jnp.shape(a))) if eqx.is_array(a) else a, tree)
@@ -164,13 +165,13 @@ def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equi
     """Return the steady state of the corner and its branch: a drift or, where the tyres have no peak below such a
     sideslip, as may be with driven wheels at both ends, a slide below the peak."""
     fixed = SlipRadius(where.beta, where.R)
-    steady = solve_steady(car, fixed, branch=Branch.COUNTERSTEER)
+    steady = eqx.filter_jit(solve_steady)(car, fixed, branch=Branch.COUNTERSTEER)
     if bool(steady.result == RESULTS.successful):
         return steady, Branch.COUNTERSTEER
     grip = car.tyre.mu * G
     V = jnp.sqrt(grip * abs(where.R))
     guess = State(V, fixed.beta, V / where.R), Control(jnp.zeros(()), car.m * grip * jnp.sin(jnp.abs(fixed.beta)))
-    steady = solve(car, car, fixed, guess, branch=Branch.GRIP)
+    steady = eqx.filter_jit(solve)(car, car, fixed, guess, branch=Branch.GRIP)
     if bool(steady.result == RESULTS.successful):
         return steady, Branch.GRIP
     raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
@@ -180,7 +181,7 @@ def problems(scenario: Scenario, residual: Residual) -> DriftOCP:
     """Build the MPC problem of every entry, with its own residual (leading axis) and its controller's weights."""
     config = scenario.config
     weights = [config.path if entry.controller == "path" else config.paper for entry in scenario.batch]
-    return _problems(scenario, config.mpc, weights, residual)
+    return _problems(config.mpc, weights, scenario.vehicle, scenario.nominal, residual)
 
 
 def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
@@ -189,12 +190,15 @@ def entry_problems(scenario: Scenario, residual: Residual) -> DriftOCP:
     path = config.path
     weights = dataclasses.replace(path, Q_path=(config.entry_error * path.Q_path[0], path.Q_path[1]))
     mpc = dataclasses.replace(config.mpc, horizon=scenario.horizon)
-    return _problems(scenario, mpc, [weights] * scenario.batch_size, residual)
+    return _problems(mpc, [weights] * scenario.batch_size, scenario.vehicle, scenario.nominal, residual)
 
 
-def _problems(scenario: Scenario, mpc: MPCConfig, weights: list[Weights], residual: Residual) -> DriftOCP:
+@eqx.filter_jit
+def _problems(
+    mpc: MPCConfig, weights: list[Weights], vehicle: VehicleConfig, nominal: AnyCar, residual: Residual
+) -> DriftOCP:
     like = jax.tree.map(lambda a: a[0], residual)
-    each = [drift_ocp(mpc, one, scenario.vehicle, like, scenario.nominal) for one in weights]
+    each = [drift_ocp(mpc, one, vehicle, like, nominal) for one in weights]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *each)
     return eqx.tree_at(lambda o: o.residual, stacked, residual)
 
@@ -203,8 +207,7 @@ def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Resi
     """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)
-    first = jax.tree.map(lambda a: a[0], ocp)
-    gain = lqr(scenario.nominal, scenario.x_eq, scenario.u_eq, jnp.asarray(config.paper.Q), first.R, first.dt)
+    gain = lqr(scenario.nominal, scenario.x_eq, scenario.u_eq, jnp.asarray(config.paper.Q), ocp.R[0], ocp.dt[0])
     options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
     switch: SwitchConfig = config.switch
     shared = (pure_pursuit(config.pursuit, vehicle), gain)

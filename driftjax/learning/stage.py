@@ -51,17 +51,21 @@ def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
     return StageResult(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
 
 
+@eqx.filter_jit
+def _driven_rows(tables: ReferenceTable, s: Array) -> tuple[Array, Array, Array]:
+    """Return sideslip, yaw rate and offset of each entry's table (leading axis) where its car was."""
+    return jax.vmap(lambda t, s: (t.row(t.beta, s), t.row(t.r, s), t.row(t.e, s)))(tables, s)
+
+
 def stage_values(scenario: Scenario, stage: StageResult, kind: str) -> dict[str, np.ndarray]:
     """Return the stage as named arrays for the run folder (see `driftjax.store.variables`)."""
     trace, table = stage.laps.trace, stage.table
-    row = jax.vmap(lambda t, s: jax.vmap(lambda one: t.state(one)[0])(s))
-    reference = row(table, trace.s)
+    beta_ref, r_ref, e_ref = _driven_rows(table, trace.s)
     values = {name: getattr(trace, name) for name in ("V", "beta", "r", "x", "y", "psi", "s", "e", "delta", "Fxr")}
     values |= {f"{name}_measured": getattr(trace.sensed, name) for name in MEASURED}
     values |= {"alive": trace.alive, "delta_command": trace.command.delta, "Fxr_command": trace.command.Fxr}
     values |= {name: getattr(trace.decision, name) for name in ("drifting", "solved", "kkt", "num_steps")}
-    values |= {"V_ref": stage.V_ref, "beta_ref": reference.beta, "r_ref": reference.r}
-    values |= {"e_ref": jax.vmap(lambda t, s: jax.vmap(lambda one: t.row(t.e, one))(s))(table, trace.s)}
+    values |= {"V_ref": stage.V_ref, "beta_ref": beta_ref, "r_ref": r_ref, "e_ref": e_ref}
     values |= {"code": stage.laps.code, **stage.figures._asdict()}
     values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
     values |= {

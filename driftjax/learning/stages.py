@@ -140,7 +140,8 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
     planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
     # an entry that has driven all its sets repeats its best
-    table, used = where_tree(left, (planned.table, residual), (progress.best.table, progress.best.residual))
+    best = progress.best.table, progress.best.residual
+    table, used = eqx.filter_jit(where_tree)(left, (planned.table, residual), best)
     stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
     before = progress.best.error
     progress = update_progress(scenario, progress, stage, used, number)

@@ -91,7 +91,7 @@ def update_progress(
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error_measured, jnp.inf)
-        best = where_tree(error < best.error, Best(error, residual, stage.table), best)
+        best = eqx.filter_jit(where_tree)(error < best.error, Best(error, residual, stage.table), best)
     last = stage.figures.lateral_error_measured
     fields = lambda p: (p.model_state, p.arrival, p.best, p.last_error)
     return eqx.tree_at(fields, progress, (model_state, arrival, best, last))

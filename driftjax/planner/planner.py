@@ -176,9 +176,10 @@ def plan(
     at = nodes(track, vehicle.a + vehicle.b, config)
     stage, corners = stages(track, vehicle, config, at.s)
     ocp = problem(vehicle, config, stage, at.s[1] - at.s[0], model)
-    x0 = jnp.zeros(7).at[0].set(config.entry_speed) / ocp.scale
+    scale = np.asarray(ocp.scale)
+    x0 = jnp.asarray(np.array([config.entry_speed, *[0.0] * 6]) / scale)
     options = Options(tolerance=config.tolerance, barrier=BARRIER, max_steps=config.max_steps)
-    first = [jnp.asarray(X) / ocp.scale for X in guesses(at.s, stage, corners, vehicle, config)]
+    first = [jnp.asarray(X / scale) for X in guesses(at.s, stage, corners, vehicle, config)]
     best = _fastest([call(solve_from, ocp, x0, stage, X, options) for X in first])
     label_beta = jnp.asarray(config.label_beta)
     return call(_finish, ocp, track, stage, jnp.asarray(at.s), best, label_beta, (at.first, at.last))

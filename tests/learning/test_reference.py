@@ -23,7 +23,7 @@ def table(lap):
 
 
 def test_the_table_holds_the_plan_at_its_nodes(lap, table):
-    at = jax.vmap(table.state)(lap.S)
+    at = jax.jit(jax.vmap(table.state))(lap.S)
     spacing = float(table.spacing)
     for found, planned in zip([*at[0], *at[1]], (lap.V, lap.beta, lap.r, lap.delta, lap.Fxr), strict=True):
         slope = np.max(np.abs(np.diff(planned) / np.diff(lap.S)))

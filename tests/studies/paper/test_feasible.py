@@ -1,5 +1,6 @@
 """Which planned corners a learnt car can hold: the nominal car's where nothing was learnt, none beyond its grip."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,7 +17,7 @@ from driftjax.vehicle import build_car, load_vehicle
 def test_a_car_that_learnt_nothing_holds_its_own_corner_and_no_faster_one():
     nominal = build_car(load_vehicle("sedan").with_combined_slip(1.0))
     beta, R = jnp.asarray(-0.45), jnp.asarray(12.0)
-    steady = solve_steady(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
+    steady = eqx.filter_jit(solve_steady)(nominal, SlipRadius(beta, R), branch=Branch.COUNTERSTEER)
     x: State = steady.x
     residual, branch = repeated(empty(GPConfig(size=20)).residual, 2), jnp.asarray(Branch.COUNTERSTEER)
     guess = (steady.x, steady.u)
