@@ -1,6 +1,7 @@
 """Pure pursuit against the circle, LQR against SciPy, limits, reference tables, the residual's tangent."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,9 +28,9 @@ DRIFT = State(*(jnp.asarray(v) for v in (9.0, -0.54507, 1.1))), Control(jnp.asar
 def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
     # rear axle on the path and tangent to it: the circle through the target is the path, so tan(delta) = L kappa
     path = from_curvature([0.0, 100.0], [kappa, kappa], 3.0, 401)
-    x, y, psi, _ = path.pose(40.0)
-    steer = pure_pursuit(PursuitConfig(), CAR)
-    u = steer(path, x + CAR.b * jnp.cos(psi), y + CAR.b * jnp.sin(psi), psi, jnp.asarray(8.0),
+    x, y, psi, _ = map(np.asarray, eqx.filter_jit(path.pose)(40.0))
+    steer: Any = eqx.filter_jit(pure_pursuit(PursuitConfig(), CAR))
+    u = steer(path, x + CAR.b * np.cos(psi), y + CAR.b * np.sin(psi), psi, jnp.asarray(8.0),
               jnp.asarray(8.0 * kappa), jnp.asarray(40.0), jnp.asarray(8.0), jnp.asarray(0.0))  # fmt: skip
     assert float(u.delta) == pytest.approx(np.arctan((CAR.a + CAR.b) * kappa), abs=1e-6)
     assert float(u.Fxr) == pytest.approx(0.0, abs=1e-9)
@@ -37,7 +38,7 @@ def test_pure_pursuit_steers_the_circle_its_rear_axle_is_on(kappa):
 
 def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
     path = from_curvature([0.0, 100.0], [0.0, 0.0], 3.0, 101)
-    steer = pure_pursuit(PursuitConfig(speed_gain=2.0), CAR)
+    steer: Any = eqx.filter_jit(pure_pursuit(PursuitConfig(speed_gain=2.0), CAR))
     at = lambda y, V, ax=0.0, r=0.0: steer(path, *(jnp.asarray(v) for v in (20.0, y, 0.0, V, r, 20.0, 10.0, ax)))
     assert float(at(0.0, 9.0).Fxr) == pytest.approx(CAR.m * 2.0 * 1.0)
     assert float(at(0.0, 12.0).Fxr) == pytest.approx(-CAR.m * 2.0 * 2.0)
@@ -60,7 +61,7 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
     def step(x, u):
         return jnp.stack(rk4_step(lambda w: nominal(w, Control(u[0], u[1])), State(x[0], x[1], x[2]), dt))
 
-    A, B = (np.asarray(J) for J in jax.jacfwd(step, (0, 1))(jnp.stack(x), jnp.stack(u)))
+    A, B = (np.asarray(J) for J in jax.jit(jax.jacfwd(step, (0, 1)))(np.stack(x), np.stack(u)))
     scaled = B / np.sqrt(R)  # the same problem in inputs of unit cost, well conditioned
     P = solve_discrete_are(A, scaled, np.diag(Q), np.eye(2))
     K = np.linalg.solve(np.eye(2) + scaled.T @ P @ scaled, scaled.T @ P @ A) / np.sqrt(R)[:, None]
@@ -73,6 +74,9 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
     np.testing.assert_allclose([moved.delta - u.delta, moved.Fxr - u.Fxr], -0.1 * K[:, 0], rtol=1e-6)
 
 
+limited: Any = eqx.filter_jit(within_limits)
+
+
 @pytest.fixture(scope="module")
 def ocp():
     return drift_ocp(MPCConfig(horizon=5), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
@@ -82,7 +86,7 @@ def test_inputs_are_brought_within_both_limits_and_left_alone_inside(ocp):
     rng = np.random.default_rng(0)
     wild = rng.normal(size=(40, 2)) * [1.0, 2e4]
     before = np.array([0.3, 1000.0])
-    U = np.asarray(within_limits(ocp, jnp.asarray(wild), jnp.asarray(before), share=0.0))
+    U = np.asarray(limited(ocp, wild, before, share=0.0))
     lower, upper, rate = (np.asarray(a) for a in (ocp.lower, ocp.upper, ocp.rate))
     change = np.diff(np.concatenate([before[None], U]), axis=0)
     assert np.all((U >= lower) & (U <= upper)) and np.all(np.abs(change) <= rate * (1 + 1e-12))
@@ -91,13 +95,13 @@ def test_inputs_are_brought_within_both_limits_and_left_alone_inside(ocp):
     first = np.clip(np.clip(wild[0], before - rate, before + rate), lower, upper)
     np.testing.assert_allclose(U[0], first)
     calm = np.tile(before, (3, 1)) + np.array([[0.01], [0.02], [0.01]]) * [1.0, 1000.0]
-    np.testing.assert_allclose(within_limits(ocp, jnp.asarray(calm), jnp.asarray(before), share=0.0), calm)
+    np.testing.assert_allclose(limited(ocp, calm, before, share=0.0), calm)
 
 
 def test_a_guess_lies_strictly_inside_the_limits(ocp):
     wild = jnp.asarray([[5.0, 1e5], [-5.0, -1e5]] * 20)
     before = jnp.asarray([0.0, 0.0])
-    U = np.asarray(within_limits(ocp, wild, before))
+    U = np.asarray(limited(ocp, wild, before))
     change = np.diff(np.concatenate([[[0.0, 0.0]], U]), axis=0)
     assert np.all(U > np.asarray(ocp.lower)) and np.all(U < np.asarray(ocp.upper))
     assert np.all(np.abs(change) < np.asarray(ocp.rate))
@@ -106,15 +110,15 @@ def test_a_guess_lies_strictly_inside_the_limits(ocp):
 def test_the_prediction_holds_a_steady_drift_on_its_circle(ocp):
     x, u = DRIFT
     nominal = CAR.build()
-    rates = np.abs(np.asarray(jnp.stack(nominal(x, u))))
+    rates = np.abs(np.asarray(eqx.filter_jit(nominal)(x, u)))
     assert np.all(rates < [0.02, 0.02, 0.02])  # the state given is a drift to its printed digits
-    kappa = x.r / x.V
-    start = jnp.stack([x.V, x.beta, x.r, jnp.asarray(0.0), -x.beta])
-    zero, before = jnp.asarray(0.0), jnp.stack(u)
-    x = jnp.concatenate([start, before, before]) / ocp.x_scale
+    zero, before, scale = jnp.asarray(0.0), np.stack(u), np.asarray(ocp.x_scale)
+    start = np.array([x.V, x.beta, x.r, 0.0, -x.beta])
+    p = Reference(zero, zero, zero, zero, zero, jnp.asarray(start[2] / start[0]))
+    x, step = np.concatenate([start, before, before]) / scale, eqx.filter_jit(ocp.step)
     for _ in range(5):
-        x = ocp.step(x, before / ocp.u_scale, Reference(zero, zero, zero, zero, zero, kappa))
-    np.testing.assert_allclose(x[:5] * ocp.x_scale[:5], start, atol=0.02)
+        x = step(x, before / np.asarray(ocp.u_scale), p)
+    np.testing.assert_allclose(x[:5] * scale[:5], start, atol=0.02)
 
 
 def table() -> ReferenceTable:
@@ -125,60 +129,65 @@ def table() -> ReferenceTable:
 
 
 def test_a_reference_table_is_linear_between_rows_and_constant_beyond():
-    t = table()
+    t: Any = table()
     at = np.array([-10.0, 2.0, 2.3, 4.75, 5.999, 6.0, 99.0])
     expected = np.interp(at, 2.0 + 0.5 * np.arange(9), np.asarray(t.V))
-    np.testing.assert_allclose([float(t.row(t.V, jnp.asarray(s))) for s in at], expected, rtol=1e-12)
-    reference = t.reference(jnp.asarray(at))
+    row = eqx.filter_jit(t.row)
+    np.testing.assert_allclose([float(row(t.V, jnp.asarray(s))) for s in at], expected, rtol=1e-12)
+    reference = eqx.filter_jit(t.reference)(at)
     for i, name in ((1, "kappa"), (2, "V"), (3, "beta"), (4, "r"), (5, "e"), (6, "theta")):
         np.testing.assert_allclose(getattr(reference, name), expected - 2 + i, rtol=1e-12)
-    x, u = t.state(jnp.asarray(4.75))
+    x, u = eqx.filter_jit(t.state)(jnp.asarray(4.75))
     np.testing.assert_allclose([*x, *u], expected[3] - 2 + np.array([2, 3, 4, 7, 8]), rtol=1e-12)
 
 
 def test_a_schedule_advances_at_the_speed_tracked():
-    t = table()
-    s = np.asarray(t.schedule(jnp.asarray(2.0), 3, jnp.asarray(0.01)))
+    t: Any = table()
+    s = np.asarray(eqx.filter_jit(t.schedule)(jnp.asarray(2.0), 3, jnp.asarray(0.01)))
     assert s[0] == 2.0
-    np.testing.assert_allclose(np.diff(s), [0.01 * float(t.row(t.V, jnp.asarray(one))) for one in s[:-1]], rtol=1e-12)
-    V = np.array([float(t.row(t.V, jnp.asarray(one))) for one in s])
-    np.testing.assert_allclose(t.inputs(jnp.asarray(s)), V[:, None] + [5.0, 6.0], rtol=1e-12)  # as `table` has it
+    V = np.asarray(eqx.filter_jit(eqx.filter_vmap(t.row, in_axes=(None, 0)))(t.V, s))
+    np.testing.assert_allclose(np.diff(s), 0.01 * V[:-1], rtol=1e-12)
+    np.testing.assert_allclose(eqx.filter_jit(t.inputs)(s), V[:, None] + [5.0, 6.0], rtol=1e-12)  # as `table` has it
 
 
 def residual() -> Residual:
     rng = np.random.default_rng(3)
-    Z = jnp.asarray(np.array([9.0, -0.5, 1.1, -0.3, 6800.0]) + rng.normal(size=(12, 5)) * [1, 0.1, 0.2, 0.1, 800.0])
-    Y = jnp.asarray(rng.normal(size=(12, 3)))
-    mask = jnp.ones(12, bool)
-    hyper = Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(0.1)))
-    return Residual(
-        condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se"),
-        jnp.asarray([1.0, 0.4, 0.0]),
-        jnp.asarray([0.05, 0.1]),
-    )
+    Z = np.array([9.0, -0.5, 1.1, -0.3, 6800.0]) + rng.normal(size=(12, 5)) * [1, 0.1, 0.2, 0.1, 800.0]
+    gp = conditioned(Z, rng.normal(size=(12, 3)))
+    return Residual(gp, jnp.asarray([1.0, 0.4, 0.0]), jnp.asarray([0.05, 0.1]))
+
+
+@jax.jit
+def conditioned(Z, Y):
+    mask, hyper = jnp.ones(12, bool), Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.full(3, jnp.log(0.1)))
+    return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")
 
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_the_residual_near_a_point_has_its_value_and_its_derivatives(bounded):
-    d = dataclasses.replace(residual(), bounded=bounded)
-    z = features(*DRIFT) + jnp.asarray([0.3, 0.05, -0.1, 0.02, 300.0])
+    d: Any = dataclasses.replace(residual(), bounded=bounded)
+    z = np.asarray(features(*DRIFT)) + [0.3, 0.05, -0.1, 0.02, 300.0]
     exact, bend = (jax.jit(by)(z) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
-    several = jax.jit(lambda z: nearby(d, z))(jnp.stack([0.9 * z, z]))
-    near = jax.tree.map(lambda a: a[1], several)
-    np.testing.assert_allclose(near.at(z), d(z), rtol=1e-12)
+    value = np.asarray(eqx.filter_jit(d)(z))
+    several = jax.jit(lambda z: nearby(d, z))(np.stack([0.9 * z, z]))
+    near = jax.tree.map(lambda a: np.asarray(a)[1], several)
+    np.testing.assert_allclose(eqx.filter_jit(near.at)(z), value, rtol=1e-12)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(near.at))(z), exact, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(jax.jacrev(near.at)))(z), bend, rtol=1e-8, atol=1e-14)
-    assert np.any(np.asarray(exact)[0] != 0) and np.all(np.asarray(d(z))[:2] != 0)
-    assert float(d(z)[2]) == 0  # gated off
+    assert np.any(np.asarray(exact)[0] != 0) and np.all(value[:2] != 0)
+    assert value[2] == 0  # gated off
 
 
 def test_far_from_data_a_bounded_residual_fades_and_a_free_one_is_the_mean():
     bounded = residual()
-    free, far = dataclasses.replace(bounded, bounded=False), bounded.gp.Z[0] + 8 * bounded.gp.scale
+    far = np.asarray(bounded.gp.Z)[0] + 8 * np.asarray(bounded.gp.scale)
+    free = dataclasses.replace(bounded, bounded=False)
     stretched = eqx.tree_at(lambda d: d.gp.hyper.log_lengthscale, free, jnp.full((3, 5), 3.0))
-    assert np.all(np.abs(dataclasses.replace(stretched, bounded=True)(far)) < 1e-3)
-    np.testing.assert_allclose(stretched(far), stretched.trust_factor * stretched.gp.mean(far), rtol=1e-12)
-    assert np.all(np.abs(np.asarray(stretched(far))[:2]) > 0.02)
+    at = eqx.filter_jit(lambda d: d(far))
+    assert np.all(np.abs(at(dataclasses.replace(stretched, bounded=True))) < 1e-3)
+    mean = np.asarray(eqx.filter_jit(stretched.gp.mean)(far))
+    np.testing.assert_allclose(at(stretched), np.asarray(stretched.trust_factor) * mean, rtol=1e-12)
+    assert np.all(np.abs(np.asarray(at(stretched))[:2]) > 0.02)
 
 
 def test_no_residual_is_zero_everywhere():
@@ -199,19 +208,21 @@ def test_settings_that_make_no_sense_are_refused_by_name(config, change):
 def test_the_derivatives_of_the_problem_are_those_of_its_step():
     ocp = drift_ocp(MPCConfig(horizon=1), Weights(), CAR, residual())
     rng = np.random.default_rng(5)
-    x = jnp.asarray([0.75, -0.5, 1.6, 0.1, 0.4, -0.3, 0.35, -0.28, 0.4]) + jnp.asarray(0.02 * rng.normal(size=9))
-    u, costate = jnp.asarray([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
-    p = Reference(*jnp.asarray([9.0, -0.5, 1.1, 0.0, 0.5, 0.06]))
+    x = np.array([0.75, -0.5, 1.6, 0.1, 0.4, -0.3, 0.35, -0.28, 0.4]) + 0.02 * rng.normal(size=9)
+    u, costate = np.array([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
+    p = Reference(*map(jnp.asarray, (9.0, -0.5, 1.1, 0.0, 0.5, 0.06)))
     h = 1e-6
     at = lambda w: jax.tree.map(lambda a: a[0], ocp.around(w[None, :9], w[None, 9:], p))
-    derivatives = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
-    step = eqx.filter_jit(ocp.step)
-    y, A, B = derivatives(jnp.concatenate([x, u]))
+    jitted = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
+    derivatives = lambda w: [np.asarray(a) for a in jitted(w)]
+    step = lambda x, u, p: np.asarray(jitted_step(x, u, p))
+    jitted_step = eqx.filter_jit(ocp.step)
+    y, A, B = derivatives(np.concatenate([x, u]))
     np.testing.assert_allclose(y, step(x, u, p), rtol=1e-12)
     slopes = lambda f, w: np.stack([(f(w + h * one) - f(w - h * one)) / (2 * h) for one in np.eye(len(w))], axis=1)
     np.testing.assert_allclose(A, slopes(lambda w: step(w, u, p), x), atol=1e-7)
     np.testing.assert_allclose(B, slopes(lambda w: step(x, w, p), u), atol=1e-7)
-    gradient = lambda w: costate @ jnp.concatenate(derivatives(w)[1:], axis=1)
-    bend = slopes(gradient, jnp.concatenate([x, u]))
-    found = eqx.filter_jit(ocp.curvature)(x, u, costate, p, at(jnp.concatenate([x, u])))
+    gradient = lambda w: costate @ np.concatenate(derivatives(w)[1:], axis=1)
+    bend = slopes(gradient, np.concatenate([x, u]))
+    found = jax.jit(lambda w: ocp.curvature(w[:9], w[9:], costate, p, at(w)))(np.concatenate([x, u]))
     np.testing.assert_allclose(found, bend, rtol=1e-5, atol=1e-6)
