@@ -114,6 +114,7 @@ def test_a_solve_starts_from_the_reference_whatever_was_driven_before():
     np.testing.assert_allclose(problem.X[0], [9.0, -0.5, 1.0, 0.0, 0.5], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_each_lane_is_driven_by_its_own_controller_and_the_others_do_not_matter():
     one = driver("mpc")
     stack = lambda *trees: jax.tree.map(lambda *a: jnp.asarray(np.stack(a)) if eqx.is_array(a[0]) else a[0], *trees)

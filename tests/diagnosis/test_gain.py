@@ -116,6 +116,7 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     assert np.isnan(share.value) and share.left_ci95[0] < 0.1  # nothing is left to explain
 
 
+@pytest.mark.slow
 def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
     """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})

@@ -16,7 +16,7 @@ from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import universal_car
 
 EFFECTS = effects_by_name(("drive_gain", "speed_scale"))
-NUM = 250
+NUM, DT = 250, 0.02
 FIRST = 20  # samples after which the observer has forgotten where it began
 
 
@@ -46,9 +46,9 @@ def lacking(run: Run, theta) -> np.ndarray:
 
 
 def test_an_error_of_a_sensor_is_no_rate_that_the_car_lacks():
-    t = np.arange(NUM) * 0.02
+    t = np.arange(NUM) * DT
     theta = np.array([0.0, 0.05 / 0.03])  # the speed reads 5 % too high
-    found = lacking(noise_free(theta, [10.0, 0.0, 0.0], 0.05 * np.sin(3 * t), 0 * t, 0.02), theta)
+    found = lacking(noise_free(theta, [10.0, 0.0, 0.0], 0.05 * np.sin(3 * t), 0 * t, DT), theta)
     np.testing.assert_allclose(found, 0.0, atol=0.01)
 
 
@@ -62,7 +62,7 @@ def test_a_rate_is_the_change_over_the_time_that_it_took_at_any_sample_rate(rate
 
 def test_a_car_that_turns_round_lacks_no_turn():
     """Sideslip passes pi, where what is measured jumps by a turn."""
-    run = noise_free([0.0, 0.0], [12.0, 2.6, -5.0], np.zeros(NUM), np.zeros(NUM), 0.01)
+    run = noise_free([0.0, 0.0], [12.0, 2.6, -5.0], np.zeros(NUM), np.zeros(NUM), DT)
     assert np.abs(np.diff(run.beta)).max() > 6
     found = lacking(run, [0.0, 0.0])
     assert np.median(np.abs(found[:, 1])) < 0.1 and np.abs(found[:, 1]).max() < 20.0

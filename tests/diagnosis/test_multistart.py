@@ -20,6 +20,7 @@ def test_what_is_found_round_about_is_what_was_hidden():
     assert anew.noise.disturbance.max() < 0.1 * found.base.noise.disturbance.max()
 
 
+@pytest.mark.slow
 def test_a_lost_observer_is_no_end():
     """Gains that trust the nominal car entirely, and sensors twice as good as they are."""
     truth = hidden(friction_rear=1.4)

@@ -53,6 +53,7 @@ def test_less_friction_drifts_slower_and_an_offset_is_steered_against():
     np.testing.assert_allclose([turned.u.delta, turned.u.Fxr], [nominal.u.delta - 0.03, nominal.u.Fxr], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradient_by_the_height_of_the_centre_of_mass_equals_central_differences():
     car, h = extended(load_transfer_long=0.3), 1e-4
     steer = lambda size: steady(car.with_parameters(car.theta * size)).u.delta

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from driftjax.core import Control, State
 from driftjax.equilibrium import Branch
@@ -61,6 +62,7 @@ def test_claims_are_how_rates_change_with_the_parameters():
         np.testing.assert_allclose(found[:, :, k], (np.asarray(up) - down) / (2 * h), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_another_value_of_a_named_effect_is_not_learnt_as_residual():
     Z, rng = inputs()
     caused = np.asarray(claims(Z)) @ [0.8, -0.6]

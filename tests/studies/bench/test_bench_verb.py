@@ -95,6 +95,8 @@ def test_missing_peers_are_told(hidden, monkeypatch):
     """Every row stays, with how to install its peer; the row of g++ is still measured."""
     fake = lambda num: lambda: Solved(jnp.ones(num), jnp.ones(num, bool))
     monkeypatch.setattr(mpc_rows, "mpc_solves", lambda kind, problems, dtype, **_: fake(len(problems.x)))
+    for name in ("single_track_steps", "double_track_steps"):
+        monkeypatch.setattr(simulator_rows, name, lambda dtype, num, *_: lambda: 3 * (np.zeros(num),))
     once = dataclasses.replace(QUICK, dtype=("float64",))
     rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(once).rows]
     told = {row.against: row.missing for row in rows}

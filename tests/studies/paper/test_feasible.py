@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from driftjax.core import State
 from driftjax.equilibrium import Branch, SlipRadius, solve_steady
@@ -14,6 +15,7 @@ from driftjax.studies.paper.feasible import drift_exists
 from driftjax.vehicle import build_car, load_vehicle
 
 
+@pytest.mark.slow
 def test_a_car_that_learnt_nothing_holds_its_own_corner_and_no_faster_one():
     nominal = build_car(load_vehicle("sedan").with_combined_slip(1.0))
     beta, R = jnp.asarray(-0.45), jnp.asarray(12.0)
