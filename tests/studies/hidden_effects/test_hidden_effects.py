@@ -48,9 +48,11 @@ def of(kind: str) -> list:
 
 def test_a_car_of_another_size_compiles_nothing():
     """Horizons and windows follow sqrt(L/g), and are no shapes. First of the file: results are kept."""
-    result(1), result(7)
+    for number in (1, 7):  # sedans
+        result(number)
     before = len(programs._programs)
-    result(2), result(8)
+    for number in (2, 8):  # RC cars
+        result(number)
     assert len(programs._programs) == before
 
 
