@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import EffectSet, beam_search, minimise, quadratic_cost
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.beam import EffectSet, beam_search, gain_of, minimise, quadratic_cost
+from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate, linearise, refine, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
 from driftjax.logs.columns import MEASURED
@@ -54,17 +54,21 @@ def search(
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     `report` hears of the effects named at each step.
     """
-    at = linearise(problem, start)
-    first = scores(problem, at, start.theta, (), seed)
-    selected = selected or motion_effects(problem, start, at, seed, most)
-    fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
+    first_at = linearise(problem, start)
+    first = scores(problem, first_at, start.theta, (), seed)
+    selected = selected or motion_effects(problem, start, first_at, seed, most)
+    fit, at = refit_to_convergence(problem, start, problem.columns(selected), first_at)
     remaining = scores(problem, at, fit.theta, selected, seed) if selected else first
     while True:
         if selected:
             report(f"naming: {', '.join(problem.effects[i].name for i in selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
-        more = STRIDE if rejected else 0
-        new, trial = best_set(problem, fit, selected, at, min(len(selected) + more, max(most, len(selected))))
+        short = at_bound(problem, fit.theta)[problem.columns(selected)].any()  # of what it stands for
+        more = STRIDE if rejected or short else 0
+        limit = min(len(selected) + more, max(most, len(selected)))
+        new, trial = best_set(problem, fit, selected, (fit, at), limit)
+        if new == selected and selected:  # a local optimum, perhaps: sets that the nominal car promises
+            new, trial = best_set(problem, fit, selected, (start, first_at), limit)
         if new == selected:
             return Selection(selected, fit, at, remaining, problem, start, first)
         selected = new
@@ -97,15 +101,15 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
 
 
 def best_set(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, limit: int
+    problem: Problem, fit: Fit, selected: tuple[int, ...], about: tuple[Fit, Linearisation], limit: int
 ) -> tuple[tuple[int, ...], Fit]:
     """Return the set of at most `limit` effects with the least penalised cost after refitting, and its fit.
 
-    Of the sets that promise less than `selected` now costs, those that promise least are refitted; `selected` and
-    `fit` come back where none of them is better.
+    Of the sets that promise less than `selected` in the quadratic model `about` a fit, those that promise least are
+    refitted; `selected` and its `fit` come back where none of them is better.
     """
-    trials = []
-    for one in promising_sets(problem, fit, selected, at, limit):
+    trials, at = [], about[1]
+    for one in promising_sets(problem, fit, selected, about, limit):
         trial = refine(problem, step_to(problem, fit, one), problem.columns(one.effects), at, num=1)
         trials.append((trial, one.effects))
     trials.sort(key=lambda item: penalised_cost(problem, *item))
@@ -118,16 +122,25 @@ def best_set(
 
 
 def promising_sets(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], at: Linearisation, limit: int
+    problem: Problem, fit: Fit, selected: tuple[int, ...], about: tuple[Fit, Linearisation], limit: int
 ) -> list[EffectSet]:
-    """Return up to 2 `REFITS` sets that promise to be better than `selected`: the best of all, then of each size."""
-    model, now = quadratic_cost(problem, fit, at), penalised_cost(problem, fit, selected)
-    promised = lambda one: model.cost - one.gain + PARAMETER_PENALTY * len(problem.columns(one.effects))
+    """Return up to 3 `REFITS` sets that promise to be better than `selected` in the model `about` a fit.
+
+    They are the best of all, then of each size, then of those with no parameter at a bound. About another fit than
+    the present one, what `selected` costs is what the model there says of it.
+    """
+    model = quadratic_cost(problem, *about)
+    price = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
+    now = fit.cost if about[0] is fit else model.cost - gain_of(model, minimise(model, selected))
+    better = lambda one: model.cost - one.gain + price(one.effects) < now + price(selected) - MARGIN
     sets = beam_search(model, limit, PARAMETER_PENALTY)
-    sets = [one for one in sets if promised(one) < now - MARGIN and set(one.effects) != set(selected)]
+    sets = [one for one in sets if better(one) and set(one.effects) != set(selected)]
     firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]
+    inner = [one for one in sets if not at_bound(problem, problem.start + one.psi).any()]
     leading = sets[:REFITS]
-    return leading + [one for one in firsts if all(one is not other for other in leading)][:REFITS]
+    for others in (firsts, inner):
+        leading += [one for one in others if all(one is not other for other in leading)][:REFITS]
+    return leading
 
 
 def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
