@@ -3,6 +3,10 @@
 Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
 Miller 2008).
+
+No |T| passes the root of the number of blocks in which an effect acts. What acts in few (a power limit, a patch of
+road) is therefore tested by its score over the deviation that the information gives it, dispersion included, without
+the block that says most. Both tests share the family-wise rate.
 """
 
 from collections.abc import Sequence
@@ -18,6 +22,11 @@ from driftjax.diagnosis.runs import Linearisation
 
 DRAWS = 1999  # of the random signs
 DISTINCT = 0.999  # cosine of two parameters' scores from which a pair is one
+FEW = 12.0  # blocks below which an effect acts in few
+FEW_SHARE = 0.2  # of the family-wise rate that is spent on these, where there are any
+FREEDOM = 10  # degrees of freedom of their dispersion, at least
+COLOUR = 0.9  # quantile of the dispersions of other effects that theirs is at least
+MEDIAN = float(chi2.median(1))  # of the square of a standard normal number
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
 
 
@@ -32,11 +41,15 @@ class Scores(NamedTuple):
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
     effective: np.ndarray  # (C, k) scores of each block of the k parameters tested, the selected ones projected out
     seed: int  # of the random signs
+    few: np.ndarray | None = (
+        None  # (K,) p-value of what acts in few blocks among these, 1 elsewhere; None: nothing does
+    )
 
     @property
     def p_value(self) -> float:
         """Return the probability that chance gives the largest score."""
-        return self._rarity(max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0)))
+        largest = max(np.abs(self.T).max(initial=0.0), self.joint.max(initial=0.0))
+        return self._either(self._rarity(largest), np.arange(len(self.T)))
 
     def p_value_of(self, effect: int, columns: np.ndarray) -> float:
         """Return the p-value of one effect with the parameters `columns`, adjusted for all effects tested.
@@ -44,7 +57,21 @@ class Scores(NamedTuple):
         That is the probability that chance gives any effect a score as large (single-step max-T; Westfall and Young
         1993).
         """
-        return self._rarity(max(np.abs(self.T[columns]).max(), self.joint[effect]))
+        return self._either(self._rarity(max(np.abs(self.T[columns]).max(), self.joint[effect])), columns)
+
+    def single_p_value(self, effect: int, columns: np.ndarray) -> float:
+        """Return the p-value of one effect alone, not adjusted for the others, from the tail of the normal law.
+
+        Random signs cannot give ones as small as a false discovery rate needs.
+        """
+        size = max(np.abs(self.T[columns]).max(), self.joint[effect])
+        return self._either(min(2 * float(norm.sf(size)) * len(columns), 1.0), columns)
+
+    def _either(self, p_value: float, columns: np.ndarray) -> float:
+        """Return the p-value of both tests together, of which the signs give `p_value`."""
+        if self.few is None:
+            return p_value
+        return min(p_value / (1 - FEW_SHARE), float(self.few[columns].min()) / FEW_SHARE, 1.0)
 
     def _rarity(self, size: float) -> float:
         return float((1 + np.sum(self.null_max >= size)) / (DRAWS + 1))
@@ -58,9 +85,14 @@ class Scores(NamedTuple):
 def sums_by_block(problem: Problem, e: ArrayLike, J: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Return information (K, K) and scores by block (C, K) of innovations (P, T, 3), derivatives (P, T, 3, K)."""
     e, J = np.asarray(e), np.asarray(J)
-    blocks = np.zeros((problem.data.num_blocks, J.shape[-1]))
-    np.add.at(blocks, problem.data.block, np.einsum("ptik,pti->ptk", J, e))
-    return information(J), blocks
+    return information(J), sum_by_block(problem, np.einsum("ptik,pti->ptk", J, e))
+
+
+def sum_by_block(problem: Problem, values: np.ndarray) -> np.ndarray:
+    """Return the sums (C, K) over blocks of `values` (P, T, K)."""
+    sums = np.zeros((problem.data.num_blocks, values.shape[-1]))
+    np.add.at(sums, problem.data.block, values)
+    return sums
 
 
 def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -91,7 +123,69 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
         joint[i] = joint_score(effective[:, c], U[None, c])[0]
     chance = null_max_scores(effective, own, one_sided, seed, list(together.values()))
     gains = np.array([_gain(problem, information, U, T, i, selected) for i in range(len(problem.effects))])
-    return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed)
+    few = few_block_p_values(problem, effective, np.asarray(at.J) @ P if selected else np.asarray(at.J), own, one_sided)
+    few = None if few is None else np.where(allowed, few, 1.0)
+    return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed, few)
+
+
+def benjamini_yekutieli(p_values: np.ndarray, rate: float) -> np.ndarray:
+    """Return which hypotheses (n,) are rejected at a false discovery `rate`, however their `p_values` (n,) depend.
+
+    Benjamini and Yekutieli (2001), Theorem 1.3.
+    """
+    n = len(p_values)
+    limit = rate * np.arange(1, n + 1) / (n * np.sum(1 / np.arange(1, n + 1)))
+    passing = np.flatnonzero(np.sort(p_values) <= limit)
+    return p_values <= (limit[passing[-1]] if len(passing) else -1.0)
+
+
+def few_block_p_values(
+    problem: Problem, effective: np.ndarray, J: np.ndarray, own: np.ndarray, one_sided: np.ndarray
+) -> np.ndarray | None:
+    """Return p-values (K,) of effects that act in few blocks, Bonferroni's among these, 1 elsewhere; None of none.
+
+    From effective scores by block (C, K) and effective derivatives (P, T, c, K). A block's score varies by its
+    information times the `block_dispersion` of the others'. The block that says most for an effect is left out, so
+    that none decides alone.
+    """
+    known = sum_by_block(problem, np.einsum("ptik,ptik->ptk", J, J))
+    num = known.sum(axis=0) ** 2 / np.maximum((known**2).sum(axis=0), np.finfo(float).tiny)
+    rare, common = own & (num < FEW), own & (num >= FEW)
+    if not rare.any() or not common.any():
+        return None
+    colour, found = score_dispersion(effective[:, common], known[:, common]), np.ones(len(own))
+    for k in np.flatnonzero(rare):
+        s, total = effective[:, k], known[:, k].sum()
+        cross = sum_by_block(problem, np.einsum("ptij,pti->ptj", J[..., common], J[..., k]))
+        about = effective[:, common] - cross * (s.sum() / total)  # with its own fit taken out
+        variance = known[:, k] * np.maximum(block_dispersion(about, known[:, common]), colour)
+        acts = known[:, k] > CONDITION * total
+        rest, left = variance.sum() - variance[acts], np.sign(s.sum()) * (s.sum() - s[acts])
+        least = (left / np.sqrt(np.maximum(rest, np.finfo(float).tiny))).min() if acts.sum() > 1 else 0.0
+        found[k] = min(rare.sum() * (1 if one_sided[k] else 2) * student.sf(max(least, 0.0), FREEDOM), 1.0)
+    return found
+
+
+def score_dispersion(effective: np.ndarray, known: np.ndarray) -> float:
+    """Return how many times their information scores (C, k) vary by, about each one's own fit; at least 1.
+
+    That of the effects that vary most but for a tenth, with leverages (MacKinnon and White 1985); `known` (C, k) is the
+    information by block.
+    """
+    total = known.sum(axis=0)
+    squares = (effective - known * (effective.sum(axis=0) / total)) ** 2
+    each = squares.sum(axis=0) / (total - (known**2).sum(axis=0) / total)
+    return max(float(np.quantile(each, COLOUR)), 1.0)
+
+
+def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return how many times their information the scores (C, k) of each block vary by, robust to few of them: (C,)."""
+    there = known > CONDITION * known.sum(axis=0)
+    ratio = np.where(there, effective**2 / np.where(there, known, 1.0), np.nan)
+    some = there.any(axis=1)
+    found = np.zeros(len(known))
+    found[some] = np.nanmedian(ratio[some], axis=1) / MEDIAN
+    return found
 
 
 def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
