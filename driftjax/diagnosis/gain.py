@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import PaddedRun
-from driftjax.diagnosis.runs import error_blocks, map_pieces, run_observer
+from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, room_for, run_observer
 from driftjax.gp import GP
 from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, sensor_reading
@@ -102,7 +102,7 @@ def predict_pieces(
     problem: Problem, theta: np.ndarray, z: Array, starts: np.ndarray, num: int, residual: GP | None = None
 ) -> np.ndarray:
     """Apply `predict_run` to all pieces with their states `z` (P, T, 6); return (P, S, num, 2, 3)."""
-    data, count, room = problem.data, jnp.asarray(num), room_for(num)
+    data, count, room = problem.data, jnp.asarray(num), room_for(num, ROOM)
 
     def some(first: Array) -> np.ndarray:
         of = lambda run, z: call(
@@ -115,13 +115,8 @@ def predict_pieces(
 
 def map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
     """Apply `function` to `STARTS` starts at a time; return its values (P, S, ...) for all."""
-    rows = [np.minimum(np.arange(k, k + STARTS), len(starts) - 1) for k in range(0, len(starts), STARTS)]
-    return np.concatenate([function(jnp.asarray(starts[row])) for row in rows], axis=1)[:, : len(starts)]
-
-
-def room_for(num: int) -> int:
-    """Return the room for `num` steps: of few sizes, so that one program serves many cars and sample rates."""
-    return max(ROOM, 1 << (num - 1).bit_length())
+    parts = [function(jnp.asarray(starts[batch])) for batch in batches(len(starts), STARTS)]
+    return np.concatenate(parts, axis=1)[:, : len(starts)]
 
 
 def horizon_steps(problem: Problem) -> np.ndarray:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
-from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces
+from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces, room_for
 from driftjax.parallel import call
 from driftjax.sim.record import road_acceleration
 from driftjax.vehicle.universal import Universal
@@ -55,6 +55,11 @@ def central_difference(f: Array) -> Array:
     return jnp.asarray(jnp.gradient(f))
 
 
+def central_difference_of_first(f: Array, num: Array) -> Array:
+    """Return the `central_difference` of the first `num` values of `f` (n,); what follows means nothing."""
+    return central_difference(f).at[num - 1].set(f[num - 1] - f[num - 2])
+
+
 def window_size(model: Universal, dt: float) -> int:
     """Return the samples from the begin of a window to its end."""
     return max(round(SPAN * float(model.base.unit_time) / dt), 2)
@@ -85,7 +90,7 @@ def motion_residuals(
     starts, ends = (jnp.minimum(k * W, last) for k in (jnp.arange(n), jnp.arange(n) + 1))
     change = lambda f: (f[ends] - f[starts]) / T
     mean = lambda f: jax.ops.segment_sum((f[1:] + f[:-1]) / 2, jnp.arange(last) // W, n) / W
-    slope = lambda f: (lambda g: g.at[last // W - 1].set(f[last // W - 1] - f[last // W - 2]))(central_difference(f))
+    slope = lambda f: central_difference_of_first(f, last // W)
     psi, x, y, ax, ay = motion.y.T
     vx, vy, turned = V * jnp.cos(beta), V * jnp.sin(beta), psi + beta
     across = jnp.stack([-V * jnp.sin(turned), V * jnp.cos(turned)])  # the velocity turned left by 90 degrees
@@ -166,8 +171,7 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
     """Apply `function` to all pieces, with room for windows of few sizes, and return those windows that there are."""
     W, where = window_size(model, data.dt), jnp.asarray(theta)
     n = (data.size - 1) // W
-    room = max(ROOM, 1 << (n - 1).bit_length())
-    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), room, data.dt)
+    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), room_for(n, ROOM), data.dt)
     found = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
     return jax.tree.map(lambda a: a[:, :n], found)
 

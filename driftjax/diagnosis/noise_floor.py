@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import Predictions, map_starts, march, room_for
+from driftjax.diagnosis.gain import ROOM, Predictions, map_starts, march
 from driftjax.diagnosis.observer import PaddedRun, set_state
-from driftjax.diagnosis.runs import map_pieces
+from driftjax.diagnosis.runs import map_pieces, room_for
 from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, sensor_reading
 from driftjax.vehicle.universal import Universal
@@ -78,7 +78,7 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
     """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
     data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
-    readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, room_for(num) - num), (0, 0)))
+    readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, room_for(num, ROOM) - num), (0, 0)))
 
     def some(first: Array) -> np.ndarray:
         there = readings[:, np.searchsorted(ahead.starts, first)]

@@ -177,8 +177,17 @@ def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> t
 
 def map_pieces(function, num: int, *trees, batch: int = BATCH_SIZE):
     """Apply `function` to all pieces of `trees` (leading axis) in batches of one size, with one program."""
-    rows = [np.minimum(np.arange(k, k + batch), num - 1) for k in range(0, num, batch)]
-    return concatenate_trees([function(*take(trees, row)) for row in rows], num)
+    return concatenate_trees([function(*take(trees, row)) for row in batches(num, batch)], num)
+
+
+def batches(num: int, size: int) -> list[np.ndarray]:
+    """Return the indices below `num` in batches of one `size`, the last one filled up with the last index."""
+    return [np.minimum(np.arange(k, k + size), num - 1) for k in range(0, num, size)]
+
+
+def room_for(num: int, least: int) -> int:
+    """Return the rows to keep for `num` results, at least `least`: of few sizes, so that one program serves many."""
+    return max(least, 1 << (num - 1).bit_length())
 
 
 def concatenate_trees(parts: list, num: int):
@@ -225,9 +234,9 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Sa
     lead = path.e.shape[:2]
     flat = jax.tree.map(lambda a: np.asarray(a).reshape(-1, *a.shape[2:]), (path, data.padded.place))
     within = np.flatnonzero(samples_in_run(np.asarray(data.padded.valid)))
-    num, parts = len(within), []
-    for k in range(0, num, SAMPLES):
-        samples, there = take(flat, within[np.minimum(np.arange(k, k + SAMPLES), num - 1)])
+    parts = []
+    for batch in batches(len(within), SAMPLES):
+        samples, there = take(flat, within[batch])
         parts.append(call(sample_derivatives, model, theta, samples, there, data.dt))
 
     def spread(a: np.ndarray) -> np.ndarray:
@@ -235,7 +244,7 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Sa
         whole[within] = a
         return whole.reshape(*lead, *a.shape[1:])
 
-    return jax.tree.map(spread, concatenate_trees(parts, num))
+    return jax.tree.map(spread, concatenate_trees(parts, len(within)))
 
 
 def whiten(gains: Gains, e: Array) -> Array:
