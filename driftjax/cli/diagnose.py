@@ -26,7 +26,7 @@ class Diagnose:
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV, Parquet or MATLAB files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s); with
-    `--columns` in any other, and ROS bags, MCAP and MDF files."""
+    `--columns` in any other, and the recordings of ROS, MCAP, MDF, MoTeC, AiM, CarMaker and RaceLogic."""
     options: Annotated[DiagnoseConfig, tyro.conf.arg(name="")] = DiagnoseConfig()
     vehicle: Path = Path("sedan")
     """Nominal car: a shipped name or a vehicle YAML, the extended.yaml of an earlier diagnosis among them: its effects

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.logs.geodesy import east_north
 from driftjax.logs.series import similar_names
 from driftjax.logs.table import Table
 
@@ -85,6 +86,49 @@ class Drive:
 
 
 @dataclass(frozen=True)
+class Position:
+    """Source of the position x east and y north [m]: latitude and longitude."""
+
+    latitude: str
+    """Foreign column, north positive."""
+    longitude: str
+    """Foreign column, east positive unless `west_positive`."""
+    factor: float = 1.0
+    """Degrees per unit of both columns, such as 1/60 for minutes of arc."""
+    west_positive: bool = False
+    """Whether longitude counts to the west."""
+    origin: tuple[float, float] | None = None
+    """Latitude and longitude of x = y = 0 [deg, north and east positive]; left out: where the file begins."""
+
+    def metres(self, table: Table) -> dict[str, np.ndarray]:
+        """Return x and y in every row."""
+        latitude, longitude = self.degrees(table)
+        x, y = east_north(latitude, longitude, self.start(table))
+        return {"x": x, "y": y}
+
+    def start(self, table: Table) -> tuple[float, float]:
+        """Return the origin; raises `BadInput` if there is no position."""
+        if self.origin is not None:
+            return self.origin
+        latitude, longitude = self.degrees(table)
+        there = np.flatnonzero(np.isfinite(latitude + longitude))
+        if not there.size:
+            raise BadInput(f"{table.path}: column '{self.latitude}' or '{self.longitude}' has no value in any row; "
+                           "leave out 'position_from'.")  # fmt: skip
+        return float(latitude[there[0]]), float(longitude[there[0]])
+
+    def degrees(self, table: Table) -> tuple[np.ndarray, np.ndarray]:
+        """Return latitude and longitude [deg], north and east positive."""
+        latitude, longitude = (self.factor * table.numbers(name) for name in (self.latitude, self.longitude))
+        for name, angle, most in ((self.latitude, latitude, 90), (self.longitude, longitude, 360)):
+            if (far := np.abs(angle) > most).any():
+                i = int(np.argmax(far))
+                raise BadInput(f"{table.path}, row {table.lines[i]}: column '{name}' is {angle[i]:g} deg with the "
+                               f"factor {self.factor:g}; correct key 'position_from' of the column map.")  # fmt: skip
+        return latitude, -longitude if self.west_positive else longitude
+
+
+@dataclass(frozen=True)
 class ColumnMap:
     """How to read a foreign log."""
 
@@ -98,10 +142,12 @@ class ColumnMap:
     """Lines of a CSV to pass over: the first so many, or those with the listed numbers, from 1."""
     Fxr_from: Drive | None = None
     """What stands for Fxr where there is no force channel."""
+    position_from: Position | None = None
+    """What x and y are computed from where the log has latitude and longitude."""
     rate: float | None = None
     """Sample rate to thin the log to [Hz]; left out: that of the log."""
     base: str | None = None
-    """Of a recording (ROS bag, MCAP, MDF): the channel whose time stamps all get; left out: the fastest measured."""
+    """Of a recording: the channel whose time stamps all get; left out: the fastest measured."""
     stamps: Stamps = "header"
     """Time stamps of messages: of their headers, where they have them, or of their receipt."""
 
@@ -112,6 +158,8 @@ class ColumnMap:
             require(name in known, f"key 'columns' maps '{name}'; the channels are {', '.join(known)}.")
             require(names.count(name) == 1, f"key 'columns' maps '{name}' twice; leave one.")
         require(self.Fxr_from is None or "Fxr" not in names, "Fxr is in 'columns' and 'Fxr_from'; leave one.")
+        require(self.position_from is None or not {"x", "y"} & set(names),
+                "x or y is in 'columns' and in 'position_from'; leave one.")  # fmt: skip
         lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
         require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
@@ -176,6 +224,8 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
     vx, vy = (values.pop(name, None) for name in VELOCITIES)
     if vx is not None and vy is not None:
         values = {"V": np.hypot(vx, vy), "beta": np.arctan2(vy, vx)} | values
+    if columns.position_from is not None:
+        values |= columns.position_from.metres(table)
     if columns.Fxr_from is not None:
         values["Fxr"] = columns.Fxr_from.force(table, values["V"] * np.cos(values["beta"]))
     return values

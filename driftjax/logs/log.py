@@ -13,10 +13,11 @@ import numpy as np
 from driftjax.core import BadInput, write_atomically
 from driftjax.logs.checks import check_rates
 from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap, load_columns
+from driftjax.logs.parse import parse_table
 from driftjax.logs.prepare import Segment, prepare_segments
 from driftjax.logs.raw import raw_runs
-from driftjax.logs.recording import read_recording, recording_kind
-from driftjax.logs.table import Table, file_errors, parse_table, read_bytes
+from driftjax.logs.recording import read_recording, recording_files, recording_kind
+from driftjax.logs.table import Table, file_errors, read_bytes
 
 CHUNK_SIZE = 2**20  # bytes
 
@@ -94,8 +95,8 @@ def read_log(
     `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.select_runs`) after `cut`
     has split long runs into parts of so many seconds (see `Log.split_runs`).
 
-    A log is a CSV, Parquet or MATLAB file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP or an
-    MDF file.
+    A log is a CSV, Parquet, MATLAB or VBO file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP,
+    MDF, MoTeC, AiM or CarMaker file.
     A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
     a command is missing for longer than that; the parts are called name, name+1, ...
     """
@@ -145,13 +146,13 @@ def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | No
     table = parse_table(path, content, columns.skips if columns else lambda line: False, time)
     if table.units:
         shown = ", ".join(f"{name} {unit}" for name, unit in zip(table.names, table.units, strict=True) if unit)
-        notes.append(f"{path}: the line of units ({shown}) was passed over; factors stand in the column map.")
+        notes.append(f"{path}: the units that it states ({shown}) change nothing; factors stand in the column map.")
     return table
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file, or of all files of a folder, in chunks: recordings may exceed the memory."""
-    for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
+    """Yield the bytes of all files of a recording, in chunks: they may exceed the memory."""
+    for file in recording_files(path):
         with file_errors(file), file.open("rb") as stream:
             while piece := stream.read(CHUNK_SIZE):
                 yield piece

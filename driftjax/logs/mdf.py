@@ -17,10 +17,12 @@ UNFINISHED = b"UnFinMF "
 REMEDY = "write it again, or export the measurement anew"
 
 
-def mdf_channels(path: Path) -> list[str]:
-    """Return the names of all channels except the time stamps of each group."""
+def mdf_channels(path: Path) -> dict[str, str]:
+    """Return the unit of every channel that is not the time stamps of its group."""
     with _opened(path) as mdf:
-        return sorted(name for name, places in mdf.channels_db.items() if _values(mdf, places))
+        places = {name: _values(mdf, places) for name, places in mdf.channels_db.items()}
+        with library_errors(path, KIND, REMEDY):
+            return {name: mdf.get_channel_unit(name, *found[0]) or "" for name, found in places.items() if found}
 
 
 def mdf_series(path: Path, names: Iterable[str]) -> dict[str, Series]:

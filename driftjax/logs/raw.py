@@ -57,6 +57,9 @@ def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[
     elif columns.Fxr_from is not None:
         notes.append(f"{path}: column '{columns.Fxr_from.column}' stands for Fxr, as the column map says.")
     table = _filtered(table, columns, notes)
+    if columns.position_from is not None:
+        north, east = columns.position_from.start(table)
+        notes.append(f"{path}: x is metres east and y metres north of latitude {north:.7f}, longitude {east:.7f} deg.")
     values, labels = map_channels(table, columns), columns.labels()
     beta_mapped = any(channel.name == "beta" for channel in columns.columns)
     return [

@@ -1,13 +1,13 @@
-"""Recordings (ROS bags, MCAP and MDF files), whose columns have their own clocks, as one table on one time base."""
+"""Recordings (ROS bags, MCAP, MDF, MoTeC, AiM, CarMaker), whose columns have their own clocks, as one table."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs import mcapfile, mdf, rosbag, sampling
+from driftjax.logs import aim, carmaker, mcapfile, mdf, motec, rosbag, sampling
 from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
 from driftjax.logs.messages import read_series
 from driftjax.logs.series import Series, check_series, quote_names
@@ -20,7 +20,15 @@ KINDS = {
     b"\x89MCAP": mcapfile.KIND,
     b"MDF     ": mdf.KIND,
     b"UnFinMF ": mdf.KIND,
+    motec.MAGIC: motec.KIND,
+    carmaker.MAGIC: carmaker.KIND,
 }  # by the first bytes of the file
+CHANNELS: dict[str, tuple[Callable[[Path], dict[str, str]], Callable[[Path, list[str]], dict[str, Series]]]] = {
+    mdf.KIND: (mdf.mdf_channels, mdf.mdf_series),
+    motec.KIND: (motec.motec_channels, motec.motec_series),
+    aim.KIND: (aim.aim_channels, aim.aim_series),
+    carmaker.KIND: (carmaker.carmaker_channels, carmaker.carmaker_series),
+}  # of recordings without messages: units by channel, samples by channel
 
 
 def recording_kind(path: Path) -> str | None:
@@ -34,7 +42,15 @@ def recording_kind(path: Path) -> str | None:
             return None  # nothing there, or a pipe, whose first bytes would be lost
         with path.open("rb") as stream:
             start = stream.read(max(map(len, KINDS)))
-    return next((kind for magic, kind in KINDS.items() if start.startswith(magic)), None)
+    is_aim = aim.is_aim(path, start)
+    return next((kind for magic, kind in KINDS.items() if start.startswith(magic)), aim.KIND if is_aim else None)
+
+
+def recording_files(path: Path) -> list[Path]:
+    """Return the files that a recording consists of: those of a folder by name, that beside a CarMaker file."""
+    if path.is_dir():
+        return sorted(one for one in path.rglob("*") if one.is_file())
+    return [path, *([info] if (info := carmaker.info_path(path)).is_file() else [])]
 
 
 def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list[str]) -> Table:
@@ -64,13 +80,14 @@ def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list
 
 
 def _names(path: Path, kind: str) -> list[str]:
-    read = {rosbag.KIND: rosbag.bag_topics, mcapfile.KIND: mcapfile.mcap_topics, mdf.KIND: mdf.mdf_channels}
-    return read[kind](path)
+    if kind in CHANNELS:
+        return sorted(CHANNELS[kind][0](path))
+    return {rosbag.KIND: rosbag.bag_topics, mcapfile.KIND: mcapfile.mcap_topics}[kind](path)
 
 
 def _series(path: Path, kind: str, names: Iterable[str], stamps: Stamps, notes: list[str]) -> dict[str, Series]:
-    if kind == mdf.KIND:
-        return mdf.mdf_series(path, names)
+    if kind in CHANNELS:
+        return CHANNELS[kind][1](path, list(names))
     read = {
         rosbag.KIND: lambda topics: rosbag.bag_messages(path, topics, notes),
         mcapfile.KIND: lambda topics: mcapfile.mcap_messages(path, topics),
@@ -86,6 +103,7 @@ def _roles(columns: ColumnMap) -> dict[str, str]:
     command = [channel.column for channel in columns.columns if channel.name in COMMANDS]
     command += [drive.column] if drive else []
     measured = [channel.column for channel in columns.columns if channel.name not in COMMANDS]
+    measured += [columns.position_from.latitude, columns.position_from.longitude] if columns.position_from else []
     ranks = {"measured": measured, "command": command, "state": state}  # what is measured is, whatever else it is for
     roles = dict(chain.from_iterable(((name, role) for name in names) for role, names in reversed(ranks.items())))
     return {name: role for name, role in roles.items() if name != TIME}

@@ -3,13 +3,15 @@
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from driftjax.core import BadInput
 
 SHOWN = 6  # names that a message lists
+
+T = TypeVar("T")
 
 
 class Series(NamedTuple):
@@ -42,6 +44,21 @@ def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
             f"{path}, sample {np.argmax(np.isinf(y)) + 1} of '{source}': column '{name}' is infinite; "
             "leave the value out of the recording instead."
         )
+
+
+def pick_channels(path: Path, names: Iterable[str], channels: Sequence[tuple[str, T]]) -> dict[str, T]:
+    """Return the channels `names`; raises `BadInput` for one that is not there, or more than once."""
+    there = [name for name, _ in channels]
+    for name in names:
+        if name not in there:
+            raise BadInput(
+                f"{path}: has no channel '{name}'; it has {similar_names(name, there) or 'none'}; "
+                "correct the column map."
+            )
+        if there.count(name) > 1:
+            raise BadInput(f"{path}: channel '{name}' is there {there.count(name)} times; rename one in the logger.")
+    found = dict(channels)
+    return {name: found[name] for name in names}
 
 
 def similar_names(name: str, there: Iterable[str]) -> str:

@@ -443,7 +443,7 @@ def test_a_header_behind_a_hash_and_a_line_of_units_are_read_as_they_are(tmp_pat
     (tmp_path / "hash.csv").write_text("\n".join(["# made by hand", f"# {header}", *rows]))
     (tmp_path / "units.csv").write_text("\n".join([header, units, *rows]))
     plain, behind_hash, with_units = (read_log([tmp_path / f"{name}.csv"]) for name in ("plain", "hash", "units"))
-    assert not plain.notes and not behind_hash.notes and "the line of units (t m/s" in with_units.notes[0]
+    assert not plain.notes and not behind_hash.notes and "the units that it states (t m/s" in with_units.notes[0]
     for name in CHANNELS:
         expected = getattr(plain.runs[0], name)
         np.testing.assert_array_equal(getattr(behind_hash.runs[0], name), expected)

@@ -1,0 +1,72 @@
+"""Read AiM logs (.xrk, .xrz) with libxrk, in a process of its own: damaged files can crash it or keep it busy."""
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.logs.extras import import_extra
+from driftjax.logs.series import Series, pick_channels
+
+KIND = "AiM file"
+MAGIC = b"<hCNF"
+DEFLATED = (b"\x78\x01", b"\x78\x9c", b"\x78\xda")  # .xrz
+REMEDY = "read it out of the logger again"
+TIMEOUT = 300.0  # s
+MOST_MEMORY = 8 * 2**30  # bytes
+READ = """
+import io, os, resource, sys
+import numpy as np
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
+stdout, sys.stdout = sys.stdout, sys.stderr
+from libxrk import ChannelMetadata, aim_xrk
+arrays = {}
+for name, table in aim_xrk(sys.argv[1]).channels.items():
+    k = len(arrays) // 3
+    arrays[f"name{k}"] = np.array([name, ChannelMetadata.from_channel_table(table).units])
+    arrays[f"t{k}"] = table.column("timecodes").to_numpy() / 1000
+    arrays[f"y{k}"] = np.asarray(table.column(name).to_numpy(), float)
+np.savez(whole := io.BytesIO(), **arrays)
+stdout.buffer.write(whole.getvalue())
+"""
+
+
+def is_aim(path: Path, start: bytes) -> bool:
+    """Return whether a file with these first bytes is an AiM log."""
+    return start.startswith(MAGIC) or (path.suffix.lower() == ".xrz" and start.startswith(DEFLATED))
+
+
+def aim_channels(path: Path) -> dict[str, str]:
+    """Return the unit of every channel."""
+    return {name: unit for name, unit, _ in _read(path)}
+
+
+def aim_series(path: Path, names: list[str]) -> dict[str, Series]:
+    """Return the channels `names`; time counts from the start of the log."""
+    return pick_channels(path, names, [(name, series) for name, _, series in _read(path)])
+
+
+def _read(path: Path) -> list[tuple[str, str, Series]]:
+    """Return name, unit and samples of every channel."""
+    import_extra(path, f"an {KIND}", "aim", "libxrk")
+    command = [sys.executable, "-c", READ, str(path.resolve()), str(MOST_MEMORY)]
+    try:
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=TIMEOUT)
+    except subprocess.TimeoutExpired:
+        raise BadInput(f"{path}: is no readable {KIND} (reading it takes over {TIMEOUT:g} s); {REMEDY}.") from None
+    if done.returncode:
+        reason = " ".join(done.stderr.decode("utf-8", "replace").split("\n")[-2:]).strip()[:120].rstrip(".")
+        raise BadInput(f"{path}: is no readable {KIND} ({reason or f'exit {done.returncode}'}); {REMEDY}.")
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+        parts = [(arrays[f"name{k}"], arrays[f"t{k}"], arrays[f"y{k}"]) for k in range(len(arrays.files) // 3)]
+    if not parts:
+        raise BadInput(f"{path}: is no readable {KIND} (it holds no channel with samples); {REMEDY}.")
+    return [(str(name[0]), str(name[1]), Series(_clock(t), t, y)) for name, t, y in parts]
+
+
+def _clock(t: np.ndarray) -> str:
+    """Return a name for the time stamps, the same for channels that share them."""
+    return f"{len(t)} samples from {t[0]:g} to {t[-1]:g} s" if len(t) else "no samples"

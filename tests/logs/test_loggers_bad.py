@@ -1,0 +1,138 @@
+"""Damaged logs of loggers are read or refused in one sentence: never a traceback, a hang or a crash."""
+
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import loggers
+import numpy as np
+import pytest
+
+from driftjax.core import BadInput
+from driftjax.logs import aim, read_log
+from driftjax.logs.carmaker import info_path
+
+HEADERS = {"lap.ld": 0x3448 + 8 * 124, "lap.vbo": 600, "lap.erg": 16, "lap.xrk": 800}  # bytes before the samples
+CASES = 100
+
+
+def one_sentence(path: Path, columns: Path) -> str | None:
+    """What a file is refused with, None if it is read."""
+    try:
+        read_log(path, str(columns))
+    except BadInput as error:
+        said = str(error)
+        assert said.startswith(str(path)) and said.endswith(".") and "\n" not in said, said
+        return said
+    return None
+
+
+def mutated(content: bytes, header: int, rng: np.random.Generator) -> bytes:
+    """Bytes changed, cut out, doubled or cut off, most of them where the file says what is where."""
+    new = bytearray(content)
+    for _ in range(rng.integers(1, 6)):
+        end = min(header, len(new)) if rng.random() < 0.7 else len(new)
+        at = int(rng.integers(0, max(end, 1)))
+        num = int(rng.integers(1, 9))
+        match rng.integers(0, 5):
+            case 0 | 1:
+                new[at : at + num] = rng.integers(0, 256, num).astype(np.uint8).tobytes()
+            case 2:
+                del new[at : at + num]
+            case 3:
+                new[at:at] = new[at : at + num]
+            case _:
+                del new[int(rng.integers(0, len(new) + 1)) :]
+    return bytes(new)
+
+
+def refused(folder: Path, name: str, cases: int, part: Callable[[Path], Path] = lambda path: path) -> int:
+    """How many of so many mutations of a lap (of one `part` of it) are refused."""
+    path, columns = loggers.logged(folder, name)
+    victim = part(path)
+    content, rng = victim.read_bytes(), np.random.default_rng(20261125)
+    header = HEADERS[name] if victim == path else len(content)
+    said = []
+    for _ in range(cases):
+        victim.write_bytes(mutated(content, header, rng))
+        said.append(one_sentence(path, columns))
+    return sum(one is not None for one in said)
+
+
+@pytest.mark.parametrize("name", ["lap.ld", "lap.vbo", "lap.erg"])
+def test_mutated_files_are_read_or_refused(tmp_path, name):
+    assert CASES // 4 < refused(tmp_path, name, CASES) < CASES
+
+
+def test_mutated_descriptions_of_results_are_read_or_refused(tmp_path):
+    assert CASES // 4 < refused(tmp_path, "lap.erg", CASES, info_path) < CASES
+
+
+@pytest.mark.slow
+def test_mutated_aim_logs_are_read_or_refused(tmp_path):
+    assert 0 < refused(tmp_path, "lap.xrk", CASES) < CASES
+
+
+def test_an_aim_log_that_cannot_be_read(tmp_path, monkeypatch):
+    path, columns = loggers.logged(tmp_path, "lap.xrk")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 3].replace(b"CHS", b"CHX"))
+    assert "is no readable AiM file (" in (one_sentence(path, columns) or "")
+    path.write_bytes(whole)
+    monkeypatch.setattr(aim, "READ", "while True: pass")
+    monkeypatch.setattr(aim, "TIMEOUT", 0.2)
+    assert "takes over 0.2 s" in (one_sentence(path, columns) or "")
+    monkeypatch.setattr(aim, "READ", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setattr(aim, "TIMEOUT", 60)
+    assert "(exit -11)" in (one_sentence(path, columns) or "")
+    monkeypatch.setitem(sys.modules, "libxrk", None)
+    assert "pip install 'driftjax[aim]'" in (one_sentence(path, columns) or "")
+
+
+def changed(path: Path, old: bytes, new: bytes) -> Path:
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new, 1))
+    return path
+
+
+BAD: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "a list that leads back": ("lap.ld", lambda path: changed(path, struct.pack("<II", 0x3448, 0x3448 + 2 * 124),
+                               struct.pack("<II", 0x3448, 0x3448)), "list of channels leads to byte 13384"),
+    "samples of no known kind": ("lap.ld", lambda path: changed(path, b"\xe1\x2e\x07\0\x04\0", b"\xe1\x2e\x06\0\x04\0"),
+                                 r"'Ground Speed' has samples of kind \(6, 4\), 50 Hz"),
+    "cut off": ("lap.ld", lambda path: path.write_bytes(path.read_bytes()[:-100]), "ends before the samples of"),
+    "a name twice": ("lap.ld", lambda path: changed(path, b"G Force Lat\0", b"Slip Angle\0\0"),
+                     "'Slip Angle' is there 2 times"),
+    "no such channel": ("lap.ld", lambda path: changed(path, b"Slip Angle", b"Slap Angle"),
+                        "has no channel 'Slip Angle'; it has 'Slap Angle'"),
+    "a cell too few": ("lap.vbo", lambda path: changed(path, b" +0100.00", b""), "row 30: has 10 cells for 11"),
+    "no number": ("lap.vbo", lambda path: changed(path, b" +0100.00 1", b" +0100.00 x"), "row 30: column 'yaw' holds"),
+    "no time of day": ("lap.vbo", lambda path: changed(path, b"235958.05", b"236158.05"), "row 31: 'time' is 236158"),
+    "no rows": ("lap.vbo", lambda path: path.write_text(loggers.VBO), r"no rows under \[data\]"),
+    "degrees for minutes": ("lap.vbo", lambda path: changed(path, b" +2959.8", b" +9959.8"), "no angle in minutes"),
+    "no description": ("lap.erg", lambda path: info_path(path).unlink(), "cannot be read without lap.erg.info"),
+    "another description": ("lap.erg", lambda path: changed(info_path(path), b"= Float", b"= Double"),
+                            "has records of 49 bytes where lap.erg.info describes 53"),
+    "no type": ("lap.erg", lambda path: changed(info_path(path), b"= Float", b"= Text"), "'Car.v' has the type 'Text'"),
+    "no factor": ("lap.erg", lambda path: changed(info_path(path), b"1e-4", b"small"), "has factor 'small'"),
+    "no byte order": ("lap.erg", lambda path: changed(info_path(path), b"LittleEndian", b"?"), "'File.ByteOrder' is"),
+    "no quantities": ("lap.erg", lambda path: info_path(path).write_text("#\n"), "describes no quantity"),
+    "a filler": ("lap.erg", lambda path: changed(path.with_name("map.yaml"), b"Car.Fx", b"$none$"), "holds no number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_named(tmp_path, case):
+    name, damage, sentence = BAD[case]
+    path, columns = loggers.logged(tmp_path, name)
+    damage(path)
+    with pytest.raises(BadInput, match=sentence):
+        read_log(path, str(columns))
+
+
+def test_a_log_without_a_column_map(tmp_path):
+    path, _ = loggers.logged(tmp_path, "lap.ld")
+    with pytest.raises(BadInput, match="needs a column map that says what is what; it holds 'Drive Force',"):
+        read_log(path)
