@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from driftjax.diagnosis.held_out import DiagnoseConfig as DiagnoseConfig
     from driftjax.equilibrium.branch import Branch as Branch
     from driftjax.equilibrium.map import equilibria as equilibria
+    from driftjax.export import Export as Export
+    from driftjax.export import export_car as export_car
     from driftjax.gp import GP as GP
     from driftjax.gp import fit_gp as fit_gp
     from driftjax.learning.config import LearnConfig as LearnConfig
@@ -66,6 +68,7 @@ MODULES = {
     "diagnosis.held_out": ("DiagnoseConfig",),
     "equilibrium.branch": ("Branch",),
     "equilibrium.map": ("equilibria",),
+    "export": ("Export", "export_car"),
     "gp": ("GP", "fit_gp"),
     "learning.config": ("LearnConfig", "load_learn_config"),
     "learning.run": ("learn",),

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "driftjax"
 ROWS = (
     "environment | core | parallel | tyre gp track store logs | solve | vehicle | sim equilibrium | control planner"
-    " | manoeuvres explore | learning diagnosis | tune | report | sweep | studies | cli"
+    " | manoeuvres explore | learning diagnosis export | tune | report | sweep | studies | cli"
 )
 RANK = {name: rank for rank, row in enumerate(ROWS.split("|")) for name in row.split()}
 FILES = sorted(PACKAGE.rglob("*.py"))

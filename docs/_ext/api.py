@@ -20,6 +20,7 @@ HEADINGS = {
     "logs": "Measured logs",
     "manoeuvres": "Simulated logs",
     "diagnosis": "Diagnosis",
+    "export": "Export to other tools",
     "store": "Run folders",
     "core": "Records, outcomes and errors",
 }

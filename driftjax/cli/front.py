@@ -25,6 +25,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
   inspect LOG    what is in a measured log, and whether its channels agree
   calibrate LOG  fit the nominal car to runs in which it should be right, before a diagnosis
   simulate       drive manoeuvres on a car with any effects and noise: a log in the log format, and its truth
+  export CAR     a car in the format of another tool, and what that format loses of it
   plan           minimum-time plan of a car on a track: plan.nc, plan.csv, figures
   equilibria     map of a car's steady states: grip and drift branches
   tune           weights and switching lead of the drift MPC by gradients through laps, against random search

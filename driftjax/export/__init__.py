@@ -1,0 +1,5 @@
+"""Export a car to the formats of other tools, and say what they cannot hold of it."""
+
+from driftjax.export.export import FORMATS as FORMATS
+from driftjax.export.export import Export as Export
+from driftjax.export.export import export_car as export_car

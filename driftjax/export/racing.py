@@ -1,0 +1,116 @@
+"""Exports for planners and stacks of small race cars: race_stack / On-Track-SysID, the TUM planner, f1tenth_gym."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from driftjax.export.steady import cornering, grip_limits, up_to_the_limit
+from driftjax.export.target import AXLES, Format, Kept, write_text, write_yaml
+from driftjax.vehicle.effect import reference
+
+STEERS, SPEEDS = 60, 50  # rows and columns of the steering table
+TABLE_SPEEDS = (0.3, 4.5)  # its slowest and fastest speed [sqrt(g L)]
+GGV_SPEEDS = 25  # rows of the tables of the TUM planner
+
+
+def write_race_stack(kept: Kept, folder: Path) -> tuple[str, ...]:
+    """Write NAME_pacejka.yaml and NAME_pacejka_lookup_table.csv.
+
+    F_y = D F_z sin(C arctan(B alpha - E (B alpha - arctan(B alpha)))), alpha = delta - arctan(...), left positive. The
+    table has speeds in its first row [m/s], steering angles in its first column [rad], and the lateral acceleration of
+    steady cornering [m/s^2]; NaN beyond the limit of grip.
+    """
+    car, v = kept.car, kept.vehicle
+    model = {
+        "C_Pf": [car.Bf, car.Cf, car.muf, 0.0],
+        "C_Pr": [car.Br, car.Cr, car.mur, 0.0],
+        "I_z": car.Iz, "a_max": kept.forces[1] / car.m, "a_min": kept.forces[0] / car.m,
+        "h_cg": kept.value("load_transfer_long.h"), "l_f": car.a, "l_r": car.b, "l_wb": car.wheelbase, "m": car.m,
+        "model_name": kept.name, "mu": 1.0, "tau_steer": kept.value("steer_lag.tau"), "tire_model": "pacejka",
+    }  # fmt: skip
+    delta = np.linspace(0.0, v.delta_max, STEERS)
+    V = np.linspace(*TABLE_SPEEDS, SPEEDS) * reference(v, "speed")
+    left, right = (cornering(kept.full, sign * delta, V) for sign in (1, -1))
+    table = np.zeros((STEERS + 1, SPEEDS + 1))
+    table[0, 1:], table[1:, 0] = V, delta
+    table[1:, 1:] = up_to_the_limit((left - right) / 2)  # an offset of the steering is not the table's
+    text = io.StringIO()
+    np.savetxt(text, table, delimiter=",")
+    return (
+        write_yaml(folder / f"{kept.name}_pacejka.yaml", model),
+        write_text(folder / f"{kept.name}_pacejka_lookup_table.csv", text.getvalue()),
+    )
+
+
+def write_tum(kept: Kept, folder: Path) -> tuple[str, ...]:
+    """Write ggv.csv (v, ax_max, ay_max) and ax_max_machines.csv (v, ax_max_machines) [m/s, m/s^2]."""
+    V = np.linspace(0.0, kept.top_speed, GGV_SPEEDS)
+    moving = np.maximum(V, TABLE_SPEEDS[0] * reference(kept.vehicle, "speed"))
+    brake, drive, side = grip_limits(kept.vehicle, moving)
+    force = kept.forces[1] / (1 + kept.value("power_limit.p") * V * max(kept.forces[1], 0.0))
+    machine = np.minimum(force / kept.car.m, drive)
+    return (
+        write_text(folder / "ggv.csv", _csv("v_mps,ax_max_mps2,ay_max_mps2", V, brake, side)),
+        write_text(folder / "ax_max_machines.csv", _csv("v_mps,ax_max_machines_mps2", V, machine)),
+    )
+
+
+def _csv(header: str, *columns: np.ndarray) -> str:
+    text = io.StringIO()
+    np.savetxt(text, np.stack(columns, axis=1), fmt="%.6f", delimiter=",", header=header)
+    return text.getvalue()
+
+
+def write_gym(kept: Kept, folder: Path) -> tuple[str, ...]:
+    """Write f1tenth_gym.yaml, the dictionary `params` of the single-track model (`model: st`).
+
+    F_y = mu C_S F_z alpha: C_S = B C of each axle, times its friction over `mu`, the mean.
+    """
+    car, v = kept.car, kept.vehicle
+    mu, force = (car.muf + car.mur) / 2, kept.forces[1]
+    power = kept.value("power_limit.p")
+    params = {
+        "mu": mu, "C_Sf": car.Bf * car.Cf * car.muf / mu, "C_Sr": car.Br * car.Cr * car.mur / mu,
+        "lf": car.a, "lr": car.b, "h": kept.value("load_transfer_long.h"), "m": car.m, "I": car.Iz,
+        "s_min": -v.delta_max, "s_max": v.delta_max, "sv_min": -v.delta_rate_max, "sv_max": v.delta_rate_max,
+        "v_switch": min(1 / (power * force), kept.top_speed) if power else kept.top_speed,
+        "a_max": max(force, -kept.forces[0]) / car.m, "v_min": -0.25 * kept.top_speed, "v_max": kept.top_speed,
+        "width": v.width, "length": v.length,
+    }  # fmt: skip
+    return (write_yaml(folder / "f1tenth_gym.yaml", params),)
+
+
+ENVELOPE = ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "sliding_friction",
+            "drive_split", "brake_split", "drive_gain", "power_limit")  # fmt: skip
+
+RACE_STACK = Format(
+    "race_stack and On-Track-SysID: tyres (YAML) and steering table (CSV)",
+    frozenset({*AXLES, "load_transfer_long", "steer_lag"}),
+    (
+        "the stack's model takes longitudinal acceleration as given and knows no combined slip",
+        "its model of the motor (C_0d, C_d, C_acc, C_dec, C_R) is not in the file",
+        "the steering table is that of the car with all its steady effects, except an offset of the steering",
+    ),
+    write_race_stack,
+)
+TUM = Format(
+    "TUM global_racetrajectory_optimization and laptime simulation: ggv.csv and ax_max_machines.csv",
+    frozenset({*AXLES, *ENVELOPE}),
+    (
+        "a planner of limits holds no motion: what acts between the limits is lost",
+        "ax_max is the braking at which the first axle slides; driving is limited by the grip of the driven axle, too",
+        "aero_drag goes into the planner's own 'dragcoeff', twice the value c of this car",
+    ),
+    write_tum,
+    predicts=False,
+)
+GYM = Format(
+    "f1tenth_gym: params of the single-track model",
+    frozenset({*AXLES, "load_transfer_long", "power_limit"}),
+    (
+        "its tyres are linear: there is no limit of grip, so friction only scales their stiffness",
+        "it takes longitudinal acceleration as given; a_max is the larger of drive and brake",
+    ),
+    write_gym,
+)

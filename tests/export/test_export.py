@@ -1,0 +1,195 @@
+"""Files for other tools: read by their own code where it can be installed, else as that code reads them."""
+
+import dataclasses
+import json
+from typing import Any
+
+import casadi as ca
+import jax
+import numpy as np
+import pytest
+import yaml
+from vehiclemodels.utils.tire_model import formula_lateral, formula_lateral_comb, formula_longitudinal
+from vehiclemodels.vehicle_dynamics_st import vehicle_dynamics_st
+from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
+from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
+
+from driftjax.cli import main
+from driftjax.core import BadInput
+from driftjax.export import FORMATS, export_car
+from driftjax.export.casadi_car import advance, rates_model
+from driftjax.export.loss import loss
+from driftjax.export.target import Options, keep
+from driftjax.logs import Log, Run
+from driftjax.vehicle import EffectParameterValue, VehicleConfig, load_vehicle
+from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.single_track import G
+
+SEDAN = load_vehicle("sedan")
+L = SEDAN.a + SEDAN.b
+
+
+def with_effects(vehicle: VehicleConfig = SEDAN, **values: float) -> VehicleConfig:
+    """The car with effects written as effect__parameter=value."""
+    found = [EffectParameterValue(name.split("__")[0], name.split("__")[1], value) for name, value in values.items()]
+    order = list(EFFECTS)
+    return dataclasses.replace(vehicle, effects=tuple(sorted(found, key=lambda one: order.index(one.effect))))
+
+
+def read_parameters(folder) -> Any:
+    """Parameters as CommonRoad's package reads them."""
+    return setup_vehicle_parameters(5, folder)
+
+
+def written(car: VehicleConfig, to: str, folder) -> str:
+    """Content of the first file of a format, without measuring the loss, whose program takes seconds to compile."""
+    export = FORMATS[to]
+    return (folder / export.write(keep(car, export.holds, Options()), folder)[0]).read_text()
+
+
+def test_commonroad_reads_the_files_and_its_tyre_has_our_force(tmp_path):
+    car = with_effects(
+        dataclasses.replace(SEDAN, combined_slip=1.0), friction__p=-0.1, mass__p=0.05, load_transfer_long__h=0.5
+    )
+    export_car(car, "commonroad", tmp_path)
+    p = read_parameters(tmp_path)
+    assert p.m == pytest.approx(1.05 * SEDAN.m)
+    assert (p.a, p.b, p.h_s) == (SEDAN.a, SEDAN.b, 0.5)
+    Fz = 4000.0
+    for alpha in (-0.4, -0.02, 0.1, 0.3):
+        force = -0.9 * SEDAN.mu * Fz * np.sin(SEDAN.C * np.arctan(SEDAN.B * alpha))
+        assert formula_lateral(alpha, 0.0, Fz, p.tire)[0] == pytest.approx(force, rel=1e-12)
+    for kappa in (-0.02, -0.05, -0.1):  # their slip is negative when driving
+        drive = formula_longitudinal(kappa, 0.0, Fz, p.tire) / (0.9 * SEDAN.mu * Fz)
+        left = formula_lateral_comb(kappa, 0.1, 0.0, 0.9, Fz, 1.0, p.tire)
+        assert left == pytest.approx(np.sqrt(max(1 - drive**2, 0.04)), abs=0.06)
+    assert np.all(np.isfinite(vehicle_dynamics_std([0, 0, 0.05, 15, 0, 0.3, 0.0, 48, 48], [0.0, 1.0], p)))
+
+
+def test_single_track_of_f1tenth_gym_and_commonroad_turns_as_ours_at_small_slip(tmp_path):
+    rc = with_effects(load_vehicle("rc"), stiffness_front__p=0.2)
+    export_car(rc, "f1tenth_gym", tmp_path)
+    q = yaml.safe_load((tmp_path / "f1tenth_gym.yaml").read_text())
+    plain = dataclasses.replace(rc, effects=())
+    export_car(plain, "commonroad", tmp_path)
+    p = read_parameters(tmp_path)
+    assert q["C_Sf"] == pytest.approx(-1.2 * p.tire.p_ky1 / p.tire.p_dy1)
+    assert q["C_Sr"] == pytest.approx(-p.tire.p_ky1 / p.tire.p_dy1)
+    names = "mu lf lr h m I s_min s_max sv_min sv_max v_switch a_max v_min v_max width length C_Sf C_Sr"
+    assert set(q) == set(names.split())
+    V, beta, r, delta = 3.0, 0.002, 0.01, 0.003
+    theirs = vehicle_dynamics_st([0, 0, delta, V, 0, r, beta], [0.0, 0.0], p)
+    ours = rates_model(plain)
+    dV, dbeta, dr = np.asarray(jax.jit(ours.function)(np.array([V, beta, r]), np.array([delta, 0.0])))
+    assert theirs[5] == pytest.approx(dr, rel=0.01)
+    assert theirs[6] == pytest.approx(dbeta, rel=0.01)
+
+
+def test_race_stack_tyres_and_table_have_the_linear_limit(tmp_path):
+    found = export_car(with_effects(steer_lag__tau=0.05), "race_stack", tmp_path)
+    assert found.lost == () and found.loss is None
+    model = yaml.safe_load((tmp_path / "sedan_pacejka.yaml").read_text())
+    assert model["C_Pf"] == pytest.approx([SEDAN.B, SEDAN.C, SEDAN.mu, 0.0])
+    assert model["tau_steer"] == 0.05
+    table = np.loadtxt(tmp_path / "sedan_pacejka_lookup_table.csv", delimiter=",")
+    V, delta, ay = table[0, 1:], table[1:, 0], table[1:, 1:]
+    linear = V**2 * delta[1] / L  # tyres alike in front and rear: neutral steering
+    slow = linear < 1.0
+    assert ay[1, slow] == pytest.approx(linear[slow], rel=0.01)
+    for column in ay.T:
+        known = column[np.isfinite(column)]
+        assert np.all(np.diff(known) > 0) and np.isnan(column[len(known) :]).all()
+    assert 0.85 * SEDAN.mu * G < np.nanmax(ay) <= SEDAN.mu * G * 1.001
+
+
+def test_tum_tables_are_the_limits_of_grip_in_closed_form(tmp_path):
+    h = 0.5
+    car = with_effects(friction_front__p=-0.08, load_transfer_long__h=h, power_limit__p=1e-5)
+    export_car(car, "tum", tmp_path, top_speed=40.0)
+    ggv = np.loadtxt(tmp_path / "ggv.csv", comments="#", delimiter=",")
+    machine = np.loadtxt(tmp_path / "ax_max_machines.csv", comments="#", delimiter=",")
+    assert ggv.shape[1] == 3 and machine.shape[1] == 2 and ggv[-1, 0] == machine[-1, 0] == 40.0
+    assert np.all(ggv >= 0) and np.all(ggv[:, 1:] < 50)
+    assert ggv[:, 2] == pytest.approx(0.92 * SEDAN.mu * G, rel=1e-3)  # the front slides first
+    assert ggv[:, 1] == pytest.approx(SEDAN.mu * G * SEDAN.a / (L + SEDAN.mu * h), rel=0.01)  # brakes at the rear
+    force = SEDAN.Fxr_max / (1 + 1e-5 * machine[:, 0] * SEDAN.Fxr_max)
+    assert machine[:, 1] == pytest.approx(force / SEDAN.m, rel=1e-5)
+
+
+def test_autoware_and_open_car_dynamics_have_our_actuators_and_body(tmp_path):
+    car = with_effects(friction_front__p=-0.08, stiffness_rear__p=0.1, steer_delay__d=0.04, steer_lag__tau=0.06,
+                       drive_lag__tau=0.1, steer_gain__p=0.05, aero_drag__c=0.5)  # fmt: skip
+    q = yaml.safe_load(written(car, "autoware", tmp_path))["/**"]["ros__parameters"]
+    assert (q["steer_time_delay"], q["steer_time_constant"], q["acc_time_constant"]) == (0.04, 0.06, 0.1)
+    assert q["debug_steer_scaling_factor"] == pytest.approx(1.05) and q["steer_lim"] == SEDAN.delta_max
+    content = json.loads(written(car, "open_car_dynamics", tmp_path))
+    body = "vehicle_dynamics_single_track"
+    drag = content[f"{body}.aerodynamics.c_d"] * content[f"{body}.aerodynamics.air_density_kgpm3"] / 2
+    assert drag * content[f"{body}.aerodynamics.A_m2"] == pytest.approx(0.5)
+    assert content["steering_actuator.T_PT1"] == 0.06
+    assert content[f"{body}.z.tire_model.rear_left.lateral.B"] == pytest.approx(1.1 * SEDAN.B)
+    assert content[f"{body}.z.tire_model.front_right.lateral.D"] == pytest.approx(0.92 * SEDAN.mu)
+
+
+def random_inputs(model, seed: int, num: int = 10):
+    """States about the start, moving and slipping, and inputs."""
+    rng = np.random.default_rng(seed)
+    for _ in range(num):
+        x = model.start + rng.uniform(-0.1, 0.1, len(model.start))
+        x[:3] = rng.uniform([5.0, -0.5, -1.0], [20.0, 0.5, 1.0])
+        yield x, rng.uniform([-0.5, -3000.0], [0.5, 6000.0])
+
+
+def same_as_casadi(car, folder) -> None:
+    """Both CasADi functions equal ours to 1e-9."""
+    export = FORMATS["casadi"]
+    export.write(keep(car, export.holds, Options()), folder)
+    names = json.loads((folder / "casadi.json").read_text())
+    for kind, model in (("rates", rates_model(car)), ("step", advance(car, Options().dt))):
+        theirs, ours = ca.Function.load(str(folder / f"{kind}.casadi")), jax.jit(model.function)
+        assert names[kind]["x"] == list(model.names) and names[kind]["start"] == model.start.tolist()
+        for x, u in random_inputs(model, 1):
+            np.testing.assert_allclose(np.asarray(theirs(x, u)).ravel(), ours(x, u), rtol=1e-9, atol=1e-9)
+
+
+def test_casadi_steps_as_ours(tmp_path):
+    same_as_casadi(with_effects(friction_front__p=-0.08, relaxation_length__sigma=0.4, steer_lag__tau=0.05,
+                                steer_delay__d=0.05), tmp_path)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_casadi_steps_as_ours_with_every_effect(tmp_path):
+    each = [(e.name, p.name, 0.3 * p.scale(SEDAN)) for e in EFFECTS.values() for p in e.parameters]
+    same_as_casadi(dataclasses.replace(SEDAN, effects=tuple(EffectParameterValue(*one) for one in each)), tmp_path)
+
+
+def test_the_loss_on_a_log_is_that_of_the_lost_effect(tmp_path):
+    """The log comes from the exported CasADi step, which integrates by itself."""
+    car = with_effects(steer_gain__p=-0.15)
+    export = FORMATS["casadi"]
+    export.write(keep(car, export.holds, Options()), tmp_path)
+    step, start = ca.Function.load(str(tmp_path / "step.casadi")), advance(car, Options().dt).start
+    dt, num = Options().dt, 200
+    t = np.arange(num) * dt
+    delta, x = 0.04 * np.sin(3 * t), [np.concatenate([[14.0], start[1:]])]
+    for k in range(num - 1):
+        x.append(np.asarray(step(x[-1], [delta[k], 0.0])).ravel())
+    V, beta, r = np.array(x)[:, :3].T
+    log = Log((Run("one", t, V, beta, r, delta, np.zeros(num), dt),))
+    found = loss(car, dataclasses.replace(car, effects=()), log)
+    assert found.with_them is not None and found.of == "log"
+    assert found.with_them[2] < 2e-3 < 0.01 < found.without_them[2]
+
+
+def test_bad_input_is_one_sentence(tmp_path, capsys):
+    assert main(["export", "sedan", "--to", "carmaker", "--out", str(tmp_path / "a")]) == 2
+    assert "there is no such format; choose one of race_stack, tum" in capsys.readouterr().err
+    assert main(["export", "sedan", "--to", "autoware", "--top-speed", "-1", "--out", str(tmp_path / "b")]) == 2
+    assert "top_speed is -1.0; it must be positive" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="give another --out"):
+        export_car(SEDAN, "autoware", tmp_path / "file")
+    assert main(["export", "sedan", "--to", "autoware", "--out", str(tmp_path / "c")]) == 0
+    assert json.loads((tmp_path / "c" / "export.json").read_text())["lost"] == {}
+    assert "lost: no effect of this car" in capsys.readouterr().out
