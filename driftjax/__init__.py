@@ -49,6 +49,12 @@ if TYPE_CHECKING:
     from driftjax.store import RunFolder as RunFolder
     from driftjax.track import Track as Track
     from driftjax.track import load_track as load_track
+    from driftjax.tyre import MagicFormula2012 as MagicFormula2012
+    from driftjax.tyre import TyreFile as TyreFile
+    from driftjax.tyre import fit_tir as fit_tir
+    from driftjax.tyre import magic_formula as magic_formula
+    from driftjax.tyre import read_tir as read_tir
+    from driftjax.tyre import write_tir as write_tir
     from driftjax.vehicle import PlantConfig as PlantConfig
     from driftjax.vehicle import Residual as Residual
     from driftjax.vehicle import VehicleConfig as VehicleConfig
@@ -79,6 +85,7 @@ MODULES = {
     "sim": ("simulate",),
     "store": ("RunFolder",),
     "track": ("Track", "load_track"),
+    "tyre": ("MagicFormula2012", "TyreFile", "fit_tir", "magic_formula", "read_tir", "write_tir"),
     "vehicle": ("PlantConfig", "Residual", "VehicleConfig", "build_car", "draw_plants", "load_plant", "load_vehicle"),
 }
 PUBLIC = {name: f"driftjax.{module}" for module, names in MODULES.items() for name in names}

@@ -10,6 +10,7 @@ import driftjax
 HEADINGS = {
     "environment": "Set up",
     "vehicle": "Cars and plants",
+    "tyre": "Tyre property files",
     "track": "Tracks",
     "planner": "Minimum-time plans",
     "equilibrium": "Steady states",

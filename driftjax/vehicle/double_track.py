@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from driftjax.core import Control, as_float, rk4_step
 from driftjax.core.elementary import arctan2, sincos
-from driftjax.tyre import MagicFormula
+from driftjax.tyre import MagicFormula, TirTyre
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.loads import LOAD_FLOOR, Chassis, smooth_positive
 from driftjax.vehicle.wheels import SPEED_FLOOR, Wheels, relaxation_speedup
@@ -74,7 +74,7 @@ class DoubleTrack(eqx.Module):
     """
 
     chassis: Chassis
-    tyre: MagicFormula
+    tyre: MagicFormula | TirTyre
     wheels: Wheels
     actuators: Actuators
 

@@ -8,8 +8,10 @@ from typing import Any
 import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
+from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, VehicleConfig
+from driftjax.vehicle.single_track import G
 
 ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
 SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
@@ -18,7 +20,8 @@ SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over
 def load_vehicle(name: str | Path, combined_slip: float | None = None) -> VehicleConfig:
     """Read a vehicle YAML: a path, or the name of a shipped car (`sedan`, `rc`).
 
-    Keys are the parameters of the nominal car, at the top or below `nominal`, and for an extended car `effects`
+    Keys are the parameters of the nominal car (`tyre`, a .tir file beside this one, stands for mu, B and C: the nearest
+    ones at the static load of a wheel), at the top or below `nominal`, and for an extended car `effects`
     (effect -> parameter -> value in SI, or {value, ci95_half}) and `covariance` ({parameters: [effect.parameter],
     matrix}), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces the file's friction
     ellipse: 0 none (as published), 1 a circle.
@@ -30,6 +33,8 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     if nominal is not None and content:
         raise BadInput(f"{path}: unknown key '{next(iter(content))}'; beside 'nominal' go 'effects' and 'covariance'.")
     nominal = content if nominal is None else _mapping(nominal, f"{path}: key 'nominal'")
+    if "tyre" in nominal:
+        nominal = _with_tyre(nominal, path)
     for key in ("effects", "covariance"):
         if key in nominal:
             raise BadInput(f"{path}: key 'nominal' holds '{key}'; move it out of 'nominal'.")
@@ -53,6 +58,21 @@ def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
         content["covariance"] = {"parameters": [one.name for one in vehicle.effects], "matrix": matrix}
     text = yaml.safe_dump(content, sort_keys=False)
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the keys with mu, B and C of the tyre property file that `tyre` names, at the static load of a wheel."""
+    tyre, mass = nominal["tyre"], nominal.get("m")
+    if not isinstance(tyre, str):
+        raise BadInput(f"{path}: key 'tyre' is {tyre!r}; it needs the name of a .tir file.")
+    if double := [key for key in ("mu", "B", "C") if key in nominal]:
+        raise BadInput(f"{path}: keys 'tyre' and '{double[0]}' say the same; keep one of them.")
+    if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 < mass < math.inf:
+        raise BadInput(f"{path}: key 'm' is {mass!r}; it must be positive, for the load of the tyre.")
+    values = nominal_tyre(read_tir(path.parent / tyre), mass * G / 4)
+    return {key: value for key, value in nominal.items() if key != "tyre"} | dict(
+        zip("mu B C".split(), values, strict=True)
+    )
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:

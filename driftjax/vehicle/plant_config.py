@@ -1,12 +1,13 @@
 """Contents of a plant YAML file, validated, and the double-track car built from them."""
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from driftjax.core import require
-from driftjax.tyre import MagicFormula
+from driftjax.tyre import MagicFormula, plant_tyre, read_tir
 from driftjax.vehicle.actuators import Actuators
 from driftjax.vehicle.double_track import DoubleTrack
 from driftjax.vehicle.loads import Chassis
@@ -15,7 +16,7 @@ from driftjax.vehicle.wheels import Wheels
 NON_NEGATIVE = ("h", "load_sensitivity", "carcass_time", "rolling_resistance", "drive_inertia", "diff_coupling",
                 "diff_preload", "diff_bias", "drag", "roll_split")  # fmt: skip
 T = TypeVar("T")
-ANY_SIGN = ("name", "E", "Fxr_min")
+ANY_SIGN = ("name", "tyre", "E", "Fxr_min")
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,9 @@ class PlantConfig:
     """Largest driving power [W]."""
     creep_speed: float
     """Rim speed below which brake, rolling resistance and power limit fade [m/s]."""
+    tyre: Path | None = None
+    """Tyre property file (.tir), beside the YAML file, in place of Bf, Br, C, E, slip_ratio and load_sensitivity; muf
+    and mur then scale its friction."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -125,4 +129,6 @@ class PlantConfig:
 
         mu, B = np.array([self.muf, self.muf, self.mur, self.mur]), np.array([self.Bf, self.Bf, self.Br, self.Br])
         wheels = part(Wheels, radius=self.wheel_radius, inertia=self.wheel_inertia)
-        return DoubleTrack(part(Chassis), part(MagicFormula, mu=mu, B=B), wheels, part(Actuators))
+        simple = lambda: part(MagicFormula, mu=mu, B=B)
+        tyre = simple() if self.tyre is None else plant_tyre(read_tir(self.tyre), self.muf, self.mur)
+        return DoubleTrack(part(Chassis), tyre, wheels, part(Actuators))

@@ -57,6 +57,8 @@ def load_plant(name: str | Path) -> PlantConfig:
 
 def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     values = read_yaml(path)
+    if isinstance(tyre := values.get("tyre"), str):
+        values["tyre"] = str(path.parent / tyre)
     base = values.pop("base", None)
     if base is None:
         return values
@@ -74,7 +76,7 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
         raise BadInput(f"car '{car}' has no plants to draw from, no {car}_distribution.yaml; give --plant.") from None
     values = read_yaml(path)
     base = load_plant(str(values.pop("base", car)))
-    known = {field.name for field in dataclasses.fields(PlantConfig)} - {"name"} | set(SHARED)
+    known = {field.name for field in dataclasses.fields(PlantConfig)} - {"name", "tyre"} | set(SHARED)
     spreads = {}
     for key, spread in values.items():
         if key not in known:
@@ -106,4 +108,9 @@ def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConf
 def stack_plants(configs: Sequence[PlantConfig]) -> DoubleTrack:
     """Stack plants into one batch: every leaf has a leading batch axis, in the order of `configs`."""
     require(len(configs) > 0, "no plants to stack; give at least one.")
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(config.build() for config in configs))
+    plants = [config.build() for config in configs]
+    if len({jax.tree.structure(plant) for plant in plants}) > 1:
+        raise BadInput(
+            "plants: their tyres are of different kinds or versions; drive those of each kind by themselves."
+        )
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
