@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from driftjax.learning.config import LearnConfig as LearnConfig
     from driftjax.learning.config import load_learn_config as load_learn_config
     from driftjax.learning.run import learn as learn
+    from driftjax.logs import Guess as Guess
     from driftjax.logs import Log as Log
     from driftjax.logs import Run as Run
+    from driftjax.logs import guess_columns as guess_columns
     from driftjax.logs import inspect as inspect
     from driftjax.logs import read_log as read_log
     from driftjax.logs import write_log as write_log
@@ -78,7 +80,7 @@ MODULES = {
     "gp": ("GP", "fit_gp"),
     "learning.config": ("LearnConfig", "load_learn_config"),
     "learning.run": ("learn",),
-    "logs": ("Log", "Run", "inspect", "read_log", "write_log"),
+    "logs": ("Guess", "Log", "Run", "guess_columns", "inspect", "read_log", "write_log"),
     "manoeuvres.campaign": ("Campaign", "record_runs"),
     "manoeuvres.truth": ("effect_strengths",),
     "planner": ("PlanConfig", "load_plan_config", "plan"),

@@ -6,10 +6,11 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import default_out, parse, print_notes, run_in
-from driftjax.logs import inspect, read_log
+from driftjax.core import require
+from driftjax.logs import guess_columns, inspect, read_log
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
-from driftjax.vehicle import load_vehicle
+from driftjax.vehicle import VehicleConfig, load_vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +22,12 @@ class Inspect:
     columns: str | None = None
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
     vehicle: Path | None = None
-    """Vehicle whose wheelbase the yaw rate is compared by: a shipped name or a vehicle YAML; left out: it is not."""
+    """Vehicle whose wheelbase the yaw rate is compared by: a shipped name or a vehicle YAML; left out: it is not. With
+    `--guess` it tells a steering wheel from a road wheel, and its mass gives a force from the acceleration."""
+    guess: bool = False
+    """Propose a column map for a single log instead: which column is which channel, in which unit, how certain."""
+    write: Path | None = None
+    """With `--guess`: file that the proposed column map is written to."""
     out: Path | None = None
     """Output folder; runs/inspect-LOG-TIME where left out."""
 
@@ -30,6 +36,9 @@ def run(argv: list[str]) -> int:
     """Read, compare and print."""
     flags = parse(Inspect, argv, "driftjax inspect")
     vehicle = load_vehicle(flags.vehicle) if flags.vehicle else None
+    require(flags.guess or flags.write is None, "flag '--write' writes what '--guess' proposes; give that too.")
+    if flags.guess:
+        return propose(flags, vehicle)
     log = read_log(flags.logs, flags.columns)
     options = {"logs": [str(path) for path in flags.logs], "columns": flags.columns,
                "vehicle": str(flags.vehicle) if flags.vehicle else None}  # fmt: skip
@@ -45,3 +54,19 @@ def run(argv: list[str]) -> int:
         return 0
 
     return run_in(folder, work)
+
+
+def propose(flags: Inspect, vehicle: VehicleConfig | None) -> int:
+    """Print a column map for the log and write it where `--write` says."""
+    require(len(flags.logs) == 1 and flags.columns is None and flags.out is None,
+            "flag '--guess' is for one log; leave out --columns and --out.")  # fmt: skip
+    guess = guess_columns(
+        flags.logs[0], wheelbase=vehicle.a + vehicle.b if vehicle else None, mass=vehicle.m if vehicle else None
+    )
+    print(guess)
+    if flags.write is None:
+        print(f"\n{guess.yaml()}", end="")
+    else:
+        guess.write(flags.write)
+        print(f"\nmap: {flags.write}")
+    return 0

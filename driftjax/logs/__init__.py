@@ -1,5 +1,7 @@
 """Measured logs: read tables and recordings, map columns, resample, check."""
 
+from driftjax.logs.guess import Guess as Guess
+from driftjax.logs.guess import guess_columns as guess_columns
 from driftjax.logs.inspection import inspect as inspect
 from driftjax.logs.log import Log as Log
 from driftjax.logs.log import Run as Run

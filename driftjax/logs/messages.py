@@ -10,9 +10,11 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import Stamps
-from driftjax.logs.fields import ABSENT, get_field, is_list, is_number, message_fields
+from driftjax.logs.fields import ABSENT, QUATERNION, get_field, is_list, is_number, message_fields
 from driftjax.logs.series import Series, similar_names
 from driftjax.logs.stamps import header_stamp, message_times
+
+MOST_ITEMS = 8  # of a list; a longer one is no set of channels
 
 
 class Message(NamedTuple):
@@ -67,6 +69,18 @@ def read_series(
         for topic, group in places.items()
         for place in group
     }
+
+
+def number_columns(topic: str, content: Any) -> list[str]:
+    """Return the names of all columns that a message of `topic` holds numbers for; its header is left out."""
+    if is_number(content):
+        return [topic]
+    if is_list(content):
+        return [name for i, part in enumerate(content[:MOST_ITEMS]) for name in number_columns(f"{topic}[{i}]", part)]
+    fields = [name for name in message_fields(content) if name != "header" and not name.startswith("__")]
+    if set(fields) == set(QUATERNION):
+        return [f"{topic}.yaw"]
+    return [column for name in fields for column in number_columns(f"{topic}.{name}", get_field(content, name))]
 
 
 def _place(path: Path, name: str, topics: Collection[str]) -> ColumnPath:

@@ -1,6 +1,6 @@
 """Recordings (ROS bags, MCAP, MDF, MoTeC, AiM, CarMaker), whose columns have their own clocks, as one table."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from itertools import chain
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs import aim, carmaker, mcapfile, mdf, motec, rosbag, sampling
 from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
-from driftjax.logs.messages import read_series
+from driftjax.logs.messages import Message, number_columns, read_series
 from driftjax.logs.series import Series, check_series, quote_names
 from driftjax.logs.table import Table, file_errors
 
@@ -88,11 +88,36 @@ def _names(path: Path, kind: str) -> list[str]:
 def _series(path: Path, kind: str, names: Iterable[str], stamps: Stamps, notes: list[str]) -> dict[str, Series]:
     if kind in CHANNELS:
         return CHANNELS[kind][1](path, list(names))
-    read = {
-        rosbag.KIND: lambda topics: rosbag.bag_messages(path, topics, notes),
-        mcapfile.KIND: lambda topics: mcapfile.mcap_messages(path, topics),
-    }
-    return read_series(path, names, _names(path, kind), read[kind], stamps)
+    return read_series(path, names, _names(path, kind), lambda topics: _messages(path, kind, topics, notes), stamps)
+
+
+def _messages(path: Path, kind: str, topics: Collection[str], notes: list[str]) -> Iterable[Message]:
+    return rosbag.bag_messages(path, topics, notes) if kind == rosbag.KIND else mcapfile.mcap_messages(path, topics)
+
+
+def all_series(path: Path, kind: str, stamps: Stamps) -> dict[str, tuple[str, Series]]:
+    """Return unit and samples of every column that holds numbers; what cannot be read is left out."""
+    if kind in CHANNELS:
+        units, read = CHANNELS[kind][0](path), CHANNELS[kind][1]
+        try:
+            found = read(path, list(units))
+        except BadInput:  # one of them holds text, say
+            found = {name: series for name in units for series in _if_readable(read, path, name)}
+        return {name: (units[name], series) for name, series in found.items()}
+    topics, first = _names(path, kind), dict[str, Message]()
+    for message in _messages(path, kind, topics, []):
+        first.setdefault(message.topic, message)
+        if len(first) == len(topics):
+            break
+    names = [name for topic, one in first.items() for name in number_columns(topic, one.content) if name != topic]
+    return {name: ("", series) for name, series in _series(path, kind, names, stamps, []).items()}
+
+
+def _if_readable(read: Callable[[Path, list[str]], dict[str, Series]], path: Path, name: str) -> list[Series]:
+    try:
+        return [read(path, [name])[name]]
+    except BadInput:
+        return []
 
 
 def _roles(columns: ColumnMap) -> dict[str, str]:

@@ -102,3 +102,11 @@ def test_a_log_is_inspected(tmp_path, capsys):
     assert content["channels"]["r"]["unit"] == "rad/s" and len(content["agreement"]) == 6
     assert (out / "figures" / "channels.png").stat().st_size > 10000
     assert main(["inspect", str(tmp_path / "none.csv")]) == 2
+    assert main(["inspect", str(tmp_path / "log.csv"), "--guess", "--write", str(tmp_path / "map.yaml")]) == 0
+    assert "follows rate of the heading" in capsys.readouterr().out
+    assert (
+        main(["inspect", str(tmp_path / "log.csv"), "--columns", str(tmp_path / "map.yaml"), "--out", str(out / "2")])
+        == 0
+    )
+    assert main(["inspect", str(tmp_path / "log.csv"), "--write", str(tmp_path / "other.yaml")]) == 2
+    assert "flag '--write' writes what '--guess' proposes" in capsys.readouterr().err

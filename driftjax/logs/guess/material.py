@@ -1,0 +1,197 @@
+"""All numeric columns of any log, put on one even time base."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.core import BadInput
+from driftjax.logs.columns import Stamps
+from driftjax.logs.guess.names import meaning
+from driftjax.logs.parse import parse_table
+from driftjax.logs.recording import TIME, all_series, recording_kind
+from driftjax.logs.table import MISSING, read_bytes
+
+FINEST = 0.02  # s, of the time base
+MOST = 10000  # samples; a longer log is read from its start
+GAP = 0.5  # s, over which values are interpolated
+FEW = 3  # different values up to which a column is a flag, unless its name says what it measures
+CLEAR = 0.9  # worth of such a name
+NUMERIC = 0.9  # share of cells that must be numbers
+STEPS = (1.0, 1e-3, 1e-6, 1e-9)  # s per unit of time
+PLAUSIBLE = (5e-4, 0.5)  # sample times of cars' logs [s]
+LEAST_TIME = 0.3  # worth of the name of a time
+JUMP = 0.9  # share of a turn that is a jump of an angle
+
+
+class Column(NamedTuple):
+    """One column on the even time base."""
+
+    name: str
+    unit: str
+    y: np.ndarray
+    """Values (n,) in the unit of the file, NaN between runs and in gaps."""
+
+
+class Material(NamedTuple):
+    """What a log holds."""
+
+    path: Path
+    dt: float
+    """Of the even time base [s]."""
+    time: str
+    """Column of time."""
+    time_factor: float
+    """[s per unit of it]"""
+    run: str | None
+    """Column that tells runs apart, in each of which time starts anew."""
+    columns: list[Column]
+    flags: list[str]
+    """Columns of two or three values."""
+    constant: list[str]
+    """Columns of one value or none."""
+    stamps: Stamps
+
+
+def read_material(path: Path) -> Material:
+    """Read every column of a log; raises `BadInput` as `read_log` does, or if no column is the time."""
+    kind = recording_kind(path)
+    return _of_table(path) if kind is None else _of_recording(path, kind)
+
+
+def _of_table(path: Path) -> Material:
+    table = parse_table(path, read_bytes(path), lambda line: False)
+    units = table.units or ("",) * len(table.names)
+    numbers: dict[str, np.ndarray] = {}
+    words: dict[str, Sequence[str]] = {}
+    for name, column in zip(table.names, table.columns, strict=True):
+        values = column if isinstance(column, np.ndarray) else _numbers(column)
+        if values is None:
+            words[name] = [str(cell) for cell in column]
+        elif table.names.count(name) == 1:
+            numbers[name] = np.where(np.isfinite(values), values, np.nan)
+    time, factor = _time(path, numbers)
+    t = factor * numbers.pop(time)
+    breaks = np.flatnonzero(~(np.diff(t) > 0)) + 1
+    steps = np.diff(t)
+    dt = max(float(np.median(steps[steps > 0])), FINEST)
+    edges = [0, *breaks.tolist(), len(t)]
+    parts = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a > 1]
+    grids = [np.arange(t[part.start], t[part.stop - 1], dt) for part in parts]
+    while len(grids) > 1 and sum(map(len, grids)) > MOST:
+        grids.pop()
+    grids = [grid[:MOST] for grid in grids]
+    apart = np.full(round(2 * GAP / dt), np.nan)  # so that nothing is smoothed from run to run
+    on_grid = lambda y: np.concatenate(
+        [np.append(_at(grid, t[part], y[part]), apart) for grid, part in zip(grids, parts, strict=False)]
+    )
+    by_unit = dict(zip(table.names, units, strict=True))
+    columns = [(name, by_unit[name], y) for name, y in numbers.items()]
+    run = _run(breaks, words, numbers)
+    usable, flags, constant = _by_values([one for one in columns if one[0] != run])
+    found = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
+    return Material(path, dt, time, factor, run, found, flags, constant, "header")
+
+
+def _of_recording(path: Path, kind: str) -> Material:
+    stamps: Stamps = "header"
+    try:
+        found = all_series(path, kind, stamps)
+    except BadInput:
+        stamps = "receipt"  # where headers have no time stamps, or of several clocks
+        found = all_series(path, kind, stamps)
+    found = {name: (unit, one) for name, (unit, one) in found.items() if len(one.t) > 1 and (np.diff(one.t) > 0).all()}
+    if not found:
+        raise BadInput(f"{path}: holds no column of numbers over time; record one.")
+    steps = [float(np.median(np.diff(one.t))) for _, one in found.values()]
+    dt = max(min(steps), FINEST)
+    start, end = min(one.t[0] for _, one in found.values()), max(one.t[-1] for _, one in found.values())
+    grid = np.arange(start, end, dt)[:MOST]
+    usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in found.items()])
+    columns = [Column(name, unit, _at(grid, found[name][1].t, y)) for name, unit, y in usable]
+    return Material(path, dt, TIME, 1.0, None, columns, flags, constant, stamps)
+
+
+def _by_values(columns: list[tuple[str, str, np.ndarray]]) -> tuple[list[tuple], list[str], list[str]]:
+    """Return the columns that measure something, the names of flags, and those of columns of one value or none."""
+    usable, flags, constant = [], [], []
+    for name, unit, y in columns:
+        different = np.unique(y[np.isfinite(y)])
+        clear = max(meaning(name, unit).worth.values()) >= CLEAR
+        if len(different) < 2 and not (clear and different.any()):  # a force may be constant; zeros fill up messages
+            constant.append(name)
+        elif len(different) <= FEW and not clear:
+            flags.append(name)
+        else:
+            usable.append((name, unit, y))
+    return usable, flags, constant
+
+
+def _numbers(cells: Sequence[str]) -> np.ndarray | None:
+    """Return text as numbers, NaN where one is missing; None if it is no column of numbers."""
+    values = np.full(len(cells), np.nan)
+    wrong = 0
+    for i, cell in enumerate(cells):
+        try:
+            values[i] = float(cell)
+        except ValueError:
+            wrong += cell.strip().lower() not in MISSING
+    return values if wrong <= (1 - NUMERIC) * len(cells) else None
+
+
+def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
+    """Return the column of time, and seconds per unit of it."""
+    best, found = 0.0, None
+    for name, y in numbers.items():
+        steps = np.diff(y)
+        rising = float(np.mean(steps > 0)) if len(steps) else 0.0
+        said = meaning(name)
+        if rising < 0.9 or said.worth["t"] < LEAST_TIME or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0]):
+            continue
+        even = 1.0 - min(float(np.std(steps[steps > 0]) / np.mean(steps[steps > 0])), 1.0)
+        score = said.worth["t"] * rising * (0.5 + 0.5 * even)
+        if score > best:
+            middle = float(np.median(steps[steps > 0]))
+            fits = [one for one in STEPS if PLAUSIBLE[0] <= one * middle <= PLAUSIBLE[1]]
+            factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)
+            best, found = score, (name, factor)
+    if found is None:
+        raise BadInput(f"{path}: no column rises like a time; add one called 't', in seconds.")
+    return found
+
+
+def _run(breaks: np.ndarray, words: dict[str, Sequence[str]], numbers: dict[str, np.ndarray]) -> str | None:
+    """Return the column that changes where time starts anew, and nowhere else if there is one such."""
+    changes = {name: {i for i in range(1, len(cells)) if cells[i] != cells[i - 1]} for name, cells in words.items()}
+    changes |= {name: set((np.flatnonzero(np.diff(y)) + 1).tolist()) for name, y in numbers.items()}
+    wanted = set(breaks.tolist())
+    if not wanted:
+        return next((name for name in ("run", "lap", "session") if name in words), None)
+    fits = [name for name, found in changes.items() if wanted <= found and len(found) <= 2 * len(wanted)]
+    return min(fits, key=lambda name: len(changes[name]), default=None)
+
+
+def _at(grid: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `y` at the times of `grid`, NaN where it is not known nearby; angles turn the short way."""
+    there = np.isfinite(y) & np.isfinite(t)
+    if there.sum() < 2:
+        return np.full(len(grid), np.nan)
+    t, y = t[there], unwrapped(y[there])
+    after = np.clip(np.searchsorted(t, grid), 1, len(t) - 1)
+    far = t[after] - t[after - 1] > GAP
+    return np.where(far | (grid < t[0]) | (grid > t[-1]), np.nan, np.interp(grid, t, y))
+
+
+def unwrapped(y: np.ndarray) -> np.ndarray:
+    """Return `y` without the jumps of an angle by a whole turn, in degrees or radians; as it is without such."""
+    steps = np.abs(np.diff(y))
+    for turn in (2 * np.pi, 360.0):
+        jumps = steps > JUMP * turn
+        if jumps.any() and np.ptp(y) <= 1.01 * turn and jumps.sum() < 0.02 * len(y) and _smooth(steps[~jumps], turn):
+            return np.unwrap(y, period=turn)
+    return y
+
+
+def _smooth(steps: np.ndarray, turn: float) -> bool:
+    return bool(steps.size) and float(np.max(steps)) < turn / 6

@@ -1,0 +1,161 @@
+"""What the name and the unit of a column say: which channel it may be, and how it converts to SI."""
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+DEG = np.pi / 180
+G = 9.80665  # m/s^2
+
+
+class Unit(NamedTuple):
+    """A unit of a dimension."""
+
+    dimension: str
+    factor: float
+    """SI units or radians per unit."""
+
+
+def _units(dimension: str, **factors: float) -> dict[str, Unit]:
+    return {name: Unit(dimension, factor) for name, factor in factors.items()}
+
+
+# spelt without signs between letters: m/s, m_s and m s-1 are ms1 or mps
+UNITS: dict[str, Unit] = {
+    **_units("speed", mps=1, kmh=1 / 3.6, kph=1 / 3.6, kmph=1 / 3.6, mph=0.44704, kn=1852 / 3600, knots=1852 / 3600),
+    **_units("rate", radps=1, rads=1, degps=DEG, degs=DEG, dps=DEG, rpm=np.pi / 30),
+    **_units("angle", rad=1, deg=DEG, degree=DEG, degrees=DEG, mrad=1e-3),
+    **_units("length", m=1, km=1e3, cm=1e-2, mm=1e-3, ft=0.3048, meter=1, meters=1),
+    **_units("acceleration", mps2=1, ms2=1, mpss=1, g=G),
+    **_units("force", n=1, kn_=1e3),
+    **_units("time", s=1, sec=1, seconds=1, ms=1e-3, us=1e-6, ns=1e-9),
+    **_units("other", radps2=1, rads2=1, degps2=1, nm=1, bar=1, c=1, v=1, percent=1, hz=1, pa=1, mpa=1, kg=1, w=1),
+}  # fmt: skip
+FORCE = {"fx", "fxr", "fxcmd", "force"}
+NO_SUFFIX = {"n", "c", "v", "w"}  # units that end many names as something else
+PAIRS = {"m s": "mps", "km h": "kmh", "rad s": "radps", "deg s": "degps", "m s2": "mps2", "rad s2": "radps2"}
+SYMBOLS = {"m/s": "mps", "m/s^2": "mps2", "m/s2": "mps2", "m/s/s": "mps2", "m/s²": "mps2", "km/h": "kmh",
+           "rad/s": "radps", "deg/s": "degps", "°/s": "degps", "°": "deg", "rad/s^2": "radps2", "%": "percent",
+           "kN": "kn_"}  # fmt: skip
+
+DIMENSIONS = {"t": "time", "V": "speed", "vx": "speed", "vy": "speed", "beta": "angle", "r": "rate", "psi": "angle",
+              "x": "length", "y": "length", "e": "length", "ax": "acceleration", "ay": "acceleration", "delta": "angle",
+              "Fxr": "force", "latitude": "angle", "longitude": "angle", "s": "length", "wfl": "rate", "wfr": "rate",
+              "wrl": "rate", "wrr": "rate"}  # fmt: skip
+
+_AHEAD, _ACROSS = r"(x|lon|long|longitudinal|inline|fwd|forward)", r"(y|lat|lateral)"
+_VEL, _ACC = r"(v|u|vel|velocity|speed)", r"(a|acc|accel|acceleration|g force|linear acceleration|linacc)"
+_GYRO = r"(gyro|gyr|gyroscope|angular velocity|angular|ang vel|omega|w|twist angular)"
+_EARTH = r"((gps|gnss|ins|nav|fix|pos|position) )*"
+_WHEEL = r"(w|wheel|wheel speed|ws|omega|enc|encoder|wheelspeed)"
+# whole names with what each is worth; words of a unit are taken off first
+PATTERNS: dict[str, list[tuple[str, float]]] = {
+    "t": [(r"t|time|timestamp|stamp|elapsed|elapsed time|sim time|time stamp", 1.0),
+          (r"t \d+|(.* )?(time|stamp|timestamp)( .*)?", 0.5)],
+    "V": [(r"v|speed|velocity|vel|ground ?speed|gps speed|vehicle speed|car v|car speed|v (abs|total|tot|norm)", 1.0),
+          (r"(.* )?(speed|velocity|vel)", 0.6)],
+    "vx": [(r"vx|ux|u|v ?" + _AHEAD, 1.0), (rf"{_VEL} {_AHEAD}", 1.0), (rf"{_AHEAD} {_VEL}", 1.0),
+           (r".*(twist|velocity|vel)( linear)? x", 1.0), (r".* (vx|ux)", 0.9)],
+    "vy": [(r"vy|uy|v ?" + _ACROSS, 1.0), (rf"{_VEL} {_ACROSS}", 1.0), (rf"{_ACROSS} {_VEL}", 1.0),
+           (r".*(twist|velocity|vel)( linear)? y", 1.0), (r".* (vy|uy)", 0.9)],
+    "beta": [(r"beta|side ?slip|slip|(side ?)?slip angle|attitude angle", 1.0),
+             (r".* (beta|side ?slip( angle)?)", 0.9)],
+    "r": [(r"r|yaw ?rate|yaw ?r|yaw velocity|psi ?dot|omega|omega z|wz|gyro yaw velocity|yaw speed", 1.0),
+          (rf"(.* )?{_GYRO} z", 0.9), (r".* (yaw ?rate|yaw velocity|r)", 0.9),
+          (r"(.* )?yaw|d ?psi", 0.6)],
+    "psi": [(r"psi|heading|yaw|yaw angle|theta|heading angle", 1.0), (r".* (psi|heading|yaw|theta)", 0.9),
+            (r"(psi|heading|yaw) .*", 0.7)],
+    "x": [(r"x|px|pos x|position x|x pos|east|easting|pos ?e|e pos|pos east", 1.0),
+          (r".*(pose|position|pos)( position)? x|car( fr1)? tx", 1.0), (r".* (x|east|tx)", 0.5)],
+    "y": [(r"y|py|pos y|position y|y pos|north|northing|pos ?n|n pos|pos north", 1.0),
+          (r".*(pose|position|pos)( position)? y|car( fr1)? ty", 1.0), (r".* (y|north|ty)", 0.5)],
+    "ax": [(r"ax|a ?" + _AHEAD, 1.0), (rf"(.* )?{_ACC} {_AHEAD}", 1.0), (rf"(.* )?{_AHEAD} {_ACC}", 1.0),
+           (r"(.* )?inline ?acc", 1.0), (r".* ax", 0.9), (r"(lon|long) ?acc", 1.0)],
+    "ay": [(r"ay|a ?" + _ACROSS, 1.0), (rf"(.* )?{_ACC} {_ACROSS}", 1.0), (rf"(.* )?{_ACROSS} {_ACC}", 1.0),
+           (r"(.* )?lateral ?acc", 1.0), (r".* ay", 0.9), (r"lat ?acc", 1.0)],
+    "delta": [(r"delta|steer(ing|ed)? angle|road ?wheel( angle)?|(.* )?steer(ing)? ang(le)?", 1.0),
+              (r"steer|steering", 0.95),
+              (r"(.* )?(delta|steer|steering)( .*)?", 0.7)],
+    "Fxr": [(r"fxr?|fxcmd|(drive|longitudinal|rear|traction) ?force|fx r(ear)?|force", 1.0), (r".* (fxr?|force)", 0.8)],
+    "latitude": [(rf"{_EARTH}lat|(.* )?latitude", 1.0)],
+    "longitude": [(rf"{_EARTH}(lon|long|lng)|(.* )?longitude", 1.0)],
+    "s": [(r"(.* )?s|arc ?length|station", 1.0)],
+    "e": [(r"(.* )?e|lateral (error|offset|deviation)", 1.0)],
+    **{f"w{corner}": [(rf"w{corner}|{_WHEEL} ?({corner}|{corner[::-1]})|({corner}|{corner[::-1]}) {_WHEEL}", 1.0)]
+       for corner in ("fl", "fr", "rl", "rr")},
+}  # fmt: skip
+COMPILED = {role: [(re.compile(one), worth) for one, worth in found] for role, found in PATTERNS.items()}
+DOUBTS = {"filt": 0.8, "filtered": 0.8, "raw": 0.9, "ref": 0.3, "reference": 0.3, "des": 0.3, "desired": 0.3,
+          "target": 0.3, "sim": 0.6, "est": 0.9, "std": 0.2, "cov": 0.1, "covariance": 0.1, "sigma": 0.2, "error": 0.2,
+          "err": 0.2, "status": 0.1, "imu": 0.9, "gps": 0.95, "fl": 0.7, "fr": 0.7, "max": 0.3, "min": 0.3,
+          "acc": 0.3, "feedforward": 0.4, "fb": 0.4, "ff": 0.4}  # fmt: skip
+NEVER_DOUBT = {"ax": {"acc", "raw"}, "ay": {"acc", "raw"}, "wfl": {"fl"}, "wfr": {"fr"}, "delta": {"des", "raw"}}
+ASIDES = {"cmd", "command", "meas", "measured", "data", "filt", "filtered", "raw", "imu", "int", "map", "out", "value",
+          "cg", "cog", "com"}  # fmt: skip
+OF_GPS = ("r", "ax", "ay")  # what a GPS computes from the course, and measures not at all
+UNKNOWN = 0.05  # worth of a name that says nothing, to every channel
+
+
+class Meaning(NamedTuple):
+    """What name and unit of a column say."""
+
+    unit: Unit | None
+    worth: dict[str, float]
+    """How well each channel fits, from 0 to 1; `UNKNOWN` where name and unit say nothing against it."""
+
+
+def meaning(name: str, unit: str = "") -> Meaning:
+    """Return what `name` and, where the file states one, `unit` say of a column."""
+    words, in_name = _split_unit(name)
+    last, _ = _split_unit(re.sub(r"\.\d+$", "", name).rpartition(".")[2])  # without the struct or topic that it is in
+    known = parse_unit(unit) or in_name
+    worth = {}
+    for role, dimension in DIMENSIONS.items():
+        if known is not None and known.dimension != dimension:
+            worth[role] = 0.0
+            continue
+        derived = role in OF_GPS and "gps" in words
+        alone = _name_worth(last, role) if len("".join(last)) > 1 else 0.0  # not the x of a vector
+        named = max(_name_worth(words, role), alone)
+        named **= 1.0 if known is None else 0.5  # a unit that fits makes up for much
+        worth[role] = 0.0 if derived else max(named, UNKNOWN)
+    if known is None:  # wheel speeds are in rad/s or in m/s: the name alone does not tell
+        worth |= {role: 0.0 for role in ("wfl", "wfr", "wrl", "wrr")}
+    return Meaning(known, worth)
+
+
+def parse_unit(text: str) -> Unit | None:
+    """Return the unit that a text such as `km/h` or `[deg/s]` means; None if it is unknown."""
+    text = text.strip().strip("[]()").strip()
+    spelt = SYMBOLS.get(text, SYMBOLS.get(text.lower(), re.sub(r"[^a-z0-9]", "", text.lower())))
+    return UNITS.get(spelt)
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case: `Car.YawRate` has car, yaw and rate."""
+    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return re.findall(r"[a-z]+\d*|\d+", apart.lower())
+
+
+def _split_unit(name: str) -> tuple[list[str], Unit | None]:
+    """Return the words of a name without its unit, and that."""
+    if bracket := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name):
+        if (unit := parse_unit(bracket[1])) is not None:
+            return words_of(name[: bracket.start()]), unit
+    words = words_of(re.sub(r"\.\d+$", "", name))  # the number of a column in a matrix
+    if len(words) > 2 and (pair := PAIRS.get(" ".join(words[-2:]))):
+        return words[:-2], UNITS[pair]
+    if len(words) > 1 and words[-1] in UNITS and (words[-1] not in NO_SUFFIX or FORCE & set(words)):
+        return words[:-1], UNITS[words[-1]]
+    return words, None
+
+
+def _name_worth(words: list[str], role: str) -> float:
+    """Return how well words name a channel; commanded steering and force are what the log format wants."""
+    doubt = 1.0
+    for word in words:
+        if word not in NEVER_DOUBT.get(role, ()):
+            doubt *= DOUBTS.get(word, 1.0)
+    text = " ".join([word for word in words if word not in ASIDES] or words)
+    return doubt * max((worth for pattern, worth in COMPILED[role] if pattern.fullmatch(text)), default=0.0)

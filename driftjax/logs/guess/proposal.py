@@ -1,0 +1,270 @@
+"""The proposed column map of a log, with a certainty per channel and what is left open."""
+
+import re
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from driftjax.core import BadInput, write_atomically
+from driftjax.logs.agreement import time_shift
+from driftjax.logs.columns import CHANNELS, Channel, ColumnMap, Drive, Position, first_missing
+from driftjax.logs.guess.assign import SIGNED, Placed, place, plain_values, values
+from driftjax.logs.guess.material import Material, read_material
+from driftjax.logs.guess.names import DEG, words_of
+from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
+
+PEDALS = {"throttle", "gas", "accelerator", "pedal", "brake", "motor", "torque", "duty", "current", "power"}
+UNSURE = 0.8  # of the certainty that is left where a sign is only the file's, or another column fits as well
+RIGHT_ANGLE, NEAR_ANGLE = np.pi / 2, 0.1  # offsets of a heading that are meant to be whole right angles [rad]
+ORDER = (*CHANNELS[:3], "vx", "vy", *CHANNELS[3:], "x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
+
+
+@dataclass(frozen=True)
+class Guessed:
+    """One channel of a proposed column map."""
+
+    channel: str
+    """Channel of the log format; `latitude` and `longitude` stand for x and y."""
+    column: str
+    """Column of the file."""
+    factor: float
+    """Channel unit per unit of the column."""
+    offset: float
+    """Added after the factor [channel unit]."""
+    certainty: float
+    """From 0 to 1; a score, no probability."""
+    reason: str
+    """What speaks for it."""
+    delay: float | None
+    """By which the column follows what the others say [s]; None where nothing tells."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A proposed column map; `str` is the table that the command line prints, `yaml` the map."""
+
+    path: Path
+    channels: tuple[Guessed, ...]
+    run: str | None
+    """Column that names runs."""
+    stamps: str
+    open: tuple[str, ...] = field(default=())
+    """Sentences about what could not be placed or made sure."""
+    Fxr_from: Drive | None = None
+
+    def column_map(self) -> ColumnMap:
+        """Return the map; raises `BadInput` that names a needed channel which no column was recognised as."""
+        earth = {one.channel: one for one in self.channels if one.channel in ("latitude", "longitude")}
+        channels = tuple(Channel(one.channel, one.column, one.factor, one.offset)
+                         for one in self.channels if one.channel not in earth)  # fmt: skip
+        names = [one.name for one in channels] + (["Fxr"] if self.Fxr_from else [])
+        if (lacks := first_missing(names)) is not None:
+            raise BadInput(f"{self.path}: no column was recognised as '{lacks}'; write a column map that names it.")
+        position = None
+        if len(earth) == 2:
+            latitude = earth["latitude"]
+            position = Position(latitude.column, earth["longitude"].column, latitude.factor / DEG)
+        run = () if self.run is None else (self.run,)
+        stamps: Any = self.stamps
+        return ColumnMap(channels, run, Fxr_from=self.Fxr_from, position_from=position, stamps=stamps)
+
+    def content(self) -> dict[str, Any]:
+        """Return the guess as plain values, for JSON."""
+        return asdict(self) | {"path": str(self.path)}
+
+    def yaml(self) -> str:
+        """Return the column map as YAML, with what is left open as comments."""
+        lines = [f"# Proposed for {self.path.name}; look it over before you use it.", "columns:"]
+        earth = {one.channel: one for one in self.channels if one.channel in ("latitude", "longitude")}
+        for one in self.channels:
+            if one.channel not in earth:
+                lines.append(f"  {one.channel}: {_source(one)}  # {100 * one.certainty:.0f} %: {one.reason}")
+        if len(earth) == 2:
+            factor = earth["latitude"].factor / DEG
+            scaled = "" if np.isclose(factor, 1) else f", factor: {factor:.9g}"
+            names = ", ".join(f"{name}: {_quoted(one.column)}" for name, one in sorted(earth.items()))
+            lines.append(f"position_from: {{{names}{scaled}}}")
+        if self.Fxr_from is not None:
+            lines.append(
+                f"Fxr_from: {{column: {_quoted(self.Fxr_from.column)}, factor: {self.Fxr_from.factor:g}}}  # kg"
+            )
+        if self.run is not None:
+            lines.append(f"run: {_quoted(self.run)}")
+        if self.stamps != "header":
+            lines.append(f"stamps: {self.stamps}")
+        return "\n".join([*lines, *(f"# {sentence}" for sentence in self.open)]) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write `yaml` to `path`; raises `BadInput` if there is such a file."""
+        if path.exists():
+            raise BadInput(f"{path}: is there already; give the name of a new file.")
+        try:
+            write_atomically(path, lambda temporary: temporary.write_text(self.yaml(), encoding="utf-8"))
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be written ({error.strerror}); give another path.") from None
+
+    def __str__(self) -> str:
+        width = max([len(one.column) for one in self.channels] + [6])
+        lines = [
+            f"{'channel':9} {'column':{width}} {'factor':>11} {'offset':>9} {'certain':>7} {'late by':>8}  because"
+        ]
+        for one in self.channels:
+            late = "" if one.delay is None else f"{1000 * one.delay:+.0f} ms"
+            lines.append(f"{one.channel:9} {one.column:{width}} {one.factor:11.6g} {one.offset:9.4g} "
+                         f"{100 * one.certainty:5.0f} % {late:>8}  {one.reason}")  # fmt: skip
+        return "\n".join([*lines, "", *self.open]).rstrip()
+
+
+def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: float | None = None) -> Guess:
+    """Propose a column map for a log of any format that `read_log` reads; raises `BadInput` as that does.
+
+    Columns are recognised by name and unit, and by how they follow each other: which sign and unit a yaw rate has,
+    which of two speeds is that of the position, how late a channel is. The car's `wheelbase` [m] tells a steering
+    wheel from a road wheel; with its `mass` [kg] the drive force is mass times longitudinal acceleration where no
+    column holds it.
+    """
+    material = read_material(Path(path))
+    placed = place(material)
+    v = values(placed, material.dt)
+    left: list[str] = []
+    placed = _without_course(placed, v, material.dt, left)
+    if {"latitude", "longitude"} <= set(placed):
+        placed = {role: one for role, one in placed.items() if role not in ("x", "y")}
+    placed = _one_pair_of_speeds(placed)
+    placed = _steering_ratio(placed, wheelbase, left)
+    offset = heading_offset(plain_values(placed, material.dt))
+    found = [Guessed("t", material.time, material.time_factor, 0.0, 1.0, "rises steadily", None)]
+    for role in sorted(placed, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
+        found.append(_guessed(placed[role], v, material.dt, offset if role == "psi" else None))
+    drive = _drive(placed, mass)
+    lacks = [name for name in CHANNELS if not _provided(name, placed, drive)]
+    left += _open(material, placed, lacks, found)
+    return Guess(Path(path), tuple(found), material.run, material.stamps, tuple(left), drive)
+
+
+def _without_course(placed: dict[str, Placed], v: dict[str, Signal], dt: float, left: list[str]) -> dict[str, Placed]:
+    """Leave out a heading that is the direction of travel, as of GPS, where the sideslip tells them apart."""
+    slip = v["beta"].y if "beta" in v else np.arctan2(v["vy"].y, v["vx"].y) if {"vx", "vy"} <= set(v) else None
+    if "psi" not in v or slip is None or (way := course(v)) is None:
+        return placed
+    moving = fast(v, len(slip))
+    apart = np.angle(np.exp(1j * (way[0] - v["psi"].y)))[moving]
+    rest = lambda y: float(np.nanstd(np.angle(np.exp(1j * (y - np.nanmedian(y))))))
+    if np.isfinite(apart).sum() < 50 or rest(apart) > 0.5 * rest(apart - slip[moving]):
+        return placed
+    name = placed["psi"].column.name
+    left.append(f"'{name}' is the direction of travel, not the heading of the car; it was left out.")
+    return {role: one for role, one in placed.items() if role != "psi"}
+
+
+def _one_pair_of_speeds(placed: dict[str, Placed]) -> dict[str, Placed]:
+    """Return the channels with vx and vy or V and beta, whichever pair is there and fits better."""
+    pairs = {pair: min(placed[role].score for role in pair)
+             for pair in (("vx", "vy"), ("V", "beta")) if set(pair) <= set(placed)}  # fmt: skip
+    if pairs:
+        best = max(pairs, key=pairs.__getitem__)
+        drop = {"vx", "vy", "V", "beta"} - set(best)
+    else:
+        drop = {"vx"} if "V" in placed and "vx" in placed else set()
+    return {role: one for role, one in placed.items() if role not in drop}
+
+
+def _steering_ratio(placed: dict[str, Placed], wheelbase: float | None, left: list[str]) -> dict[str, Placed]:
+    """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase tells it."""
+    steer = placed.get("delta")
+    if steer is None or steer.fit is None or abs(steer.fit.correlation) < 0.9:
+        return placed
+    length = abs(steer.factor / steer.fit.factor)  # wheelbase if it is the road wheel's angle
+    if wheelbase is not None and length > 2.5 * wheelbase:
+        left.append(f"'{steer.column.name}' turns {length / wheelbase:.1f} times as far as the road wheels would; it "
+                    "was taken for the steering wheel's.")  # fmt: skip
+        return placed | {"delta": steer._replace(factor=steer.factor * wheelbase / length)}
+    if wheelbase is None and length > LENGTHS[1]:
+        left.append(f"'{steer.column.name}' looks like the steering wheel's angle: give --vehicle, or divide the "
+                    "factor of delta by the steering ratio.")  # fmt: skip
+    return placed
+
+
+def _guessed(one: Placed, v: dict[str, Signal], dt: float, offset: float | None) -> Guessed:
+    certainty, reason, delay = one.score, "by name", None
+    if one.fit is not None:
+        rule = one.fit.relation
+        reason = f"follows {rule.name} ({abs(one.fit.correlation):.2f})"
+        signal = v[one.role].rate if rule.of_rate else v[one.role].y
+        if abs(one.fit.correlation) > 0.8 and not np.isnan(shift := time_shift([(signal, rule.predicted)], dt)):
+            delay = round(shift, 4)
+    elif one.role in SIGNED:
+        certainty *= UNSURE
+        reason += "; nothing tells its sign"
+    if one.rival is not None:
+        certainty *= UNSURE
+        reason += f"; '{one.rival}' fits as well"
+    turn = 0.0
+    if offset is not None and abs(offset) > NEAR_ANGLE:
+        whole = RIGHT_ANGLE * round(offset / RIGHT_ANGLE)
+        turn = whole if abs(offset - whole) < NEAR_ANGLE else offset
+    return Guessed(one.role, one.column.name, _rounded(one.factor), float(turn), round(min(certainty, 1.0), 3), reason,
+                   delay)  # fmt: skip
+
+
+def _rounded(factor: float) -> float:
+    return float(f"{factor:.10g}")
+
+
+def _drive(placed: dict[str, Placed], mass: float | None) -> Drive | None:
+    if mass is None or "Fxr" in placed or "ax" not in placed:
+        return None
+    return Drive(placed["ax"].column.name, _rounded(mass * placed["ax"].factor))
+
+
+def _provided(name: str, placed: dict[str, Placed], drive: Drive | None) -> bool:
+    if name in ("V", "beta") and {"vx", "vy"} <= set(placed):
+        return True
+    return name == "t" or name in placed or (name == "Fxr" and drive is not None)
+
+
+def _open(material: Material, placed: dict[str, Placed], lacks: list[str], found: list[Guessed]) -> list[str]:
+    """Return sentences about channels without a column, and columns without a channel."""
+    sentences = [f"No column was recognised as {', '.join(lacks)}, which the diagnosis needs."] if lacks else []
+    used = {one.column for one in found}
+    rest = [one.name for one in material.columns if one.name not in used]
+    pedals = [name for name in rest if PEDALS & set(words_of(name))]
+    if "Fxr" in lacks and pedals:
+        sentences.append(f"The drive force may follow from {_list(pedals)}: write 'Fxr_from'.")
+    elif "Fxr" in lacks and "ax" in placed:
+        sentences.append(
+            f"Mass times '{placed['ax'].column.name}' may stand for Fxr: give --vehicle, or write 'Fxr_from'."
+        )
+    if material.flags:
+        sentences.append(f"Rows may be chosen by {_list(material.flags)}: write 'where'.")
+    if rest:
+        sentences.append(f"No channel was found for {_list(rest)}.")
+    if material.constant:
+        sentences.append(f"Nothing changes in {_list(material.constant)}.")
+    return sentences
+
+
+def _list(names: list[str], most: int = 12) -> str:
+    return ", ".join(f"'{name}'" for name in names[:most]) + (
+        f" and {len(names) - most} more" if len(names) > most else ""
+    )
+
+
+def _source(one: Guessed) -> str:
+    parts = [f"column: {_quoted(one.column)}"]
+    parts += [f"factor: {_float(one.factor)}"] if one.factor != 1 else []
+    parts += [f"offset: {_float(one.offset)}"] if one.offset else []
+    return _quoted(one.column) if len(parts) == 1 else "{" + ", ".join(parts) + "}"
+
+
+def _float(value: float) -> str:
+    return repr(float(f"{value:.10g}"))
+
+
+def _quoted(name: str) -> str:
+    """Return a name as YAML within braces reads it."""
+    plain = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) and isinstance(yaml.safe_load(name), str)
+    return name if plain else yaml.safe_dump(name, default_style='"', width=10**6).strip()

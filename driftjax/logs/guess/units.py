@@ -1,0 +1,54 @@
+"""Units that no name states: those with which the channels agree best."""
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from driftjax.logs.guess.names import DIMENSIONS, Meaning
+from driftjax.logs.guess.relations import FACTORS, Signal, Values, fit, relations, turned
+
+FAMILIES = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
+CLEAR = 0.8  # correlation from which the sizes must agree
+COST = 0.05  # of a unit that is not the first of its dimension, in natural logarithms of a factor
+WORST = 1.5  # of one relation
+LIMITS = {"V": 120.0, "r": 12.0, "beta": 3.2, "ax": 60.0, "ay": 60.0}  # beyond which a channel is implausible [SI]
+SAMPLES = 1200  # that are looked at
+
+
+def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: dict[str, float], dt: float,
+                 ) -> dict[str, float]:  # fmt: skip
+    """Return a factor without sign for every channel whose column states no unit.
+
+    `signals` are the columns in their units, `factors` what they are multiplied by so far.
+    """
+    free = [[role for role in family if role in signals and said[role].unit is None] for family in FAMILIES]
+    free = [family for family in free if family]
+    if not free:
+        return {}
+    every = max(len(next(iter(signals.values())).y) // SAMPLES, 1)
+    thin = {role: Signal(one.y[::every], one.rate[::every]) for role, one in signals.items()}
+    best, found = np.inf, dict[str, float]()
+    for chosen in product(*(FACTORS[DIMENSIONS[family[0]]] for family in free)):
+        sizes = {role: factor for family, factor in zip(free, chosen, strict=True) for role in family}
+        scale = lambda role, sizes=sizes: float(np.copysign(sizes.get(role, factors[role]), factors[role]))
+        v = turned({role: one.scaled(scale(role)) for role, one in thin.items()})
+        cost = sum(_costs(v, every * dt))
+        cost += COST * sum(
+            factor != FACTORS[DIMENSIONS[family[0]]][0] for family, factor in zip(free, chosen, strict=True)
+        )
+        if cost < best:
+            best, found = cost, sizes
+    return found
+
+
+def _costs(v: Values, dt: float) -> Iterator[float]:
+    """Yield by how much each channel contradicts the others, and what is plausible."""
+    for role, signal in v.items():
+        if role in LIMITS and np.nanpercentile(np.abs(signal.y), 98) > LIMITS[role]:
+            yield WORST
+        everywhere = np.ones(len(signal.y), bool)
+        for rule in relations(role, v, dt):
+            found = None if rule.scale_free else fit(rule, signal, everywhere)
+            if found is not None and abs(found.correlation) > CLEAR:
+                yield rule.strength * min(abs(float(np.log(abs(found.factor)))), WORST)
