@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from driftjax.diagnosis.held_out import (
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.serialise import diagnosis_json, extended_car
+from driftjax.diagnosis.serialise import diagnosis_json, extended_car, found_noise
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.diagnosis.warm_up import compile_programs
@@ -102,9 +102,11 @@ class Diagnosis:
         Where that predicts held-out runs worse than the nominal car or the re-tuned one (friction and stiffness), it
         is the better one of these.
         """
-        if self.evidence is None or self.evidence.answer == "nominal":
+        if self.evidence is None:
             return self.vehicle
         last, problem = self.evidence.selection, self.evidence.problem
+        if self.evidence.answer == "nominal":
+            return replace(self.vehicle, noise=found_noise(problem.noise))
         if self.evidence.retuned is None:
             return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
         effects = retuned_effects(problem)

@@ -10,10 +10,11 @@ from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.noise import Noise
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
-from driftjax.vehicle import EffectParameterValue, VehicleConfig
+from driftjax.vehicle import EffectParameterValue, FoundNoise, PerChannel, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
 if TYPE_CHECKING:
@@ -102,10 +103,16 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
     }
 
 
+def found_noise(noise: Noise) -> FoundNoise:
+    """Return estimated noise as vehicle files hold it."""
+    channels = lambda row: PerChannel(*map(float, row))
+    return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation))
+
+
 def extended_car(
     vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, last: Scores
 ) -> VehicleConfig:
-    """Return the car with the effects `selected` at `theta` (K,), in typical sizes, and the covariance of their values.
+    """Return the car with the effects `selected` at `theta` (K,), in typical sizes, their covariance, and the noise.
 
     Effects that the car had before are kept; where there are such the covariance is left out, for these data do not
     tell it.
@@ -121,7 +128,8 @@ def extended_car(
     before = [one for one in vehicle.effects if one.effect not in named]
     order = {name: i for i, name in enumerate(EFFECTS)}
     effects = tuple(sorted([*before, *found], key=lambda one: order[one.effect]))
+    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=found_noise(problem.noise))
     if before or not found:
-        return dataclasses.replace(vehicle, effects=effects, covariance=())
+        return vehicle
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
-    return dataclasses.replace(vehicle, effects=effects, covariance=tuple(map(tuple, matrix.tolist())))
+    return dataclasses.replace(vehicle, covariance=tuple(map(tuple, matrix.tolist())))

@@ -1,5 +1,6 @@
 """Runs of the manoeuvre library on a car with a known truth, as a measurement would log them."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import require
+from driftjax.core import BadInput, require
 from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, vehicle_units
 from driftjax.parallel import call
@@ -42,6 +43,9 @@ class Campaign:
     """Sensor noise; 1 is typical: 0.05 m/s, 0.5 deg and 0.5 deg/s on a sedan [-]."""
     process_noise: float = 1.0
     """Disturbance of the car's motion; 1 is typical, 0 none [-]."""
+    stochastic: bool = False
+    """Disturb and measure with the noise that a diagnosis found (key `noise` of the car's file) in place of the typical
+    one; `noise` and `process_noise` multiply it."""
     dropouts: float = 0.0
     """Share of samples in which V, beta and r are missing, some in a row [-]."""
     outliers: float = 0.0
@@ -85,6 +89,25 @@ def typical_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise
     return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time))
 
 
+def found_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
+    """Return the noise and disturbance that a diagnosis found, as multiples; raises `BadInput` where there are none."""
+    found = vehicle.noise
+    if found is None:
+        raise BadInput(
+            f"vehicle {vehicle.name}: its file has no key 'noise', which stochastic runs need; give the extended.yaml "
+            "of a diagnosis."
+        )
+    row = lambda channels: jnp.asarray([channels.V, channels.beta, channels.r])
+    correlation = jnp.asarray(found.process_correlation_s)
+    return Conditions(noise * row(found.sigma), process_noise * row(found.process_sigma), correlation)
+
+
+def campaign_conditions(vehicle: VehicleConfig, campaign: Campaign) -> Conditions:
+    """Return the noise and disturbance of the runs of a campaign."""
+    source = found_conditions if campaign.stochastic else typical_conditions
+    return source(vehicle, campaign.noise, campaign.process_noise)
+
+
 def drive_manoeuvre(
     vehicle: VehicleConfig, theta: Array, manoeuvre: Manoeuvre, conditions: Conditions, seed: Array, dt: float
 ) -> Recording:
@@ -101,7 +124,8 @@ def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -
     serves any number of them; another run length or car compiles anew.
     """
     t, dt = np.arange(round(campaign.duration * campaign.rate)) / campaign.rate, 1 / campaign.rate
-    conditions = typical_conditions(vehicle, campaign.noise, campaign.process_noise)
+    conditions = campaign_conditions(vehicle, campaign)
+    vehicle = dataclasses.replace(vehicle, noise=None)  # which is no part of the program
     flaws, runs, states, left_out = log_flaws(vehicle, campaign), [], {}, []
     for i, kind in enumerate(campaign.manoeuvres):
         name, rng = f"{kind}-{i + 1}", np.random.default_rng((campaign.seed, i))

@@ -6,7 +6,7 @@ import numpy as np
 from jax import Array
 from scipy.optimize import least_squares
 
-from driftjax.core import as_float
+from driftjax.core import BadInput, as_float
 from driftjax.parallel import call
 from driftjax.tyre.magic_formula_2012 import MagicFormula2012, magic_formula, require_combined
 from driftjax.tyre.tir import TyreFile
@@ -15,6 +15,7 @@ LEFT_WHEELS = (1.0, -1.0, 1.0, -1.0)  # sign of the side; wheels are front left,
 STEEPEST = 0.1  # least cosine of the slip angle at which slips over travelling speed are converted [-]
 FITTED = 3.0  # slip angles up to this multiple of the peak's are fitted by the nominal tyre
 SAMPLES = 200
+WORST = 0.1  # misfit over the peak beyond which a curve has another shape [-]
 WIDEST = 0.5  # slip angles searched for the peak [rad]
 
 
@@ -70,7 +71,8 @@ def _lateral(tyre: MagicFormula2012, alpha: Array, Fz: Array) -> Array:
 def nominal_tyre(file: TyreFile, Fz: float) -> tuple[float, float, float]:
     """Return mu, B [1/rad] and C of mu F_z sin(C arctan(B alpha)) nearest to the file's side force at load `Fz` [N].
 
-    Least squares up to 3 times the slip angle of the peak, the two sides of the tyre alike; C stays above 1.
+    Least squares up to 3 times the slip angle of the peak, the two sides of the tyre alike; C stays above 1. Raises
+    `BadInput` where the curve has another shape, more than 10 % of its peak off (root mean square).
     """
     alpha = np.linspace(0.0, WIDEST, SAMPLES + 1)[1:]
     force = np.abs(np.asarray(call(_lateral, magic_formula(file), jnp.asarray(alpha), jnp.asarray(Fz))))
@@ -80,4 +82,7 @@ def nominal_tyre(file: TyreFile, Fz: float) -> tuple[float, float, float]:
     start = [y.max(), y[0] / x[0] / (1.3 * y.max()), 1.3]
     off = lambda q: q[0] * np.sin(q[2] * np.arctan(q[1] * x)) - y
     found = least_squares(off, start, bounds=([1e-3, 1e-2, 1.001], [10.0, 1e3, 1.999]), x_scale=start).x
+    misfit = float(np.sqrt(np.mean(off(found) ** 2)) / y.max())
+    if misfit > WORST:
+        raise BadInput(f"{file.name}: its side force is {misfit:.0%} off any mu, B and C; give these by hand.")
     return float(found[0]), float(found[1]), float(found[2])

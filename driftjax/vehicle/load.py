@@ -10,10 +10,11 @@ import yaml
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
 from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import Parameter, effects_by_name
-from driftjax.vehicle.parameters import EffectParameterValue, VehicleConfig
+from driftjax.vehicle.parameters import EffectParameterValue, FoundNoise, VehicleConfig
 from driftjax.vehicle.single_track import G
 
 ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
+BESIDE = ("effects", "covariance", "noise")  # keys of a file that are not parameters of the nominal car
 SYMMETRIC = 1e-6  # largest difference of mirrored entries of a covariance, over their standard deviations
 
 
@@ -22,33 +23,37 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
 
     Keys are the parameters of the nominal car (`tyre`, a .tir file beside this one, stands for mu, B and C: the nearest
     ones at the static load of a wheel), at the top or below `nominal`, and for an extended car `effects`
-    (effect -> parameter -> value in SI, or {value, ci95_half}) and `covariance` ({parameters: [effect.parameter],
-    matrix}), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces the file's friction
-    ellipse: 0 none (as published), 1 a circle.
+    (effect -> parameter -> value in SI, or {value, ci95_half}), `covariance` ({parameters: [effect.parameter], matrix})
+    and `noise` (see `FoundNoise`), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces the
+    file's friction ellipse: 0 none (as published), 1 a circle.
     """
     path = find_config("vehicle", name)
     content = read_yaml(path)
-    effects, covariance = content.pop("effects", {}), content.pop("covariance", None)
+    effects, covariance, noise = content.pop("effects", {}), content.pop("covariance", None), content.pop("noise", None)
     nominal = content.pop("nominal") if "nominal" in content else None
     if nominal is not None and content:
-        raise BadInput(f"{path}: unknown key '{next(iter(content))}'; beside 'nominal' go 'effects' and 'covariance'.")
+        raise BadInput(
+            f"{path}: unknown key '{next(iter(content))}'; beside 'nominal' go 'effects', 'covariance' and 'noise'."
+        )
     nominal = content if nominal is None else _mapping(nominal, f"{path}: key 'nominal'")
     if "tyre" in nominal:
         nominal = _with_tyre(nominal, path)
-    for key in ("effects", "covariance"):
+    for key in BESIDE:
         if key in nominal:
             raise BadInput(f"{path}: key 'nominal' holds '{key}'; move it out of 'nominal'.")
     vehicle = from_dict(VehicleConfig, nominal, str(path))
     where = f"{path}: key 'effects'"
     found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
     matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
-    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix)
+    at = f"{path}: key 'noise'"
+    told = None if noise is None else from_dict(FoundNoise, _mapping(noise, at), at)
+    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix, noise=told)
     return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
 def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
-    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects and their covariance."""
-    nominal = {key: value for key, value in dataclasses.asdict(vehicle).items() if key not in ("effects", "covariance")}
+    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects, their covariance, and noise."""
+    nominal = {key: value for key, value in dataclasses.asdict(vehicle).items() if key not in BESIDE}
     effects: dict[str, dict[str, Any]] = {}
     for one in vehicle.effects:
         effects.setdefault(one.effect, {})[one.parameter] = {"value": one.value, "ci95_half": one.ci95_half}
@@ -56,6 +61,8 @@ def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
     if vehicle.covariance:
         matrix = [list(row) for row in vehicle.covariance]
         content["covariance"] = {"parameters": [one.name for one in vehicle.effects], "matrix": matrix}
+    if vehicle.noise:
+        content["noise"] = dataclasses.asdict(vehicle.noise)
     text = yaml.safe_dump(content, sort_keys=False)
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 

@@ -26,6 +26,38 @@ class EffectParameterValue:
 
 
 @dataclass(frozen=True)
+class PerChannel:
+    """One standard deviation for each measured channel, SI."""
+
+    V: float
+    """Of the speed [m/s], or of its rate [m/s^2]."""
+    beta: float
+    """Of the sideslip [rad], or of its rate [rad/s]."""
+    r: float
+    """Of the yaw rate [rad/s], or of its rate [rad/s^2]."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            require(value >= 0, f"key '{name}' is {value}; a standard deviation must not be negative.")
+
+
+@dataclass(frozen=True)
+class FoundNoise:
+    """Noise that a diagnosis or calibration found in the data: what no effect of the catalogue explains."""
+
+    sigma: PerChannel
+    """Standard deviation of the measured V, beta, r."""
+    process_sigma: PerChannel
+    """Standard deviation of the disturbance that is added to the rates of V, beta, r."""
+    process_correlation_s: float
+    """Correlation time of this disturbance [s]."""
+
+    def __post_init__(self) -> None:
+        time = self.process_correlation_s
+        require(time > 0, f"key 'process_correlation_s' is {time}; it must be positive.")
+
+
+@dataclass(frozen=True)
 class VehicleConfig:
     """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables I and II), and named effects."""
 
@@ -66,6 +98,8 @@ class VehicleConfig:
     """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
     covariance: tuple[tuple[float, ...], ...] = ()
     """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
+    noise: FoundNoise | None = None
+    """Noise that a diagnosis found; None where the file gives none."""
 
     def __post_init__(self) -> None:
         require(0 <= self.combined_slip <= 1.5, f"key 'combined_slip' is {self.combined_slip}; it lies in 0..1.5.")

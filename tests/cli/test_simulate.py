@@ -17,7 +17,7 @@ from driftjax.manoeuvres.campaign import Campaign, drive_manoeuvre, record_runs,
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.manoeuvres.truth import effect_strengths
 from driftjax.sim.logged import dropouts
-from driftjax.vehicle import load_vehicle
+from driftjax.vehicle import FoundNoise, PerChannel, load_vehicle
 from driftjax.vehicle.effect import EFFECTS
 
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
@@ -73,6 +73,31 @@ def test_accelerations_of_a_car_faster_than_its_log_tell_its_motion_too():
     found = parity(rc, runs, np.asarray(typical_conditions(rc).sigma))
     assert found is not None
     assert (found.rms < np.array([0.3, 0.6]) * found.floor).all() and np.abs(found.mean).max() < 5e-3, found
+
+
+NOISE = FoundNoise(PerChannel(0.02, 0.001, 0.03), PerChannel(2.0, 0.05, 0.2), 0.05)
+
+
+def test_stochastic_runs_have_the_noise_that_a_diagnosis_found():
+    noisy = dataclasses.replace(SEDAN, noise=NOISE)
+    stochastic = dataclasses.replace(SHORT, stochastic=True)
+    runs, truth = record_runs(noisy, NEUTRAL, stochastic)
+    assert truth.process_noise == {"V": 2.0, "beta": 0.05, "r": 0.2, "correlation": 0.05}
+    error = signals(runs, "V", "beta", "r") - np.stack([truth.states[run.name] for run in runs])
+    np.testing.assert_allclose(error.std((0, 1)), [0.02, 0.001, 0.03], rtol=0.08)
+    _, still = record_runs(noisy, NEUTRAL, dataclasses.replace(stochastic, process_noise=0.0))
+    pushed = np.diff(truth.states["coast_down-5"][:, 0] - still.states["coast_down-5"][:, 0]) * 100  # m/s^2
+    assert pushed.std() == pytest.approx(2.0, rel=0.35)  # of 40 correlation times
+    again, _ = record_runs(noisy, NEUTRAL, stochastic)
+    np.testing.assert_array_equal(signals(again, "V"), signals(runs, "V"))
+    other, _ = record_runs(noisy, NEUTRAL, dataclasses.replace(stochastic, seed=1))
+    assert np.abs(signals(other, "V") - signals(runs, "V")).max() > 0.1
+
+
+def test_stochastic_runs_need_a_car_with_noise(capsys):
+    assert main([*FLAGS, "--stochastic", "--out", "s"]) == 2
+    assert "its file has no key 'noise', which stochastic runs need" in capsys.readouterr().err
+    assert not Path("s").exists()
 
 
 def test_noise_of_the_rc_car_follows_its_size():
@@ -160,7 +185,7 @@ def test_the_log_reads_back_repeats_and_hides_the_truth(capsys):
 
 
 def test_an_extended_car_is_simulated_with_its_effects_and_ellipse():
-    nominal = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance")}
+    nominal = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance", "noise")}
     found = {"friction": {"p": 0.05}, "gyro_bias": {"p": {"value": 0.01, "ci95_half": 0.002}}}
     Path("extended.yaml").write_text(yaml.safe_dump({"nominal": nominal, "effects": found}))
     flags = [*FLAGS, "--vehicle", "extended.yaml", "--effects", "friction.p=-0.05"]

@@ -52,6 +52,9 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(found["value"])
     vehicle = load_vehicle("found/extended.yaml")
     assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
+    assert vehicle.noise is not None
+    assert vars(vehicle.noise.process_sigma) == told["data"]["process_sigma"]
+    assert vehicle.noise.process_correlation_s == told["data"]["process_correlation_s"]
     half = vehicle.effects[0].ci95_half
     assert half is not None and 1.9 < half / vehicle.covariance[0][0] ** 0.5 < 2.3  # a quantile of Student's t
     shown = told["show"]

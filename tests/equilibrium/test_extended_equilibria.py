@@ -71,7 +71,7 @@ def test_no_nominal_drift_is_not_a_success():
 @pytest.mark.slow
 def test_the_map_of_an_extended_car_is_true(tmp_path):
     vehicle = dataclasses.asdict(load_vehicle("rc"))
-    nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance")}
+    nominal = {key: vehicle[key] for key in vehicle if key not in ("effects", "covariance", "noise")}
     path = tmp_path / "car.yaml"
     path.write_text(yaml.safe_dump({"nominal": nominal, "effects": {"friction": {"p": -0.08}}}))
     numbers = write_map(MapConfig(vehicle=str(path), num_V=2, num_ratio=2, ratio_min=0.7, ratio_max=0.95), tmp_path)

@@ -159,7 +159,7 @@ def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):
     (tmp_path / "late.yaml").write_text(
         "nominal: {base}\neffects: {steer_lag: {tau: 0.08}, friction: {p: -0.2}}\n".replace(
             "base", ", ".join(f"{key}: {value}" for key, value in dataclasses.asdict(SEDAN).items()
-                              if key not in ("effects", "covariance"))))  # fmt: skip
+                              if key not in ("effects", "covariance", "noise"))))  # fmt: skip
     late, *_ = load_plants([tmp_path / "late.yaml"])
     batch = batch_of([late, SEDAN], LAP, DT / SUBSTEPS)
     assert isinstance(batch, UniversalPlant)

@@ -82,7 +82,7 @@ def test_a_spin_keeps_its_code_and_is_no_pair_in_speed():
 
 
 def car(name: str) -> str:
-    shipped = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance")}
+    shipped = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance", "noise")}
     Path("car.yaml").write_text(yaml.safe_dump(shipped | {"name": name}))
     return "car.yaml"
 

@@ -147,6 +147,8 @@ def test_a_vehicle_takes_the_nearest_nominal_tyre(tmp_path):
     path.write_text(yaml.safe_dump(keys | {"tyre": "test.tir", "mu": 1.0}))
     with pytest.raises(BadInput, match="keys 'tyre' and 'mu' say the same"):
         load_vehicle(path)
+    with pytest.raises(BadInput, match="% off any mu, B and C"):
+        nominal_tyre(read_tir(tir_file(tmp_path, PCY1=2.6, PEY1=0)), Fz)
     path.write_text(yaml.safe_dump(keys | {"tyre": "none.tir"}))
     with pytest.raises(BadInput, match="none.tir: no such file"):
         load_vehicle(path)

@@ -11,7 +11,15 @@ import pytest
 import yaml
 
 from driftjax.core import BadInput, Control, State
-from driftjax.vehicle import Extended, SingleTrack, actuator_lags, build_car, load_vehicle, unmodelled_effects
+from driftjax.vehicle import (
+    Extended,
+    SingleTrack,
+    actuator_lags,
+    build_car,
+    load_vehicle,
+    unmodelled_effects,
+    write_vehicle,
+)
 from driftjax.vehicle.effect import EFFECTS, Place, reference
 from driftjax.vehicle.effect.flow import Aux
 from driftjax.vehicle.extended import exclusion_reason
@@ -120,7 +128,9 @@ def test_an_extended_car_keeps_its_ellipse_unless_it_is_told_another():
     )
 
 
-NOMINAL = {k: v for k, v in dataclasses.asdict(load_vehicle("sedan")).items() if k not in ("effects", "covariance")}
+NOMINAL = {
+    k: v for k, v in dataclasses.asdict(load_vehicle("sedan")).items() if k not in ("effects", "covariance", "noise")
+}
 FOUND = {
     "load_transfer_lat": {"k_f": {"value": 0.03, "ci95_half": 0.01}, "k_r": {"value": 0.05, "ci95_half": 0.02}},
     "load_transfer_long": {"h": {"value": 0.3, "ci95_half": 0.04}},
@@ -146,6 +156,26 @@ def test_an_extended_car_is_read_in_the_catalogues_order(tmp_path):
     car = build_car(vehicle)
     assert isinstance(car, Extended)
     np.testing.assert_allclose(car.theta * car.scale, [0.3, 0.03, 0.05])
+
+
+def test_noise_of_a_diagnosis_is_written_and_read(tmp_path):
+    channels = {"V": 0.05, "beta": 0.01, "r": 0.02}
+    noise = {"sigma": channels, "process_sigma": channels, "process_correlation_s": 0.3}
+    vehicle = load_vehicle(written(tmp_path, noise=noise))
+    assert vehicle.noise is not None and dataclasses.asdict(vehicle.noise) == noise
+    write_vehicle(tmp_path / "again.yaml", vehicle)
+    assert load_vehicle(tmp_path / "again.yaml") == vehicle
+    for wrong, message in (
+        (
+            noise | {"process_correlation_s": 0.0},
+            "key 'noise': key 'process_correlation_s' is 0.0; it must be positive",
+        ),
+        (noise | {"sigma": channels | {"r": -1.0}}, "'noise': key 'sigma': key 'r' is -1.0"),
+        ({"sigma": channels}, "'noise': key 'process_sigma' is missing"),
+        (3.0, "'noise' is 3.0; it needs keys"),
+    ):
+        with pytest.raises(BadInput, match=message):
+            load_vehicle(written(tmp_path, noise=wrong))
 
 
 def test_effects_may_stand_as_plain_numbers_beside_the_parameters_of_the_car(tmp_path):
