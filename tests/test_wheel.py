@@ -27,7 +27,7 @@ def wheel(tmp_path_factory) -> Path:
 def test_the_wheel_holds_the_package_and_its_files_only(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"driftjax"}
-    for name in ("py.typed", "configs/vehicle/sedan.yaml", "studies/bench/single_track.cpp"):
+    for name in ("py.typed", "configs/vehicle/sedan.yaml", "studies/bench/single_track.cpp", "report/page/player.js"):
         assert f"driftjax/{name}" in names, name
 
 

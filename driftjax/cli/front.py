@@ -34,6 +34,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
   bench          speed of each part as a ratio against a peer measured in the same run: table, JSON, figures
   runs           list the run folders below runs/
   report RUN     rebuild figures, table and report.html of a run
+  play RUN       open report.html in the browser; export the cars as MCAP, GIF or MP4
 
 `driftjax VERB --help` lists the options of a verb with their units; `driftjax --version` says the version.
 """

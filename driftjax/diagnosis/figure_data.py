@@ -62,7 +62,9 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
     problem, ahead = findings.comparison.problem, findings.comparison.predictions
     first = np.unique(problem.data.run, return_index=True)[1][:PANELS]  # the first piece of each run
     names = np.array([findings.names[number] for number in problem.data.run[first].tolist()])
-    valid, y = (np.asarray(a)[first] for a in (problem.data.padded.valid, problem.data.padded.y))
+    padded = problem.data.padded
+    valid, y, commands = (np.asarray(a)[first] for a in (padded.valid, padded.y, padded.commands))
+    commands = np.where(samples_in_run(valid)[..., None], commands[:, -y.shape[1] :], np.nan)
     starts = ahead["nominal"].starts
     every = max(round(EVERY / (dt * (starts[1] - starts[0]))), 1) if len(starts) > 1 else 1
     starts = starts[::every]
@@ -72,6 +74,7 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
     driven = (rows < y.shape[1]) & samples_in_run(valid)[:, np.minimum(rows, y.shape[1] - 1)]
     return {
         "panel": names, "sample_time": dt * np.arange(y.shape[1]), "measured": np.where(valid > 0, y, np.nan),
+        "delta": commands[..., 0], "Fxr": commands[..., 1],
         "start_time": dt * starts, "ahead_time": dt * (keep + 1),
         "predicted": np.where(driven[:, None, ..., None], told, np.nan),
     }  # fmt: skip

@@ -8,11 +8,13 @@ from jax import Array
 
 from driftjax.control.driver import Driver, decide
 from driftjax.control.table import ReferenceTable
+from driftjax.core import Control, State, features
 from driftjax.learning.metrics import LapFigures, lap_figures
 from driftjax.learning.scenario import Scenario
 from driftjax.parallel import vmap_batch
 from driftjax.sim import AnyPlant, LapCode, LapConfig, Laps, Trace, drive
 from driftjax.sim.sensors import SensorConfig
+from driftjax.vehicle import Residual
 
 MEASURED = ("V", "beta", "r", "x", "y", "psi", "s", "e", "theta")
 
@@ -55,6 +57,17 @@ def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
 def _driven_rows(tables: ReferenceTable, s: Array) -> tuple[Array, Array, Array]:
     """Return sideslip, yaw rate and offset of each entry's table (leading axis) where its car was."""
     return jax.vmap(lambda t, s: (t.row(t.beta, s), t.row(t.r, s), t.row(t.e, s)))(tables, s)
+
+
+@eqx.filter_jit
+def gp_deviation(residual: Residual, trace: Trace) -> Array:
+    """Return the GP's standard deviation (batch, steps, 3) [SI per second] where each car was; NaN without data.
+
+    Of the latent rate error, without the noise, at the true state and the actuator values reached.
+    """
+    z = features(State(trace.V, trace.beta, trace.r), Control(trace.delta, trace.Fxr))
+    variance = jax.vmap(lambda gp, z: jax.vmap(gp.variance)(z))(residual.gp, z)
+    return jnp.where(jnp.any(residual.gp.mask, axis=1)[:, None, None], jnp.sqrt(variance), jnp.nan)
 
 
 def stage_values(scenario: Scenario, stage: StageResult, kind: str) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from driftjax.learning.explore import Candidates, candidates, choose, offset, re
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS, Aim, Planned
 from driftjax.learning.scenario import Scenario, drivers
-from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
+from driftjax.learning.stage import CODES, StageResult, gp_deviation, run_stage, stage_values
 from driftjax.learning.updates import Progress, plan_reference, start, update_progress
 from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
@@ -166,6 +166,7 @@ def _data(
         values |= {
             "gp_Z": residual.gp.Z,
             "gp_mask": residual.gp.mask,
+            "gp_std": gp_deviation(residual, stage.laps.trace),
             "gate": residual.trust_factor,
             "lags": residual.lags,
         }

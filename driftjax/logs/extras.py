@@ -11,7 +11,7 @@ from driftjax.core import BadInput
 
 
 def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
-    """Import a module for reading `path`; raises `BadInput` that names the extra if it is not installed."""
+    """Import a module for reading or writing `path`; raises `BadInput` that names the extra if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -4,9 +4,9 @@ from driftjax.report.diagnosis import CLOSED_LOOP as CLOSED_LOOP
 from driftjax.report.diagnosis import closed_loop_table as closed_loop_table
 from driftjax.report.diagnosis import gain_table as gain_table
 from driftjax.report.diagnosis import parity_statement as parity_statement
-from driftjax.report.diagnosis import write_diagnosis as write_diagnosis
+from driftjax.report.diagnosis_page import write_diagnosis as write_diagnosis
 from driftjax.report.inspection import write_inspection as write_inspection
-from driftjax.report.page import write_report as write_report
+from driftjax.report.learn import write_report as write_report
 from driftjax.report.plan import write_plan_figures as write_plan_figures
 from driftjax.report.table import results_table as results_table
 from driftjax.report.table import run_line as run_line

@@ -1,7 +1,6 @@
-"""Write the report of a diagnosis: figures, gain table and page, from the run folder alone."""
+"""Figures and tables of a diagnosis, from the run folder alone."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -9,12 +8,10 @@ from matplotlib.figure import Figure
 from driftjax.diagnosis.residual import FORCES
 from driftjax.logs.columns import MEASURED
 from driftjax.report.evidence import plot_confusability, plot_posterior, plot_scores
-from driftjax.report.html import collapsible, document, heading, image, paragraph, preformatted
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
 from driftjax.report.residuals import plot_residual_forces, plot_whiteness
-from driftjax.report.style import save
 from driftjax.report.table import aligned, interval, number, with_interval
-from driftjax.report.worth import plot_worth, worth_table
+from driftjax.report.worth import plot_worth
 from driftjax.store import RunFolder
 
 TITLES = {
@@ -60,34 +57,6 @@ def diagnosis_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
     yield "whiteness", plot_whiteness(data)
 
 
-def write_diagnosis(run: RunFolder) -> Path:
-    """Write figures/*.png and .pdf and report.html from the folder alone; returns the page's path."""
-    pictures = [save(figure, run.path / "figures", name) for name, figure in diagnosis_figures(run)]
-    page = run.path / "report.html"
-    page.write_text(_html(run, pictures), encoding="utf-8")
-    return page
-
-
-def _html(run: RunFolder, pictures: list[Path]) -> str:
-    found = run.read_json("diagnosis")
-    parts = [heading(found["verdict"]), paragraph(found["sentence"], strong=True)]
-    shown = found.get("show")
-    if worth := worth_table(found):
-        parts += [heading("What each is worth"), preformatted(worth)]
-    if shown:
-        parts += [paragraph(shown["worst"]), paragraph(parity_statement(shown["kinematic_parity"]))]
-        parts += [heading("Gain"), preformatted(gain_table(found["gain"])), preformatted(nominal_error_table(shown))]
-    if found.get("closed_loop"):
-        parts += [heading("Closed loop"), preformatted(closed_loop_table(found["closed_loop"]))]
-    parts += [image(path, *TITLES[path.stem]) for path in pictures]
-    if found.get("next_manoeuvre"):
-        parts.append(collapsible("Next manoeuvre", found["next_manoeuvre"]))
-    parts += [collapsible("Data and noise", found["data"]), collapsible("Configuration", run.config)]
-    parts.append(collapsible("Versions", run.read_json("versions")))
-    car = run.config.get("vehicle", {}).get("name", "")
-    return document(f"driftjax diagnose: {car}".rstrip(": "), run.created, parts)
-
-
 def parity_statement(parity: dict[str, Any] | None) -> str:
     """Return the statement of kinematic parity, or why there is none."""
     if parity is None:
@@ -95,11 +64,8 @@ def parity_statement(parity: dict[str, Any] | None) -> str:
     return str(parity["statement"])
 
 
-def gain_table(gain: dict[str, Any]) -> str:
-    """Format the open-loop errors on held-out runs per model and horizon, their ratio to nominal, and the skill."""
-    if not gain["held_out_runs"]:
-        return "gain: not measured, for want of runs to hold out.\n"
-    lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
+def gain_rows(gain: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the errors on held-out runs per model and horizon, their ratio to nominal, and the skill; head first."""
     rows: list[tuple[str, ...]] = [GAIN_HEAD]
     for name, channels in gain["rmse"].items():
         for i, horizon in enumerate(gain["horizons_s"]):
@@ -110,20 +76,24 @@ def gain_table(gain: dict[str, Any]) -> str:
             if horizon == gain.get("skill_horizon_s", 1.0) and name in gain["skill"]:
                 share = with_interval(gain["skill"][name], gain["ci95"][name], missing=NO_SKILL)
             rows.append((name, f"{horizon:.3g}", *values, ratio, share))
-    return "\n".join([*lines, *aligned(rows)]) + "\n"
+    return rows
 
 
-def closed_loop_table(driven: dict[str, Any]) -> str:
-    """Format the laps of one corner on one plant with each model in the MPC, and their paired difference."""
-    lines = [
-        f"closed loop: the {driven['corner']} corner on {driven['plant']}, path-tracking drift MPC before any learning"
-    ]
+def gain_table(gain: dict[str, Any]) -> str:
+    """Format the open-loop errors on held-out runs per model and horizon, their ratio to nominal, and the skill."""
+    if not gain["held_out_runs"]:
+        return "gain: not measured, for want of runs to hold out.\n"
+    lines = [f"open-loop error (RMS) on the runs held out: {', '.join(gain['held_out_runs'])}"]
+    return "\n".join([*lines, *aligned(gain_rows(gain))]) + "\n"
+
+
+def closed_loop_rows(driven: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the laps of one corner with each model in the MPC, and their paired difference; head first."""
     rows: list[tuple[str, ...]] = [
         ("model", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed", "failures")
     ]
     for name, laps in driven["models"].items():
         if "not_driven" in laps:
-            lines.append(f"{name}: not driven; {laps['not_driven']}")
             continue
         failed = [code.lower().replace("_", " ") for code in laps["codes"] if code != "COMPLETED"]
         done, of = laps["completed"]
@@ -132,23 +102,43 @@ def closed_loop_table(driven: dict[str, Any]) -> str:
     if driven["difference"]:
         apart = (interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
         rows.append(("extended less nominal", *apart, "", ""))
-    lines += aligned(rows)
-    lines.append("Errors are against each model's own plan. In brackets: 95 % interval over seeds of the sensor noise.")
-    return "\n".join(lines) + "\n"
+    return rows
 
 
-def nominal_error_table(shown: dict[str, Any]) -> str:
-    """Format the errors of the nominal car on all runs in units of the measurement noise, and its residual forces."""
+def closed_loop_notes(driven: dict[str, Any]) -> list[str]:
+    """Return what was driven, models that were not, and how to read the errors."""
+    notes = [
+        f"closed loop: the {driven['corner']} corner on {driven['plant']}, path-tracking drift MPC before any learning"
+    ]
+    notes += [f"{name}: not driven; {laps['not_driven']}" for name, laps in driven["models"].items()
+              if "not_driven" in laps]  # fmt: skip
+    return [
+        *notes,
+        "Errors are against each model's own plan. In brackets: 95 % interval over seeds of the sensor noise.",
+    ]
+
+
+def closed_loop_table(driven: dict[str, Any]) -> str:
+    """Format the laps of one corner on one plant with each model in the MPC, and their paired difference."""
+    *notes, last = closed_loop_notes(driven)
+    return "\n".join([*notes, *aligned(closed_loop_rows(driven)), last]) + "\n"
+
+
+def nominal_error_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the errors of the nominal car on all runs in units of the measurement noise; head first."""
     ahead = shown["open_loop"]
-    lines = ["open-loop error of the nominal car on all runs, in units of the measurement noise"]
-    lines += aligned([("after [s]", *MEASURED)] + [
+    return [("after [s]", *MEASURED)] + [
         (f"{horizon:.3g}", *(number(ahead["in_noises"][name][i]) for name in MEASURED))
         for i, horizon in enumerate(ahead["horizons_s"])
-    ])  # fmt: skip
+    ]
+
+
+def residual_force_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the RMS residual forces of the nominal and the extended car; head first."""
     rows = [("force", "nominal [N]", "extended [N]", "goes with most")]
     for name in FORCES:
         one = shown["residual_forces"][name]
         by = one["worst_variable"]
         share = f"{by} ({100 * one['explained'][by]:.0f} % of the variance)" if by else "-"
         rows.append((name, f"{one['rms_N']:.4g}", f"{one['rms_extended_N']:.4g}", share))
-    return "\n".join([*lines, "", "residual forces (RMS)", *aligned(rows)]) + "\n"
+    return rows

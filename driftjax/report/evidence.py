@@ -13,7 +13,7 @@ CELLS = 16  # parameters in the heat map at most
 PLAIN, RIVAL = "#8FA3B0", "#C9B27C"
 
 
-def _best(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
+def best_scores(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
     """Return each effect with its promised fall of the cost, largest |score| and whether it is named, best first."""
     owner = np.array([str(name).split(".")[0] for name in data["parameter"].values])
     score, named = np.abs(data["score"].values), data["named"].values
@@ -27,7 +27,7 @@ def _best(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
 
 def plot_scores(data: xr.Dataset) -> Figure:
     """Plot the promised fall of the cost and the score of every effect, with the 5 % threshold of chance."""
-    every = _best(data)
+    every = best_scores(data)
     rows = every[:BARS] + [row for row in every[BARS:] if row[3]]
     figure, axes = new_figure(1, 2, (9.5, 0.24 * len(rows) + 1.6), sharey=True)
     at, colours = np.arange(len(rows)), [EXPLORED if row[3] else PLAIN for row in rows]

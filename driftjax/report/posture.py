@@ -5,25 +5,15 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from numpy.typing import ArrayLike
 
 from driftjax.report.laps import Lap, best_laps
 from driftjax.report.plan import draw_track
+from driftjax.report.shape import outline
 from driftjax.report.style import CONTROLLERS, KINDS, equal_axes, new_figure
 from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig
 
 OUTLINES = 12  # about how many cars are drawn through the corner
-
-
-def outline(x: ArrayLike, y: ArrayLike, psi: ArrayLike, vehicle: VehicleConfig) -> np.ndarray:
-    """Return the corners (6, 2) of the car [m], its nose drawn in; overhangs equal in front and behind."""
-    middle = (vehicle.a - vehicle.b) / 2
-    front, back, half = middle + vehicle.length / 2, middle - vehicle.length / 2, vehicle.width / 2
-    u = np.array([back, front - half, front, front, front - half, back])
-    v = np.array([half, half, half / 2, -half / 2, -half, -half])
-    cos, sin = np.cos(psi), np.sin(psi)
-    return np.stack([x + cos * u - sin * v, y + sin * u + cos * v], axis=1)
 
 
 def _draw(axis: Axes, lap: Lap, vehicle: VehicleConfig, window: tuple[float, float], colour: str) -> None:

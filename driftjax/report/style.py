@@ -21,6 +21,14 @@ COMPARED = {
     "gp": (GPR, "Gaussian process"),
     "extended_gp": ("#2E8B57", "extended, with a Gaussian process"),
 }  # models of a diagnosis
+DRIVES = {
+    "nominal": NOMINAL,
+    "gpr": GPR,
+    "explored": EXPLORED,
+    "measured": GPR,
+    "extended": EXPLORED,
+    "other": OTHER,
+}  # cars that move, by kind
 ERROR_LABEL = "lateral error against the\nplanned minimum-time path [m]"
 CONTROLLERS = {"path": "path-tracking controller", "paper": "paper's controller"}
 STYLE: dict[Any, Any] = {

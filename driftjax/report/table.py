@@ -41,7 +41,8 @@ def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
     return with_interval(cell.get("mean", cell.get("value")), cell.get("ci95"), form) + few
 
 
-def _row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
+def result_row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, ...]:
+    """Format one stage and controller of results.json, in the columns of `HEAD`."""
     done, of = cell.get("completed") or (0, 0)
     codes = {code: count for code, count in (cell.get("codes") or {}).items() if code != "COMPLETED" and count}
     failed = [f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()]
@@ -70,7 +71,7 @@ def results_table(results: dict[str, Any]) -> str:
     """Format the results of `driftjax learn`: a row per stage and controller, then the reductions."""
     rows: list[tuple[str, ...]] = [HEAD]
     for stage in results.get("stages") or []:
-        rows += [_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
+        rows += [result_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
     lines = aligned(rows)
     lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section.",
               "In brackets: 95 % interval over plants by Student's t, of reductions on the log ratio of means.",

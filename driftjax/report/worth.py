@@ -32,29 +32,37 @@ def worth_table(content: dict[str, Any]) -> str:
     return "\n".join([*aligned(rows), note]) + "\n"
 
 
-def plot_worth(content: dict[str, Any]) -> Figure | None:
-    """Plot how the named effects take the excess error of the nominal car down to what is left; None without any.
+def waterfall(content: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Return how the named effects take the excess error of the nominal car down: name, before, after [%].
 
     Each takes its share of what all of them explain of the excess squared error at the decisive horizon.
+    Empty where nothing is named or explained.
     """
     causes = sorted((c for c in content.get("causes", ()) if "share" in c), key=lambda one: -one["share"])
     explained = content.get("explained")
     if not causes or not explained or explained["share"] is None:
-        return None
+        return []
     whole = max(explained["share"], 0.0)
-    steps = 100 * np.array([1.0, *(-whole * cause["share"] for cause in causes)])
-    level = np.cumsum(steps)
-    names = ["nominal car", *(cause["effect"] for cause in causes), "left"]
-    figure, axes = new_figure(1, 1, (max(1.3 * len(names), 5.5), 4.2))
-    axis = axes[0, 0]
-    axis.bar(0, level[0], color=COMPARED["nominal"][0])
-    for k in range(1, len(steps)):
-        axis.bar(k, steps[k], bottom=level[k - 1], color=COMPARED["extended"][0])
-        axis.text(k, max(level[k - 1], level[k]) + 1.5, f"{-steps[k]:.0f} %", ha="center", fontsize=9)
-        axis.plot([k - 1.4, k + 0.4], [level[k - 1]] * 2, color="0.5", lw=0.8)
-    axis.bar(len(steps), level[-1], color="0.6")
-    axis.text(len(steps), max(level[-1], 0) + 1.5, f"{level[-1]:.0f} %", ha="center", fontsize=9)
-    axis.set_xticks(range(len(names)), names, rotation=20, ha="right")
-    axis.set_ylabel(f"excess squared error {explained['horizon']:.2g} s ahead [%]")
-    axis.set_ylim(min(0.0, float(level.min())) - 2, 110)
+    level = 100 * np.cumsum([1.0, *(-whole * cause["share"] for cause in causes)])
+    steps = zip((cause["effect"] for cause in causes), level[:-1].tolist(), level[1:].tolist(), strict=True)
+    return [("nominal car", 0.0, 100.0), *steps, ("left", 0.0, float(level[-1]))]
+
+
+def plot_worth(content: dict[str, Any]) -> Figure | None:
+    """Plot the waterfall of the named effects; None without any."""
+    steps = waterfall(content)
+    if not steps:
+        return None
+    figure, axes = new_figure(1, 1, (max(1.3 * len(steps), 5.5), 4.2))
+    axis, last = axes[0, 0], len(steps) - 1
+    for k, (_, before, after) in enumerate(steps):
+        colour = COMPARED["nominal"][0] if k == 0 else "0.6" if k == last else COMPARED["extended"][0]
+        axis.bar(k, after - before, bottom=before, color=colour)
+        if k:
+            axis.text(k, max(before, after) + 1.5, f"{abs(after - before):.0f} %", ha="center", fontsize=9)
+        if 0 < k < last:
+            axis.plot([k - 1.4, k + 0.4], [before] * 2, color="0.5", lw=0.8)
+    axis.set_xticks(range(len(steps)), [name for name, _, _ in steps], rotation=20, ha="right")
+    axis.set_ylabel(f"excess squared error {content['explained']['horizon']:.2g} s ahead [%]")
+    axis.set_ylim(min(0.0, *(after for _, _, after in steps)) - 2, 110)
     return figure

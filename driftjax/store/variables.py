@@ -74,6 +74,11 @@ STAGE: dict[str, Variable] = {
     "feature": Variable(("feature",), "1", "input of the Gaussian process"),
     "gp_Z": Variable(("lane", "row", "feature"), "SI", "inputs of the Gaussian process: V, beta, r, delta, Fxr"),
     "gp_mask": Variable(("lane", "row"), "1", "whether the row of gp_Z is data, not padding"),
+    "gp_std": Variable(
+        ("lane", "step", "output"),
+        "SI/s",
+        "standard deviation of the Gaussian process where the car was, without noise",
+    ),
     "output": Variable(("output",), "1", "output of the Gaussian process, a rate error"),
     "input": Variable(("input",), "1", "command of the driver"),
     "gate": Variable(
@@ -135,6 +140,8 @@ DIAGNOSIS: dict[str, Variable] = {
     "panel": Variable(("panel",), "1", "run"),
     "sample_time": Variable(("sample",), "s", "time from the start of the piece of the run"),
     "measured": Variable(("panel", "sample", "channel"), "SI", "measured channel"),
+    "delta": Variable(("panel", "sample"), "rad", "commanded steering angle, left positive"),
+    "Fxr": Variable(("panel", "sample"), "N", "commanded longitudinal force of the rear axle, driving positive"),
     "start_time": Variable(("start",), "s", "time at which predictions start"),
     "ahead_time": Variable(("ahead",), "s", "time ahead of a prediction"),
     "predicted": Variable(_FAN, "SI", "open-loop prediction of a measured channel"),

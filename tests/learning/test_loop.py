@@ -59,12 +59,19 @@ def test_laps_are_driven_to_their_end_sideways(finished):
     assert all(stages[name]["drift_share"]["mean"] >= 0.5 for name in ("nominal", "explore-best"))
 
 
+def _median_deviation(lap) -> np.ndarray:
+    return np.median(lap["gp_std"].values[lap["alive"].values], axis=0)
+
+
 def test_what_was_learnt_is_in_the_laps(finished):
     folder, results = finished
     lap = folder.read_stage("gpr-1")
     assert np.all(lap["reference_found"].values) and np.all(lap["reference_error"].values < 1e-2)
     assert np.all(lap["lags"].values > 0) and np.all(lap["lags"].values <= 0.2)
     assert np.all((lap["gate"].values >= 0) & (lap["gate"].values <= 1)) and np.any(lap["gate"].values > 0.5)
+    assert np.all(np.isnan(folder.read_stage("nominal")["gp_std"].values))
+    unsure = [_median_deviation(folder.read_stage(name)) for name in ("gpr-1", "explore-1")]
+    assert np.all(unsure[0] > unsure[1]) and np.all(unsure[1] > 0), "more laps of data make it surer"
     solved = lap["solved"].values[lap["alive"].values & lap["drifting"].values]
     assert np.mean(solved) > 0.9
     assert np.isfinite([results["summary"]["path"][name] for name in ("nominal", "gpr")]).all()

@@ -1,10 +1,12 @@
 """A made-up diagnosis on disk: rear friction is missing, one run held out."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
 from driftjax.store import DIAGNOSIS, RunFolder, dataset
+from driftjax.vehicle import load_vehicle
 
 EFFECTS = ("friction_rear", "stiffness_rear", "aero_drag", "steer_lag", "gyro_bias", "yaw_inertia")
 DRIVERS = ("slip_front", "slip_rear", "drive", "speed", "time", "heading", "position")
@@ -29,7 +31,8 @@ def values(named: tuple[str, ...]) -> dict[str, np.ndarray]:
         "channel": np.array(["V", "beta", "r"]), "compared": np.array(["nominal", "retuned", "extended"]),
         "model": np.array(["nominal", "extended"]), "sigma": np.array([0.05, 0.0087, 0.0087]), "horizon": ahead,
         "rmse": np.stack([0.05 + 3 * rise, 0.05 + 2 * rise, 0.05 + rise]), "floor": 0.05 + 0.9 * rise,
-        "panel": np.array(["drift2", "slalom5"]), "sample_time": t, "measured": measured, "start_time": start,
+        "panel": np.array(["drift2", "slalom5"]), "sample_time": t, "measured": measured,
+        "delta": np.stack([0.1 * np.sin(t)] * 2), "Fxr": np.stack([3000 + 500 * np.cos(t)] * 2), "start_time": start,
         "ahead_time": ahead, "predicted": np.stack([true + off] * 2),
         "force": np.array(["Fx", "Fyf", "Fyr"]), "force_limit": np.array([7000.0, 8000.0, 7000.0]),
         "driver": np.array(DRIVERS), "bin_value": np.stack([bins, bins]),
@@ -64,7 +67,7 @@ def told(named: tuple[str, ...]) -> dict:
                  "ci95": {"extended": [0.7, 0.9]}, "ratio": {"extended": [0.5, 0.4, 0.3, None]},
                  "ratio_ci95": {"extended": [[0.4, 0.6], [0.3, 0.5], [0.2, 0.4], [None, None]]},
                  "rmse": {name: channels(four(1.0), four(0.5), [0.1, None, None, None])
-                          for name in ("nominal", "extended")}},
+                          for name in ("nominal", "extended", "noise_floor")}},
         "next_manoeuvre": {"manoeuvre": "throttle_steps"},
         "show": {
             "open_loop": {"horizons_s": [0.01, 0.5], "in_noises": channels([1.0, 2.0], [1.0, 3.0], [1.0, None])},
@@ -77,7 +80,8 @@ def told(named: tuple[str, ...]) -> dict:
 
 def diagnosed(path: Path, named: tuple[str, ...] = ("friction_rear",), drivers: bool = True) -> RunFolder:
     """A finished diagnosis below `path`."""
-    run, data = RunFolder.create(path, {"vehicle": {"name": "sedan"}, "logs": ["log.csv"]}, "diagnose"), values(named)
+    config = {"vehicle": dataclasses.asdict(load_vehicle("sedan")), "logs": ["log.csv"]}
+    run, data = RunFolder.create(path, config, "diagnose"), values(named)
     if not drivers:
         for name in ("driver", "bin_value", "bin_mean", "bin_error", "explained"):
             data[name] = data[name][:0] if name == "driver" else data[name][:, :0]

@@ -60,6 +60,8 @@ def synthetic_stage(name: str, plan: xr.Dataset, controllers: tuple[str, ...], p
         spread = np.array([wide * 1.5, wide * 0.3, wide * 0.4, 0.1, 600.0])
         values["gp_Z"] = centre + spread * generator.normal(size=(len(lanes), ROWS, 5))
         values["gp_mask"] = np.arange(ROWS) < 60 + np.zeros((len(lanes), 1))
+        values["gp_std"] = np.abs(generator.normal(size=(len(lanes), STEPS, 3)))
+        values["output"] = ["dV", "dbeta", "dr"]
         values["feature"] = ["V", "beta", "r", "delta", "Fxr"]
     if name.startswith("explore"):
         values |= _speed_sets(plan, len(lanes), generator)
@@ -87,7 +89,8 @@ def _lap(name: str, plan: xr.Dataset, controller: str, plant: int, spins: bool, 
         "x": at("path_x", "path_s") - e * np.sin(psi), "y": at("path_y", "path_s") + e * np.cos(psi),
         "drifting": (s > start - 6) & (s < end + 4) & (name != "pursuit"), "solved": np.ones(STEPS, bool),
         "kkt": np.full(STEPS, 1e-6), "num_steps": np.full(STEPS, 8, np.int32), "V_ref": V_ref, "beta_ref": beta_ref,
-        "r_ref": r_ref, "delta_command": at("delta"), "Fxr_command": at("Fxr"), "delta": at("delta"), "Fxr": at("Fxr"),
+        "r_ref": r_ref, "e_ref": 0.2 * corner,
+        "delta_command": at("delta"), "Fxr_command": at("Fxr"), "delta": at("delta"), "Fxr": at("Fxr"),
     }  # fmt: skip
     inside = alive & (s > start) & (s < end)
     rows |= {

@@ -10,9 +10,9 @@ from synthetic import synthetic_run
 
 from driftjax.report import results_table, write_report
 from driftjax.report.laps import best_laps, mean_curve, mean_figure, read_laps
-from driftjax.report.page import learn_figures
+from driftjax.report.learn import learn_figures
 from driftjax.report.plan import flagged_spans, plot_states, plot_trajectory
-from driftjax.report.posture import outline
+from driftjax.report.shape import outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
 from driftjax.report.table import best_errors, interval
 from driftjax.report.tracking import plot_lateral_error
