@@ -45,7 +45,7 @@ def loop(monkeypatch):
         return folder.read_json("results")
 
     monkeypatch.setattr("driftjax.learning.run.run", run)
-    monkeypatch.setattr("driftjax.report.page.learn_figures", lambda run: iter(()))  # tested with the report; slow
+    monkeypatch.setattr("driftjax.report.learn.learn_figures", lambda run: iter(()))  # tested with the report; slow
     return fake
 
 
