@@ -37,7 +37,11 @@ class EffectSet(NamedTuple):
 
 def quadratic_cost(problem: Problem, fit: Fit, at: Linearisation) -> QuadraticCost:
     """Return the quadratic model of the cost about `fit`, which the linearisation `at` belongs to."""
-    H, score = information_and_score(at)
+    return quadratic_about(problem, fit, *information_and_score(at))
+
+
+def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray) -> QuadraticCost:
+    """Return the quadratic model of the cost about `fit` from information (K, K) and score (K,) of data alone."""
     moved = fit.theta - problem.start
     H, score = H + np.eye(len(H)) / PRIOR**2, score - moved / PRIOR**2
     cost = fit.cost + float(2 * score @ moved + moved @ H @ moved)
@@ -77,6 +81,11 @@ def minimise_over(model: QuadraticCost, effects: tuple[int, ...]) -> EffectSet |
     psi = minimise(model, effects)
     needed = all(psi[model.columns[i]].any() for i in effects)
     return EffectSet(effects, psi, gain_of(model, psi)) if needed else None
+
+
+def ends_at_bound(model: QuadraticCost, psi: np.ndarray) -> np.ndarray:
+    """Return which parameters (K,) of `psi` (K,) lie on a bound that is not the nominal car's own value."""
+    return (psi != 0) & ((psi == model.lower) | (psi == model.upper))
 
 
 def parameters_of(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:

@@ -5,13 +5,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from driftjax.diagnosis.beam import QuadraticCost, gain_of, gains_of_adding, minimise, minimise_over, quadratic_cost
+from driftjax.diagnosis.beam import (
+    QuadraticCost,
+    ends_at_bound,
+    gain_of,
+    gains_of_adding,
+    minimise,
+    minimise_over,
+    quadratic_cost,
+)
 from driftjax.diagnosis.fit import Problem, at_bound, evaluate, information, refine
-from driftjax.diagnosis.score import CONDITION, Scores, half_widths_from, overdispersion, partial_out, scores
-from driftjax.diagnosis.select import PARAMETER_PENALTY, Selection
+from driftjax.diagnosis.score import (
+    CONDITION,
+    Scores,
+    benjamini_yekutieli,
+    half_widths_from,
+    overdispersion,
+    partial_out,
+    scores,
+)
+from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Claim, Selection
 from driftjax.diagnosis.worth import Worth, shapley_shares
 from driftjax.vehicle.effect.families import FAMILY_OF
 
+DISCOVERY_RATE = 0.1  # share of exploratory effects that may be false
 CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 BOUNDED = 12  # rivals whose bounds are looked at
@@ -35,6 +52,7 @@ class Cause(NamedTuple):
     family_probability: float  # that it or another effect of its family acts
     worth: Worth  # its share in what all named effects explain
     at_bound: np.ndarray  # (k,) whether these data ask for more than the parameter may be
+    exploratory: bool = False  # whether it is not among those claimed at the family-wise rate of 5 %
 
 
 class NamedEffect(NamedTuple):
@@ -51,6 +69,7 @@ class NamedEffect(NamedTuple):
     family_probability: float  # that it or another effect of that family acts
     share: float  # of what all named effects explain together (Shapley 1953)
     share_ci95: list[float]
+    exploratory: bool  # named under a false discovery rate of 10 %, beside those claimed at a family-wise rate of 5 %
 
 
 def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
@@ -79,6 +98,7 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
                 cause.family_probability,
                 cause.worth.share,
                 list(cause.worth.ci95),
+                cause.exploratory,
             )  # fmt: skip
         )
     return tuple(selection)
@@ -92,12 +112,12 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
     worth = shapley_shares(problem, selection)
+    claim = selection.claims or claims(problem, selection, model, {i: one.share for i, one in worth.items()})
     each = []
     for member in sorted(selection.selected, key=lambda i: -worth[i].share):
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
         share = effect_probabilities(problem, selection, model, member)
-        p_value = own_p_value(problem, selection, model, member)
         rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
         alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
         each.append(
@@ -109,10 +129,11 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
                 rivals,
                 alike,
                 constant[member],
-                p_value,
+                claim[member].p_value,
                 family_probability(problem, share, member),
                 worth[member],
                 at_bound(problem, selection.fit.theta)[own],
+                claim[member].exploratory,
             )  # fmt: skip
         )
     return each
@@ -180,7 +201,7 @@ def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCo
     """Return the costs (E,) with each effect in the place of `member`, infinite for other members.
 
     They follow from the quadratic model about the fit; those of credible rivals are refitted, and so is in any case
-    what promises to be more probable than `member`.
+    what promises to be more probable than `member`. Infinite too for what ends at its bound.
     """
     rest = tuple(i for i in selection.selected if i != member)
     sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
@@ -196,31 +217,52 @@ def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCo
         one, costs[best] = minimise_over(model, (*rest, best)), np.inf
         if one is not None:
             start = evaluate(problem, problem.start + one.psi)
-            costs[best] = refine(problem, start, problem.columns(one.effects), selection.linearisation).cost
+            fit = refine(problem, start, problem.columns(one.effects), selection.linearisation)
+            ends = at_bound(problem, fit.theta)[problem.columns((best,))].any()
+            costs[best] = np.inf if ends else fit.cost
     return costs
 
 
 def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
-    """Return the fall (E,) of the cost by the effects `rest` with each other one, within bounds; -inf for members."""
+    """Return the fall (E,) of the cost by the effects `rest` with each other one, within bounds.
+
+    -inf for members, and for what ends at its bound, which is no explanation.
+    """
     promised = gains_of_adding(model, rest) + gain_of(model, minimise(model, rest))
     for i in np.argsort(-promised)[:BOUNDED]:  # bounds only make a gain less
         if np.isfinite(promised[i]):
             one = minimise_over(model, (*rest, int(i)))
-            promised[i] = one.gain if one else -np.inf
+            inner = one and not ends_at_bound(model, one.psi)[model.columns[int(i)]].any()
+            promised[i] = one.gain if one and inner else -np.inf
     return promised
 
 
-def own_p_value(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> float:
-    """Return the p-value of the score of `member` where the other members are fitted without it, to first order.
+def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> Scores:
+    """Return the scores where the other members are fitted without `member`, to first order.
 
-    Adjusted for all effects, but not for the search itself.
+    Their p-values are adjusted for all effects, but not for the search itself.
     """
     rest = tuple(i for i in selection.selected if i != member)
     psi, at = minimise(model, rest), selection.linearisation
     back = psi - (selection.fit.theta - problem.start)
     e = np.asarray(at.e) - np.asarray(at.J) @ back
-    without = scores(problem, at._replace(e=e), problem.start + psi, rest, 0)
-    return without.p_value_of(member, problem.columns((member,)))
+    return scores(problem, at._replace(e=e), problem.start + psi, rest, 0)
+
+
+def claims(problem: Problem, selection: Selection, model: QuadraticCost, shares: dict[int, float]) -> dict[int, Claim]:
+    """Return the claim of every member, given their `shares` in what all explain.
+
+    Those of the largest share, as many as the test alone may name, are claimed where their own p-value is below 5 %;
+    others are exploratory, under a false discovery rate of 10 % among all effects.
+    """
+    alone = {i: own_scores(problem, selection, model, i) for i in selection.selected}
+    own = {i: alone[i].p_value_of(i, problem.columns((i,))) for i in alone}
+    active = [i for i in range(len(problem.effects)) if problem.active[problem.columns((i,))].all()]
+    single = np.array([alone.get(i, selection.scores).single_p_value(i, problem.columns((i,))) for i in active])
+    passed = dict(zip(active, benjamini_yekutieli(single, DISCOVERY_RATE), strict=True))
+    first = sorted(alone, key=lambda i: -shares[i])[: selection.free]
+    claimed = {i: i in first and own[i] < LEVEL for i in alone}
+    return {i: Claim(own[i], not claimed[i], claimed[i] or bool(passed.get(i, True))) for i in alone}
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:

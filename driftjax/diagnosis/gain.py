@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import PaddedRun
-from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, room_for, run_observer
+from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, room_for, run_observer, theta_of_pieces
 from driftjax.gp import GP
 from driftjax.parallel import call
 from driftjax.sim.rollout import acting, move, sensor_reading
@@ -94,21 +94,24 @@ def predict_run(
 
 
 def run_predictions(model, theta, runs, z, starts, num, room, dt, residual):
-    axes = (None, None, 0, 0, None, None, None, None, None)
+    axes = (None, 0, 0, 0, None, None, None, None, None)
     return eqx.filter_vmap(predict_run, in_axes=axes)(model, theta, runs, z, starts, num, room, dt, residual)
 
 
 def predict_pieces(
     problem: Problem, theta: np.ndarray, z: Array, starts: np.ndarray, num: int, residual: GP | None = None
 ) -> np.ndarray:
-    """Apply `predict_run` to all pieces with their states `z` (P, T, 6); return (P, S, num, 2, 3)."""
+    """Apply `predict_run` to all pieces with their states `z` (P, T, 6); return (P, S, num, 2, 3).
+
+    `theta` is as in `predict`.
+    """
     data, count, room = problem.data, jnp.asarray(num), room_for(num, ROOM)
 
     def some(first: Array) -> np.ndarray:
-        of = lambda run, z: call(
+        of = lambda theta, run, z: call(
             run_predictions, problem.model, jnp.asarray(theta), run, z, first, count, room, data.dt, residual
         )
-        return map_pieces(of, len(data.run), data.padded, z)
+        return map_pieces(of, len(data.run), theta_of_pieces(data, theta), data.padded, z)
 
     return map_starts(some, starts)[:, :, :num]
 
@@ -133,7 +136,10 @@ def prediction_starts(problem: Problem) -> tuple[np.ndarray, int]:
 
 
 def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> Predictions:
-    """Predict with the model `theta` and a `residual` rate, from the states of its own observer."""
+    """Predict with the model `theta` and a `residual` rate, from the states of its own observer.
+
+    `theta` is the same (K,) for all pieces of runs, or one for each (P, K).
+    """
     data, (starts, num) = problem.data, prediction_starts(problem)
     path = run_observer(problem.model, data, theta, problem.gains)
     told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]

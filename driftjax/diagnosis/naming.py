@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from driftjax.diagnosis.beam import QuadraticCost, minimise_over, quadratic_cost
-from driftjax.diagnosis.evidence import fit_dispersion, replacement_costs
+from driftjax.diagnosis.beam import QuadraticCost, minimise, minimise_over, quadratic_cost
+from driftjax.diagnosis.evidence import claims, fit_dispersion, replacement_costs
 from driftjax.diagnosis.fit import Problem, evaluate, refine, refit_to_convergence
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
+from driftjax.diagnosis.worth import shapley_shares
 
 
 def name_effects(
@@ -17,10 +18,28 @@ def name_effects(
 ) -> tuple[Problem, Selection]:
     """Search for effects, none of them less probable than a rival; return the problem searched in and the selection.
 
-    `report` hears of the effects named at each step.
+    Exploratory effects that the false discovery rate does not allow are left out again. `report` hears of the effects
+    named at each step.
     """
     problem, selection = search_multistart(problem, seed, most, report)
-    return problem, prefer_probable(problem, selection, seed)
+    while True:
+        selection = prefer_probable(problem, selection, seed)
+        model = quadratic_cost(problem, selection.fit, selection.linearisation)
+        shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
+        selection = selection._replace(claims=claims(problem, selection, model, shares))
+        if (weak := unsupported(selection, shares)) is None:
+            return problem, selection
+        rest = tuple(i for i in selection.selected if i != weak)
+        selection = refitted(problem, selection, rest, minimise(model, rest), seed)
+
+
+def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
+    """Return the exploratory effect of the least share that the false discovery rate does not allow; None of none.
+
+    It is left out before the others are tested anew. A single effect is never one.
+    """
+    weak = [i for i, one in (selection.claims or {}).items() if not one.supported]
+    return min(weak, key=lambda i: shares[i]) if weak and len(shares) > 1 else None
 
 
 def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Selection:
@@ -61,9 +80,17 @@ def replace_effect(
 ) -> Selection:
     """Return the selection with `rival` in the place of `member`, all effects refitted."""
     selected = tuple(sorted((*(i for i in selection.selected if i != member), rival)))
-    start, columns = minimise_over(model, selected), problem.columns(selected)
+    start = minimise_over(model, selected)
     assert start is not None, "a credible rival has a minimum of its own"
-    fit = refine(problem, evaluate(problem, problem.start + start.psi), columns, selection.linearisation)
+    return refitted(problem, selection, selected, start.psi, seed)
+
+
+def refitted(
+    problem: Problem, selection: Selection, selected: tuple[int, ...], psi: np.ndarray, seed: int
+) -> Selection:
+    """Return the selection with the effects `selected` in place of its own, fitted from `psi` (K,)."""
+    columns = problem.columns(selected)
+    fit = refine(problem, evaluate(problem, problem.start + psi), columns, selection.linearisation)
     fit, at = refit_to_convergence(problem, fit, columns)
     last = scores(problem, at, fit.theta, selected, seed + len(selected))
-    return selection._replace(selected=selected, fit=fit, linearisation=at, scores=last)
+    return selection._replace(selected=selected, fit=fit, linearisation=at, scores=last, replacements=None, claims=None)

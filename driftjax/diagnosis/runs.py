@@ -164,7 +164,7 @@ def _riccatis(A: Array, valid: Array, noise: Array, dt: float) -> Gains:
 
 
 def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
-    return eqx.filter_vmap(observe_run, in_axes=(None, None, 0, 0, None))(model, theta, runs, gains, dt)
+    return eqx.filter_vmap(observe_run, in_axes=(None, 0, 0, 0, None))(model, theta, runs, gains, dt)
 
 
 def _chain(steps: Steps, gains: Gains, dt: float) -> Array:
@@ -224,9 +224,15 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
 
 
 def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
-    """Run the observer along every piece."""
-    one = lambda run, gains: call(_follow, model, jnp.asarray(theta), run, gains, data.dt)
-    return map_pieces(one, len(data.run), data.padded, gains)
+    """Run the observer along every piece, with one `theta` (K,) or one for each piece (P, K)."""
+    one = lambda theta, run, gains: call(_follow, model, jnp.asarray(theta), run, gains, data.dt)
+    return map_pieces(one, len(data.run), theta_of_pieces(data, theta), data.padded, gains)
+
+
+def theta_of_pieces(data: Pieces, theta: np.ndarray | Array) -> np.ndarray:
+    """Return the parameters (P, K) of every piece: the same (K,) for all, or as they are."""
+    theta = np.asarray(theta)
+    return np.broadcast_to(theta, (len(data.run), theta.shape[-1]))
 
 
 def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> SampleDerivatives:

@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import EffectSet, beam_search, gain_of, minimise, quadratic_cost
+from driftjax.diagnosis.beam import EffectSet, beam_search, ends_at_bound, gain_of, minimise, quadratic_cost
+from driftjax.diagnosis.cross_validate import change_of, held_out_errors
 from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
 from driftjax.logs.columns import MEASURED
@@ -14,11 +16,22 @@ from driftjax.logs.columns import MEASURED
 LEVEL = 0.05  # family-wise rate at which chance may name an effect
 PAIR_LEVEL = 0.01  # and a pair of effects whose single scores hide each other
 MAX_EFFECTS = 8  # default limit of named effects
+FIRST = (
+    4  # effects that the test alone may name, beside those of pose and accelerations: later ones must predict better
+)
 STRIDE = 2  # effects that a set may have beyond those named before
 REFITS = 3  # sets refitted to the end at each step, of twice as many begun
 PARAMETER_PENALTY = 10.0  # required fall of the sum of squares per parameter, beside the test
 MARGIN = 1.0  # by which a set must be better than the one before
 MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
+
+
+class Claim(NamedTuple):
+    """What the test of one named effect allows to say of it."""
+
+    p_value: float  # that chance gives any effect a score as large as its own beside the other members
+    exploratory: bool  # whether it is not among those claimed at the family-wise rate
+    supported: bool  # whether it is claimed, or passes at the false discovery rate
 
 
 class Selection(NamedTuple):
@@ -31,8 +44,10 @@ class Selection(NamedTuple):
     base: Problem  # in which the observer of the nominal car follows it: the one searched in, where that does
     nominal: Fit
     nominal_scores: Scores  # of everything, at the nominal car
+    free: int = FIRST  # effects that the test alone may name: the first ones, beside those of pose and accelerations
     dispersion: float | None = None  # of innovations, in whose units probabilities count costs; None: that of the fit
     replacements: dict[int, np.ndarray] | None = None  # costs (E,) with each effect in a member's place, where known
+    claims: dict[int, Claim] | None = None  # of each member, where known
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:
@@ -45,35 +60,92 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
     return bool(np.abs((fit.theta - problem.start)[problem.columns((effect,))]).max() >= MIN_SIZE)
 
 
+class Step(NamedTuple):
+    """One stage of a search: a set of effects, fitted."""
+
+    selected: tuple[int, ...]
+    fit: Fit
+    at: Linearisation
+    errors: Errors | None  # open-loop, on parts left out of the fit; None where the log is too short for that
+
+
 def search(
     problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS,
     report: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
 
+    No step may predict parts left out of the fit worse, and steps beyond the first effects must predict them better.
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     `report` hears of the effects named at each step.
     """
     first_at = linearise(problem, start)
     first = scores(problem, first_at, start.theta, (), seed)
     selected = selected or motion_effects(problem, start, first_at, seed, most)
-    fit, at = refit_to_convergence(problem, start, problem.columns(selected), first_at)
-    remaining = scores(problem, at, fit.theta, selected, seed) if selected else first
+    free = FIRST + len(selected)
+    now = fitted(problem, start, selected, first_at)
+    remaining = scores(problem, now.at, now.fit.theta, selected, seed) if selected else first
+    barred: frozenset[int] = frozenset()
     while True:
-        if selected:
-            report(f"naming: {', '.join(problem.effects[i].name for i in selected)}")
+        if now.selected:
+            report(f"naming: {', '.join(problem.effects[i].name for i in now.selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
-        short = at_bound(problem, fit.theta)[problem.columns(selected)].any()  # of what it stands for
-        more = STRIDE if rejected or short else 0
-        limit = min(len(selected) + more, max(most, len(selected)))
-        new, trial = best_set(problem, fit, selected, (fit, at), limit)
-        if new == selected and selected:  # a local optimum, perhaps: sets that the nominal car promises
-            new, trial = best_set(problem, fit, selected, (start, first_at), limit)
-        if new == selected:
-            return Selection(selected, fit, at, remaining, problem, start, first)
-        selected = new
-        fit, at = refit_to_convergence(problem, trial, problem.columns(selected))
-        remaining = scores(problem, at, fit.theta, selected, seed + len(selected))
+        more = STRIDE if rejected or bounded(problem, now) else 0
+        limit = min(len(now.selected) + more, max(most, len(now.selected)))
+        new = advance(problem, now, (now.fit, now.at), limit, free, barred)
+        if new is None and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
+            new = advance(problem, now, (start, first_at), limit, free, barred)
+        if new is None:
+            new, barred = drop_bounded(problem, now, free, barred)
+        if new is None:
+            return Selection(now.selected, now.fit, now.at, remaining, problem, start, first, free)
+        now = new
+        remaining = scores(problem, now.at, now.fit.theta, now.selected, seed + len(now.selected))
+
+
+def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> Step:
+    """Return the step with the effects `selected` fitted from `start`, whose linearisation is `at` where known."""
+    fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
+    return Step(selected, fit, at, held_out_errors(problem, fit, at, selected))
+
+
+def bounded(problem: Problem, step: Step) -> list[int]:
+    """Return the selected effects that end at a bound."""
+    ends = at_bound(problem, step.fit.theta)
+    return [i for i in step.selected if ends[problem.columns((i,))].any()]
+
+
+def advance(
+    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
+) -> Step | None:
+    """Return the best set without `barred` effects that costs less than that of `now` and predicts no worse.
+
+    One with more than `free` effects that has more than before must predict better. None where there is none.
+    """
+    for effects, trial in better_sets(problem, now, about, limit, barred):
+        after = fitted(problem, trial, effects)
+        if now.errors is None or after.errors is None:
+            return after
+        change = change_of(now.errors, after.errors)
+        if change.improves if len(effects) > max(len(now.selected), free) else not change.worsens:
+            return after
+    return None
+
+
+def drop_bounded(problem: Problem, now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
+    """Return the step without an effect at its bound that the best set without it can spare, and what is barred.
+
+    The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
+    parts left out of the fit are predicted better with it. None where all stay.
+    """
+    for i in bounded(problem, now) if now.errors is not None else []:
+        rest = tuple(j for j in now.selected if j != i)
+        theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
+        less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
+        less = advance(problem, less, (less.fit, less.at), len(now.selected), free, out) or less
+        if less.errors is None or now.errors is None or not change_of(less.errors, now.errors).improves:
+            return less, out
+    return None, barred
 
 
 def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, most: int) -> tuple[int, ...]:
@@ -100,43 +172,45 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
     return selected
 
 
-def best_set(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], about: tuple[Fit, Linearisation], limit: int
-) -> tuple[tuple[int, ...], Fit]:
-    """Return the set of at most `limit` effects with the least penalised cost after refitting, and its fit.
+def better_sets(
+    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+) -> list[tuple[tuple[int, ...], Fit]]:
+    """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the least first.
 
-    Of the sets that promise less than `selected` in the quadratic model `about` a fit, those that promise least are
-    refitted; `selected` and its `fit` come back where none of them is better.
+    Of the sets that promise less in the quadratic model `about` a fit, those that promise least are refitted.
     """
     trials, at = [], about[1]
-    for one in promising_sets(problem, fit, selected, about, limit):
-        trial = refine(problem, step_to(problem, fit, one), problem.columns(one.effects), at, num=1)
-        trials.append((trial, one.effects))
-    trials.sort(key=lambda item: penalised_cost(problem, *item))
-    refitted = [(fit, selected)]
-    for trial, effects in trials[:REFITS]:
-        refitted.append(refine_material(problem, trial, effects, at))
-    best, effects = min(refitted, key=lambda item: penalised_cost(problem, *item))
-    better = penalised_cost(problem, best, effects) < penalised_cost(problem, fit, selected) - MARGIN
-    return (effects, best) if better else (selected, fit)
+    for one in promising_sets(problem, now, about, limit, barred):
+        trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), at, num=1)
+        trials.append((one.effects, trial))
+    price = lambda item: penalised_cost(problem, item[1], item[0])
+    trials.sort(key=price)
+    refitted = {}
+    for effects, trial in trials[:REFITS]:
+        trial, effects = refine_material(problem, trial, effects, at)
+        refitted[effects] = min(refitted.get(effects, trial), trial, key=lambda fit: fit.cost)
+    now_price = price((now.selected, now.fit)) - MARGIN
+    return sorted((item for item in refitted.items() if price(item) < now_price), key=price)
 
 
 def promising_sets(
-    problem: Problem, fit: Fit, selected: tuple[int, ...], about: tuple[Fit, Linearisation], limit: int
+    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
 ) -> list[EffectSet]:
-    """Return up to 3 `REFITS` sets that promise to be better than `selected` in the model `about` a fit.
+    """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
-    They are the best of all, then of each size, then of those with no parameter at a bound. About another fit than
-    the present one, what `selected` costs is what the model there says of it.
+    They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
+    About another fit than the present one, what the present set costs is what the model there says of it.
     """
     model = quadratic_cost(problem, *about)
+    model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
     price = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
-    now = fit.cost if about[0] is fit else model.cost - gain_of(model, minimise(model, selected))
-    better = lambda one: model.cost - one.gain + price(one.effects) < now + price(selected) - MARGIN
+    there = about[0] is now.fit
+    cost = now.fit.cost if there else model.cost - gain_of(model, minimise(model, now.selected))
+    better = lambda one: model.cost - one.gain + price(one.effects) < cost + price(now.selected) - MARGIN
     sets = beam_search(model, limit, PARAMETER_PENALTY)
-    sets = [one for one in sets if better(one) and set(one.effects) != set(selected)]
+    sets = [one for one in sets if better(one) and set(one.effects) != set(now.selected)]
     firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]
-    inner = [one for one in sets if not at_bound(problem, problem.start + one.psi).any()]
+    inner = [one for one in sets if not ends_at_bound(model, one.psi).any()]
     leading = sets[:REFITS]
     for others in (firsts, inner):
         leading += [one for one in others if all(one is not other for other in leading)][:REFITS]

@@ -93,7 +93,9 @@ def decide_verdict(
             text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
         return Judgement(Verdict.NOTHING, text + ".")
     varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
-    certain = all(cause.probability >= SURE_PROBABILITY for cause in named) and not varying and not remaining.simpler
+    claimed = [cause for cause in named if not cause.exploratory] or named
+    sure = all(cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() for cause in claimed)
+    certain = sure and not varying and not remaining.simpler
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
@@ -106,12 +108,16 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     """Describe one cause in words: effect, size, probability and rivals."""
     effect = problem.effects[cause.effect]
     scale = np.asarray(problem.model.scale)[problem.columns((cause.effect,))]
-    rows = zip(effect.parameters, cause.theta, cause.half_width, scale, strict=True)
-    values = [f"{p.name} = {x * s:.3g} ± {w * s:.2g}{p.suffix}" for p, x, w, s in rows]
-    text = f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
+    rows = zip(effect.parameters, cause.theta, cause.half_width, scale, cause.at_bound, strict=True)
+    values = [
+        f"{p.name} at its bound of {x * s:.3g}{p.suffix}" if end else f"{p.name} = {x * s:.3g} ± {w * s:.2g}{p.suffix}"
+        for p, x, w, s, end in rows
+    ]
+    text = "Exploratory: " if cause.exploratory else ""
+    text += f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
     text += f"P = {cause.probability:.2f})."
     if cause.at_bound.any():
-        text += " Its size is at its bound, beyond which it is not plausible: it may stand for something else."
+        text += " More than its bound is not plausible: it stands for something else."
     if cause.probability < SURE_PROBABILITY <= cause.family_probability:
         family = FAMILY_OF[effect.name]
         text += f" That it is the {family} is sure (P = {cause.family_probability:.2f}), which member is not."

@@ -24,5 +24,5 @@ def compile_programs(problem: Problem) -> None:
     first, noise = jnp.arange(STARTS), jnp.asarray(problem.noise.as_vector())
     number = np.arange(BATCH_SIZE)
     compile_ahead(batched_rollouts, model, theta, runs, z, P, ahead, number, first, num, noise, dt, jnp.asarray(0))
-    compile_ahead(run_predictions, model, theta, runs, z, first, num, room, dt, None)
+    compile_ahead(run_predictions, model, jnp.tile(theta, (BATCH_SIZE, 1)), runs, z, first, num, room, dt, None)
     compile_ahead(by_commands, model, theta, runs, dt)

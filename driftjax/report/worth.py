@@ -27,7 +27,8 @@ def worth_table(content: dict[str, Any]) -> str:
         each = without.get(cause["effect"], {})
         grown = (with_interval(each[channel][0], each[channel][1:]) if channel in each else "-" for channel in MEASURED)
         family = f"{cause['family_probability']:.2f}"
-        rows.append((cause["effect"], f"{cause['probability']:.2f}", cause["family"], family, share, *grown))
+        name = cause["effect"] + (" (exploratory)" if cause.get("exploratory") else "")
+        rows.append((name, f"{cause['probability']:.2f}", cause["family"], family, share, *grown))
     note = "without it: error on held-out runs over that with all, others refitted; -: not named without those runs"
     return "\n".join([*aligned(rows), note]) + "\n"
 

@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_p_value
+from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
 from driftjax.diagnosis.fit import Problem, evaluate, linearise, refit_to_convergence, with_noise
 from driftjax.diagnosis.propose import in_full_catalogue, propose
 from driftjax.diagnosis.score import scores
@@ -121,7 +121,7 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
         whole = Selection((member,), fit, at, remaining, one, fit, remaining)
         model = quadratic_cost(one, fit, at)
         stated.append(effect_probabilities(one, whole, model, member)[member])
-        p_value = own_p_value(one, whole, model, member)
+        p_value = own_scores(one, whole, model, member).p_value_of(member, columns)
         assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
     assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from driftjax.diagnosis import evidence, multistart, naming, select
 from driftjax.diagnosis import fit as fits
-from driftjax.diagnosis import select
+from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
 from driftjax.diagnosis.fit import Fit, Problem
+from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation, Pieces
 
@@ -40,8 +42,21 @@ def toy_problem(
         J = np.stack([low - high for low, high in pairs], axis=-1) / (2 * STEP)
         return Linearisation(fit.e, J, NOTHING, NOTHING)  # type: ignore[arg-type]
 
-    for module in (fits, select):
+    def held_out_errors(problem: Problem, fit: Fit, at: Linearisation, selected: tuple[int, ...]) -> Errors | None:
+        """The residuals themselves stand for open-loop errors, alike at all horizons."""
+        if (out := left_out_blocks(data, 1)) is None:
+            return None
+        e = np.concatenate(
+            [residuals(theta)[p] for p, theta in enumerate(fits_left_out(problem, fit, at, selected, out))]
+        )
+        return Errors(
+            np.repeat(e[:, None] ** 2, 4, axis=1), (), block.ravel(), np.repeat(np.arange(runs), block.shape[1])
+        )
+
+    monkeypatch.setattr(select, "held_out_errors", held_out_errors)
+    for module in (fits, select, evidence, naming, multistart):
         monkeypatch.setattr(module, "evaluate", evaluate)
+    for module in (fits, select):
         monkeypatch.setattr(module, "linearise", linearise)
     known = np.zeros(K), np.arange(K), frozenset[str](), np.ones(K, bool)
     problem = Problem(model, data, lower, upper, *known, NOTHING, NOTHING)
