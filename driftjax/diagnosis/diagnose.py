@@ -21,6 +21,7 @@ from driftjax.diagnosis.held_out import (
     retuned_effects,
 )
 from driftjax.diagnosis.naming import name_effects
+from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, extended_car, found_noise
@@ -157,6 +158,8 @@ def diagnose(
     if duration < MIN_DURATION:
         text = f"The log holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
         return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
+    if any(lost := count_outliers(log.runs, vehicle.a + vehicle.b).values()):
+        report(f"{sum(lost)} outliers left out")
     report("noise and nominal car")
     initial = initial_problem(vehicle, effects, log.runs, config.without)
     names = tuple(run.name for run in log.runs)

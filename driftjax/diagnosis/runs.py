@@ -22,6 +22,7 @@ from driftjax.diagnosis.observer import (
     sample_derivatives,
     samples_in_run,
 )
+from driftjax.diagnosis.outliers import without_outliers
 from driftjax.logs import Run
 from driftjax.logs.sampling import fill_gaps
 from driftjax.parallel import call
@@ -108,7 +109,8 @@ def piece_size(lengths: list[int]) -> int:
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Cut runs into pieces; before its first command a run is assumed to have held that command."""
+    """Cut runs into pieces, without outliers; before its first command a run is assumed to have held that command."""
+    runs = tuple(without_outliers(run, vehicle.a + vehicle.b) for run in runs)
     dt, rows, blocks, number, further = runs[0].dt, [], [], [], []
     size = piece_size([len(run.t) for run in runs])
     for i, (run, lap) in enumerate(zip(runs, lap_lengths(runs), strict=True)):

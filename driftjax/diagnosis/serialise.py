@@ -11,6 +11,7 @@ from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import Gain
 from driftjax.diagnosis.noise import Noise
+from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
@@ -31,7 +32,8 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(diagnosis.gain),
         "next_manoeuvre": diagnosis.proposal._asdict() if diagnosis.proposal else None,
         "show": None, "closed_loop": None,
-        "data": {"sha256": log.sha256, "rows": log.rows, "notes": list(log.notes), "noise_sigma": {}},
+        "data": {"sha256": log.sha256, "rows": log.rows, "notes": list(log.notes), "noise_sigma": {},
+                 "outliers": count_outliers(log.runs, diagnosis.vehicle.a + diagnosis.vehicle.b)},
         "config": dataclasses.asdict(diagnosis.config), "seed": diagnosis.config.seed,
     }  # fmt: skip
     if evidence is None:

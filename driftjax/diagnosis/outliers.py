@@ -1,0 +1,69 @@
+"""Outliers: single samples of a sensor that leave both their neighbours by far more than its noise.
+
+They say nothing of the car and are left out before anything is fitted (Hampel 1985), so that no hypothesis can buy
+them. A car's own motion lasts for several samples; a step, or a value that is held, leaves one neighbour only.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from driftjax.diagnosis.noise import robust_deviation
+from driftjax.logs import Run
+from driftjax.logs.columns import MEASURED
+from driftjax.logs.sampling import fill_gaps
+from driftjax.vehicle.single_track import G
+
+THRESHOLD = 5.0  # robust deviations of a sample from its neighbours, from which it is an outlier
+ALIKE = 0.4  # distance from one neighbour over that from the other, at least
+PASSES = 3  # since outliers side by side hide each other
+NEIGHBOURS = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6  # weights of the cubic through them
+RESOLVED = 8.0  # samples in sqrt(L/g) from which they resolve the motion of a car
+MIN_LENGTH = 20  # samples of a run below which nothing is an outlier
+
+
+def outliers(y: np.ndarray) -> np.ndarray:
+    """Return which samples of a channel `y` (n,), NaN where missing, are outliers."""
+    found = np.zeros(len(y), bool)
+    if np.isfinite(y).sum() < MIN_LENGTH:
+        return found
+    for _ in range(PASSES):
+        clean = fill_gaps(np.where(found, np.nan, y))
+        new = _stand_alone(clean) & np.isfinite(y) & ~found
+        if not new.any():
+            break
+        found |= new
+    return found
+
+
+def _stand_alone(y: np.ndarray) -> np.ndarray:
+    """Return which samples (n,) leave both neighbours alike, and the cubic through four, by more than noise does.
+
+    Nor may it be by a few steps of the quantisation.
+    """
+    change = np.diff(y)
+    before, after = change[1:-2], -change[2:-1]
+    least, most = np.sort(np.abs([before, after]), axis=0)
+    off = np.convolve(y, np.eye(5)[2] - NEIGHBOURS, "valid")
+    steps = np.abs(change[change != 0])
+    limit = THRESHOLD * max(robust_deviation(off), steps.min(initial=np.inf))
+    alike = (before * after > 0) & (least > ALIKE * most)
+    return np.pad(alike & (least > limit) & (np.abs(off) > limit), 2)
+
+
+def without_outliers(run: Run, wheelbase: float) -> Run:
+    """Return the run with outliers of V, beta and r missing, for a car of this `wheelbase` [m]."""
+    rows = {name: np.where(where, np.nan, getattr(run, name)) for name, where in find_outliers(run, wheelbase).items()}
+    return dataclasses.replace(run, **rows)
+
+
+def find_outliers(run: Run, wheelbase: float) -> dict[str, np.ndarray]:
+    """Return which samples (n,) of V, beta and r are outliers; none where samples hardly resolve the car's motion."""
+    resolved = run.dt * RESOLVED <= np.sqrt(wheelbase / G)
+    return {name: outliers(getattr(run, name)) & resolved for name in MEASURED}
+
+
+def count_outliers(runs: tuple[Run, ...], wheelbase: float) -> dict[str, int]:
+    """Return the number of outliers of each channel in `runs`."""
+    found = [find_outliers(run, wheelbase) for run in runs]
+    return {name: sum(int(one[name].sum()) for one in found) for name in MEASURED}
