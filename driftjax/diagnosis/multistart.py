@@ -64,4 +64,4 @@ def search_from_far(
     anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
     selection = search(anew, require_finite(fit), seed, rough.selected, most, report)
-    return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores)
+    return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores, free=rough.free)

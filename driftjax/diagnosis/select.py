@@ -81,8 +81,8 @@ def search(
     """
     first_at = linearise(problem, start)
     first = scores(problem, first_at, start.theta, (), seed)
-    selected = selected or motion_effects(problem, start, first_at, seed, most)
-    free = FIRST + len(selected)
+    motion = () if selected else motion_effects(problem, start, first_at, seed, most)
+    selected, free = selected or motion, FIRST + len(motion)
     now = fitted(problem, start, selected, first_at)
     remaining = scores(problem, now.at, now.fit.theta, selected, seed) if selected else first
     barred: frozenset[int] = frozenset()
@@ -93,7 +93,7 @@ def search(
         more = STRIDE if rejected or bounded(problem, now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
         new = advance(problem, now, (now.fit, now.at), limit, free, barred)
-        if new is None and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
+        if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
             new = advance(problem, now, (start, first_at), limit, free, barred)
         if new is None:
             new, barred = drop_bounded(problem, now, free, barred)
