@@ -212,7 +212,7 @@ def promising_sets(
     firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]
     inner = [one for one in sets if not ends_at_bound(model, one.psi).any()]
     leading = sets[:REFITS]
-    for others in (firsts, inner):
+    for others in (firsts, inner[:REFITS]):
         leading += [one for one in others if all(one is not other for other in leading)][:REFITS]
     return leading
 
