@@ -39,6 +39,7 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     told = json.loads(Path("found/diagnosis.json").read_text())
     assert (told["schema"], told["verdict"]) == (1, "NAMED")
     assert [cause["effect"] for cause in told["causes"]] == ["steer_lag"]
+    assert told["causes"][0]["exploratory"] is False and told["data"]["outliers"] == {"V": 0, "beta": 0, "r": 0}
     found = told["causes"][0]["parameters"]["tau"]
     true = next(p for p in EFFECTS["steer_lag"].parameters).typical * (3.05 / 9.81) ** 0.5
     assert found["unit"] == "s" and found["value"] == pytest.approx(true, rel=0.1)

@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from diagnosed import DRIVERS, EFFECTS, diagnosed
+from diagnosed import DRIVERS, EFFECTS, diagnosed, told
 from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from driftjax.cli import main
-from driftjax.report import closed_loop_table, gain_table, run_line, write_diagnosis
+from driftjax.report import closed_loop_table, gain_table, run_line, worth_table, write_diagnosis
 from driftjax.report.diagnosis import TITLES, diagnosis_figures
 from driftjax.report.evidence import PLAIN, plot_confusability, plot_scores
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
@@ -43,6 +43,13 @@ def test_page_holds_every_figure_and_needs_nothing_else(run, capsys):
                   "0.80 [0.70, 0.90]", "100 % [90, 100]", "1.50 [1.40, 1.60]",
                   "the log has no ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
         assert words in page, words
+
+
+def test_exploratory_causes_are_marked_in_the_table():
+    content = told(("friction_rear",))
+    assert "exploratory" not in worth_table(content)
+    content["causes"][0]["exploratory"] = True
+    assert "friction_rear (exploratory)" in worth_table(content)
 
 
 def test_what_is_stored_describes_itself(run):
