@@ -18,7 +18,6 @@ MIN_RUNS = 4  # runs from which whole runs are left out
 MIN_SHARE = 0.5  # of the blocks of time that every fit must keep
 MIN_FALL = 0.02  # of the error by which more effects must predict better
 MAX_RISE = 0.05  # of the error of one channel that is tolerated
-DOUBT = 2.0  # standard errors beyond which a prediction is worse
 LOST = 0.1  # share of the predictions that late sensors may leave without a measurement
 CLUSTERS = 4  # pieces from which they are the units of the standard error; blocks of time where there are fewer
 
@@ -31,19 +30,14 @@ class Change(NamedTuple):
     channel: np.ndarray  # (3,) of V, beta, r
     channel_error: np.ndarray  # (3,)
 
-    def spoils(self, doubt: float) -> bool:
-        """Return whether the error of a channel rises by more than tolerated, and than `doubt` standard errors."""
-        return bool(np.any((self.channel > np.log1p(MAX_RISE)) & (self.channel > doubt * self.channel_error)))
-
     @property
     def improves(self) -> bool:
-        """Return whether the error falls by enough and by its standard error, and that of no channel rises."""
-        return self.whole < min(np.log1p(-MIN_FALL), -self.whole_error) and not self.spoils(1.0)
+        """Return whether the error falls by enough and by its standard error, and that of no channel rises.
 
-    @property
-    def worsens(self) -> bool:
-        """Return whether the error rises by as much beyond doubt, or that of a channel does."""
-        return self.whole > max(np.log1p(MIN_FALL), DOUBT * self.whole_error) or self.spoils(DOUBT)
+        The error of a channel rises where it does by more than tolerated, and by its standard error.
+        """
+        rises = (self.channel > np.log1p(MAX_RISE)) & (self.channel > self.channel_error)
+        return self.whole < min(np.log1p(-MIN_FALL), -self.whole_error) and not rises.any()
 
 
 def left_out_blocks(data: Pieces, buffer: int) -> np.ndarray | None:

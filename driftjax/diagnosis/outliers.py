@@ -47,7 +47,7 @@ def _stand_alone(y: np.ndarray) -> np.ndarray:
     off = np.convolve(y, np.eye(5)[2] - NEIGHBOURS, "valid")
     steps = np.abs(change[change != 0])
     limit = THRESHOLD * max(robust_deviation(off), steps.min(initial=np.inf))
-    alike = (before * after > 0) & (least > ALIKE * most)
+    alike = (np.sign(before) == np.sign(after)) & (least > ALIKE * most)
     return np.pad(alike & (least > limit) & (np.abs(off) > limit), 2)
 
 

@@ -75,7 +75,7 @@ def search(
 ) -> Selection:  # fmt: skip
     """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
 
-    No step may predict parts left out of the fit worse, and steps beyond the first effects must predict them better.
+    Steps beyond the first effects must predict parts left out of the fit better.
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     `report` hears of the effects named at each step.
     """
@@ -118,16 +118,16 @@ def bounded(problem: Problem, step: Step) -> list[int]:
 def advance(
     problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
 ) -> Step | None:
-    """Return the best set without `barred` effects that costs less than that of `now` and predicts no worse.
+    """Return the best set without `barred` effects that costs less than that of `now`, None where there is none.
 
-    One with more than `free` effects that has more than before must predict better. None where there is none.
+    One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
+    effects need not: on an unstable drift even the true car predicts no better, and the test has its own error rate.
     """
     for effects, trial in better_sets(problem, now, about, limit, barred):
         after = fitted(problem, trial, effects)
-        if now.errors is None or after.errors is None:
+        if len(effects) <= max(len(now.selected), free) or now.errors is None or after.errors is None:
             return after
-        change = change_of(now.errors, after.errors)
-        if change.improves if len(effects) > max(len(now.selected), free) else not change.worsens:
+        if change_of(now.errors, after.errors).improves:
             return after
     return None
 
