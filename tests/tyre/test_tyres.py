@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,9 @@ def tyre(**changes):
     return MagicFormula(**values)
 
 
+forces = eqx.filter_jit(lambda tyre, *at: tyre.forces(*at))
+
+
 def reference(mu, B, C, E, slip_ratio, load_sensitivity, kappa, alpha):
     """The same law in polar form, one wheel at a time, without JAX."""
     friction = mu * np.exp(-load_sensitivity * (4500.0 / 4000.0 - 1))
@@ -31,28 +35,30 @@ def test_forces_equal_an_independent_transcription():
     values = dict(mu=1.1, B=11.0, C=1.4, E=0.1, slip_ratio=1.2, load_sensitivity=0.1)
     rng = np.random.default_rng(0)
     for kappa, alpha in rng.uniform(-1, 1, (20, 2)):
-        got = tyre().forces(jnp.asarray(kappa), jnp.asarray(alpha), FZ, FZ0)
+        got = forces(tyre(), kappa, alpha, FZ, FZ0)
         np.testing.assert_allclose(got, reference(**values, kappa=kappa, alpha=alpha), rtol=1e-5, atol=0.1)
 
 
 def test_pure_lateral_slip_without_extras_is_the_nominal_tyre():
-    alpha = jnp.linspace(-0.8, 0.8, 41)
-    Fx, Fy = tyre(E=0.0, load_sensitivity=0.0).forces(jnp.zeros(41), alpha, FZ, FZ0)
-    np.testing.assert_allclose(Fy, SimplifiedPacejka(1.1, 11.0, 1.4).lateral(alpha, FZ), rtol=1e-5, atol=1e-6)
+    alpha: Any = np.linspace(-0.8, 0.8, 41)
+    Fx, Fy = forces(tyre(E=0.0, load_sensitivity=0.0), np.zeros(41), alpha, FZ, FZ0)
+    np.testing.assert_allclose(
+        Fy, eqx.filter_jit(SimplifiedPacejka(1.1, 11.0, 1.4).lateral)(alpha, FZ), rtol=1e-5, atol=1e-6
+    )
     np.testing.assert_allclose(Fx, 0.0, atol=1e-9)
 
 
 def test_no_force_leaves_the_friction_circle_and_none_adds_energy():
-    kappa, alpha = jnp.asarray(np.random.default_rng(1).normal(0, 2, (2, 2000)))
-    Fx, Fy = tyre().forces(kappa, alpha, FZ, FZ0)
-    limit = tyre().friction(FZ, FZ0) * FZ
-    assert float(jnp.hypot(Fx, Fy).max()) <= float(limit) * (1 + 1e-12)
-    assert float(jnp.hypot(Fx, Fy).max()) > 0.999 * float(limit)  # and the circle is reached
-    assert bool(jnp.all(Fx * kappa - Fy * alpha >= 0))
+    kappa, alpha = np.random.default_rng(1).normal(0, 2, (2, 2000))
+    Fx, Fy = map(np.asarray, forces(tyre(), kappa, alpha, FZ, FZ0))
+    limit = float(tyre().friction(FZ, FZ0) * FZ)
+    assert np.hypot(Fx, Fy).max() <= limit * (1 + 1e-12)
+    assert np.hypot(Fx, Fy).max() > 0.999 * limit  # and the circle is reached
+    assert np.all(Fx * kappa - Fy * alpha >= 0)
 
 
 def test_stiffness_at_small_slip_is_the_product_of_the_factors():
-    slope = jax.grad(lambda alpha: tyre().forces(jnp.asarray(0.0), alpha, FZ, FZ0)[1])(0.0)
+    slope = jax.jit(jax.grad(lambda alpha: tyre().forces(jnp.asarray(0.0), alpha, FZ, FZ0)[1]))(0.0)
     friction = float(tyre().friction(FZ, FZ0))
     np.testing.assert_allclose(slope, -friction * 4500.0 * 11.0 * 1.4, rtol=1e-5)
 
@@ -66,12 +72,13 @@ def test_friction_falls_with_load_by_the_sensitivity():
 @pytest.mark.parametrize("load", [0.0, 4500.0])
 def test_gradients_are_finite_without_slip_and_without_load(load):
     total = lambda z: sum(tyre().forces(z[0], z[1], z[2], FZ0))
-    assert np.isfinite(jax.grad(total)(jnp.array([0.0, 0.0, load]))).all()
+    assert np.isfinite(jax.jit(jax.grad(total))(np.array([0.0, 0.0, load]))).all()
 
 
 @pytest.mark.parametrize(("B", "C"), [(10.92, 1.458), (18.10, 1.323)])
 def test_nominal_peak_is_where_the_force_is_largest(B, C):
     law = SimplifiedPacejka(1.0, B, C)
-    best: Any = minimize_scalar(lambda a: float(law.lateral(jnp.asarray(a), FZ)), bounds=(0.01, 0.6), method="bounded")
+    lateral = eqx.filter_jit(law.lateral)
+    best: Any = minimize_scalar(lambda a: float(lateral(jnp.asarray(a), FZ)), bounds=(0.01, 0.6), method="bounded")
     np.testing.assert_allclose(law.alpha_peak, best.x, atol=1e-4)
     np.testing.assert_allclose(-best.fun, 4500.0)
