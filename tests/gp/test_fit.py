@@ -19,9 +19,12 @@ KEY = jax.random.key(0)
 N = 40
 
 
-def padded(n, seed, noise=0.05):
+def padded(n, seed, noise=0.05) -> Any:
     Z, Y = smooth(N, seed=seed, noise=noise)
-    return jnp.asarray(Z), jnp.asarray(Y), jnp.arange(N) < n
+    return Z, Y, np.arange(N) < n
+
+
+at = eqx.filter_jit(lambda f, points: jax.vmap(f)(points))
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
@@ -34,9 +37,9 @@ def test_likelihood_is_at_least_scikit_learns(seed, noise):
         lengths: Any = np.ones(3)
         kernel = ConstantKernel(1.0, box[1]) * RBF(lengths, box[0]) + WhiteKernel(0.01, box[2])
         other: Any = GaussianProcessRegressor(kernel, alpha=0, n_restarts_optimizer=3, random_state=0)
-        other.fit(np.asarray(Z / ours.gp.scale), np.asarray(Y[:, d] / ours.gp.output_scale[d]))
+        other.fit(Z / np.asarray(ours.gp.scale), Y[:, d] / float(ours.gp.output_scale[d]))
         assert ours.log_marginal_likelihood[d] > other.log_marginal_likelihood_value_ - 0.05
-    assert jnp.all(ours.error < 1e-2)
+    assert np.all(np.asarray(ours.error) < 1e-2)
 
 
 def test_padding_changes_nothing():
@@ -44,7 +47,7 @@ def test_padding_changes_nothing():
     with_padding = fit(Z, Y, mask, max_iterations=60, key=KEY)
     without = fit(Z[:25], Y[:25], mask[:25], max_iterations=60, key=KEY)
     np.testing.assert_allclose(with_padding.log_marginal_likelihood, without.log_marginal_likelihood, rtol=1e-6)
-    np.testing.assert_allclose(with_padding.gp.mean(Z[3]), without.gp.mean(Z[3]), rtol=1e-4)
+    np.testing.assert_allclose(at(with_padding.gp.mean, Z[3:4]), at(without.gp.mean, Z[3:4]), rtol=1e-4)
 
 
 def test_lanes_equal_single_fits_and_share_one_compile():
@@ -57,7 +60,7 @@ def test_lanes_equal_single_fits_and_share_one_compile():
 
     for n in (30, 38):
         data = [padded(n, seed) for seed in (5, 6)]
-        Z, Y, mask = (jnp.stack(parts) for parts in zip(*data, strict=True))
+        Z, Y, mask = (np.stack(parts) for parts in zip(*data, strict=True))
         batch = lanes(Z, Y, mask, jnp.stack([KEY, KEY]))
         assert jnp.all(batch.result == RESULTS.successful)
     assert len(traces) == 1
@@ -69,19 +72,20 @@ def test_lanes_equal_single_fits_and_share_one_compile():
 def test_held_out_targets_are_predicted_with_honest_variance():
     Z, Y, mask = padded(N, 7)
     gp = fit(Z, Y, mask, max_iterations=60, key=KEY).gp
-    points, truth = (jnp.asarray(part) for part in smooth(200, seed=70, noise=0.0))
-    error = jax.vmap(gp.mean)(points) - truth
-    sigma = jnp.sqrt(jax.vmap(gp.variance)(points))
-    assert jnp.all(jnp.sqrt(jnp.mean(error**2, axis=0)) < 0.25 * gp.output_scale)
-    covered = jnp.mean(jnp.abs(error) < 2 * sigma, axis=0)
-    assert jnp.all(covered > 0.75)
+    points, truth = smooth(200, seed=70, noise=0.0)
+    error = np.asarray(at(gp.mean, points)) - truth
+    sigma = np.sqrt(at(gp.variance, points))
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.25 * np.asarray(gp.output_scale))
+    covered = np.mean(np.abs(error) < 2 * sigma, axis=0)
+    assert np.all(covered > 0.75)
 
 
 def test_no_data_and_bad_data_are_told_apart():
     Z, Y, mask = padded(0, 0)
     empty = fit(Z, Y, mask, max_iterations=60, key=KEY)
-    assert jnp.all(empty.gp.mean(Z[0]) == 0) and jnp.all(empty.result == RESULTS.successful)
-    broken = fit(Z, Y.at[0, 0].set(jnp.nan), mask.at[:5].set(True), max_iterations=60, key=KEY)
+    assert np.all(np.asarray(at(empty.gp.mean, Z[:1])) == 0) and jnp.all(empty.result == RESULTS.successful)
+    Y[0, 0], mask[:5] = np.nan, True
+    broken = fit(Z, Y, mask, max_iterations=60, key=KEY)
     assert bool((broken.result == RESULTS.non_finite)[0])
 
 
@@ -89,14 +93,14 @@ def test_a_subset_fits_the_hyper_parameters_and_all_rows_condition():
     Z, Y, mask = padded(N, 9)
     result = fit(Z, Y, mask, max_iterations=60, num_fit=30, key=KEY)
     full = fit(Z, Y, mask, max_iterations=60, key=KEY)
-    assert jnp.all(jnp.abs(result.gp.alpha) > 0)
-    assert jnp.all(jnp.isfinite(result.log_marginal_likelihood))
-    difference = jax.vmap(result.gp.mean)(Z) - jax.vmap(full.gp.mean)(Z)
-    assert jnp.max(jnp.abs(difference) / full.gp.output_scale) < 0.5
+    assert np.all(np.abs(result.gp.alpha) > 0)
+    assert np.all(np.isfinite(result.log_marginal_likelihood))
+    difference = np.asarray(at(result.gp.mean, Z)) - at(full.gp.mean, Z)
+    assert np.max(np.abs(difference) / np.asarray(full.gp.output_scale)) < 0.5
 
 
 def test_a_previous_fit_saves_iterations():
     Z, Y, mask = padded(N, 10)
     cold = fit(Z, Y, mask, max_iterations=60, key=KEY)
     warm = fit(Z, Y, mask, max_iterations=60, previous=cold.gp, key=KEY)
-    assert jnp.all(warm.num_steps < cold.num_steps)
+    assert np.all(np.asarray(warm.num_steps) < cold.num_steps)
