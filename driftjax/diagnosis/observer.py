@@ -65,7 +65,7 @@ def in_run(valid: Float[Array, "T 3"]) -> Array:
 
 def samples_in_run(valid: np.ndarray) -> np.ndarray:
     """Return whether each sample (P, T) is within its run rather than padding after its last measurement."""
-    return np.asarray(jax.vmap(in_run)(jnp.asarray(valid)))
+    return np.asarray(jax.jit(jax.vmap(in_run))(valid))
 
 
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:

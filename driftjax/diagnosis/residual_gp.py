@@ -1,5 +1,6 @@
 """Fit a GP to the rates that a model lacks: an alternative or a complement to named causes."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,12 +32,13 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
     lacking = missed / (num * data.dt)  # a window is a whole number of steps, not WINDOW
     middle = starts + num // 2
     x, u = path.z[:, middle, :3], path.u[:, middle]
-    Z = jax.vmap(jax.vmap(lambda x, u: features(State(*x), Control(u[0], u[1]))))(x, u)
+    columns = lambda a: np.moveaxis(np.asarray(a), -1, 0)
+    Z = jax.jit(features)(State(*columns(x)), Control(*columns(u)[:2]))
     measured = np.asarray(path.valid)[:, starts + num].all(axis=-1)
     return Z.reshape(-1, 5), jnp.asarray(lacking.reshape(-1, 3)), jnp.asarray(measured.reshape(-1))
 
 
 def fit_residual_gp(problem: Problem, theta: np.ndarray, seed: int) -> GP:
     """Fit a GP to the rates [SI] that the model `theta` lacks in these data."""
-    kept = select_dictionary(*residual_rates(problem, theta), DICTIONARY_SIZE)
+    kept = eqx.filter_jit(select_dictionary)(*residual_rates(problem, theta), DICTIONARY_SIZE)
     return fit(*kept, key=jax.random.key(seed)).gp

@@ -97,7 +97,7 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
     V, beta, r = fill_gaps(run.V), fill_gaps(run.beta), fill_gaps(run.r)
     psi = fill_gaps(run.extra["psi"]) if "psi" in run.extra else np.cumsum(r) * run.dt
     s = fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros_like(V)
-    heat = np.asarray(heat_rate(vehicle.build(), State(*map(jnp.asarray, (V, beta, r)))))
+    heat = np.asarray(eqx.filter_jit(heat_rate)(vehicle.build(), State(*map(jnp.asarray, (V, beta, r)))))
     columns = run.t - run.t[0], psi, s / lap, np.cumsum(heat) * run.dt
     return Place(*map(jnp.asarray, columns))
 
@@ -126,7 +126,8 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     motion = np.stack(further)
     valid = np.isfinite(motion)
     known = Motion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
-    return Pieces(jax.tree.map(lambda *a: jnp.stack(a), *rows), np.array(number), block, len(names), dt, known)
+    padded = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *rows)
+    return Pieces(padded, np.array(number), block, len(names), dt, known)
 
 
 def _further_of(run: Run, k: int, size: int) -> np.ndarray:
@@ -209,9 +210,10 @@ class Linearisation(NamedTuple):
 def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
     """Return fixed gains, for use before any noise is known: each innovation is applied by `share`."""
     num = len(data.run)
-    L = jnp.zeros((num, data.size, 6, 3)).at[..., :3, :].set(share * jnp.eye(3))
-    nothing = jnp.zeros(num)
-    return Gains(L, jnp.zeros((num, data.size, 3, 3)), nothing, jnp.zeros((num, data.size, 6, 6)), nothing)
+    zeros = lambda *shape: np.zeros((num, *shape))
+    L = zeros(data.size, 6, 3)
+    L[..., :3, :] = share * np.eye(3)
+    return Gains(*map(jnp.asarray, (L, zeros(data.size, 3, 3), zeros(), zeros(data.size, 6, 6), zeros())))
 
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
