@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from driftjax.logs.log import Run
 from driftjax.logs.sampling import fill_gaps, surrounding
@@ -87,6 +86,8 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
     """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN in gaps and at low speed."""
+    from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
+
     raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
     num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
     if len(run.t) < num:
