@@ -16,7 +16,7 @@ at = eqx.filter_jit(lambda residual, Z: jax.vmap(residual)(Z))
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 800.0])
 SIZE = np.array([0.5, 0.2, 0.4])
-fitted = eqx.filter_jit(lambda model_state, Z, Y, mask, key: learn(model_state, Z, Y, mask, LAGS, CONFIG, key))
+fitted: Any = eqx.filter_jit(lambda model_state, Z, Y, mask, key: learn(model_state, Z, Y, mask, LAGS, CONFIG, key))
 
 
 def planted(W):
