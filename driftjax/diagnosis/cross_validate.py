@@ -2,7 +2,7 @@
 
 A part is a run, or a piece of one with a buffer about it where there are few runs. Fits without it follow by linear
 algebra from information and scores by block, so that a set costs one prediction of all runs (Racine 2000 for the
-buffer). Errors are open-loop, 1, 2 and 4 sqrt(L/g) ahead.
+buffer). Errors are open-loop, 1 and 2 sqrt(L/g) ahead.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ import numpy as np
 
 from driftjax.diagnosis.beam import minimise, quadratic_about
 from driftjax.diagnosis.fit import Fit, Problem
-from driftjax.diagnosis.gain import Errors, at_horizons, horizon_steps, predict
+from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.runs import BLOCK, Linearisation, Pieces
 
 MIN_RUNS = 4  # runs from which whole runs are left out
@@ -80,15 +80,17 @@ def fits_left_out(
 
 
 def held_out_errors(problem: Problem, fit: Fit, at: Linearisation, selected: tuple[int, ...]) -> Errors | None:
-    """Return the open-loop errors of the effects `selected` on parts that they were fitted without, after 1 step too.
+    """Return the open-loop errors of the effects `selected` on parts that they were fitted without.
 
-    None where the log is too short to leave any out.
+    They are those after 1 step, and up to the horizon at which shares of the error are measured. None where the log is
+    too short to leave any out.
     """
     steps = horizon_steps(problem)
-    out = left_out_blocks(problem.data, int(np.ceil(steps[-1] * problem.data.dt / BLOCK)))
+    out = left_out_blocks(problem.data, int(np.ceil(steps[DECISIVE] * problem.data.dt / BLOCK)))
     if out is None:
         return None
-    return at_horizons(problem, predict(problem, fits_left_out(problem, fit, at, selected, out)).error ** 2)
+    theta = fits_left_out(problem, fit, at, selected, out)
+    return at_horizons(problem, predict(problem, theta, last=DECISIVE).error ** 2)
 
 
 def change_of(before: Errors, after: Errors) -> Change:

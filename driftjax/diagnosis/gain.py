@@ -128,19 +128,19 @@ def horizon_steps(problem: Problem) -> np.ndarray:
     return np.array([1, *(max(round(span * unit), 1) for span in SPANS)])
 
 
-def prediction_starts(problem: Problem) -> tuple[np.ndarray, int]:
-    """Return the samples at which predictions start, and the number of steps."""
+def prediction_starts(problem: Problem, last: int = len(SPANS)) -> tuple[np.ndarray, int]:
+    """Return the samples at which predictions start, and the number of steps to the horizon number `last`."""
     dt, steps = problem.data.dt, horizon_steps(problem)
     every = max(round(START_INTERVAL * float(problem.model.base.unit_time) / dt), 1)
-    return np.arange(round(SETTLED / dt), problem.data.size - 1, every), int(steps[-1])
+    return np.arange(round(SETTLED / dt), problem.data.size - 1, every), int(steps[last])
 
 
-def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> Predictions:
+def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, last: int = len(SPANS)) -> Predictions:
     """Predict with the model `theta` and a `residual` rate, from the states of its own observer.
 
-    `theta` is the same (K,) for all pieces of runs, or one for each (P, K).
+    `theta` is the same (K,) for all pieces of runs, or one for each (P, K). `last` is the number of the last horizon.
     """
-    data, (starts, num) = problem.data, prediction_starts(problem)
+    data, (starts, num) = problem.data, prediction_starts(problem, last)
     path = run_observer(problem.model, data, theta, problem.gains)
     told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
@@ -152,8 +152,9 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None) -> 
 
 
 def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:
-    """Select the squared errors (P, S, N, 3) after one step and at the horizons."""
+    """Select the squared errors (P, S, N, 3) after one step and at the horizons up to N steps."""
     steps = horizon_steps(problem)
+    steps = steps[steps <= squares.shape[2]]
     chosen = squares[:, :, steps - 1]
     starts = prediction_starts(problem)[0]
     piece = np.repeat(np.arange(len(squares)), len(starts))

@@ -1,6 +1,8 @@
 """Select effects: sets from a beam search, refitted in the whole nonlinear model, while a test finds something left."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -60,13 +62,23 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
     return bool(np.abs((fit.theta - problem.start)[problem.columns((effect,))]).max() >= MIN_SIZE)
 
 
-class Step(NamedTuple):
+@dataclass(frozen=True)
+class Step:
     """One stage of a search: a set of effects, fitted."""
 
+    problem: Problem
     selected: tuple[int, ...]
     fit: Fit
     at: Linearisation
-    errors: Errors | None  # open-loop, on parts left out of the fit; None where the log is too short for that
+
+    @cached_property
+    def errors(self) -> Errors | None:
+        """Open-loop errors on parts left out of the fit; None where the log is too short for that."""
+        return held_out_errors(self.problem, self.fit, self.at, self.selected)
+
+    def improves(self, before: "Step") -> bool:
+        """Return whether parts left out are predicted better than by `before`, or the log is too short to tell."""
+        return self.errors is None or before.errors is None or change_of(before.errors, self.errors).improves
 
 
 def search(
@@ -106,7 +118,7 @@ def search(
 def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> Step:
     """Return the step with the effects `selected` fitted from `start`, whose linearisation is `at` where known."""
     fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
-    return Step(selected, fit, at, held_out_errors(problem, fit, at, selected))
+    return Step(problem, selected, fit, at)
 
 
 def bounded(problem: Problem, step: Step) -> list[int]:
@@ -125,9 +137,7 @@ def advance(
     """
     for effects, trial in better_sets(problem, now, about, limit, barred):
         after = fitted(problem, trial, effects)
-        if len(effects) <= max(len(now.selected), free) or now.errors is None or after.errors is None:
-            return after
-        if change_of(now.errors, after.errors).improves:
+        if len(effects) <= max(len(now.selected), free) or after.improves(now):
             return after
     return None
 
@@ -138,12 +148,12 @@ def drop_bounded(problem: Problem, now: Step, free: int, barred: frozenset[int])
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
     """
-    for i in bounded(problem, now) if now.errors is not None else []:
+    for i in bounded(problem, now):
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
         less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
         less = advance(problem, less, (less.fit, less.at), len(now.selected), free, out) or less
-        if less.errors is None or now.errors is None or not change_of(less.errors, now.errors).improves:
+        if not now.improves(less):
             return less, out
     return None, barred
 
