@@ -130,8 +130,11 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     """Return what the named effects explain, and what the rest goes with."""
     rest = f"rest goes most with {' and '.join(list(remaining.drivers)[:2])}." if remaining.significant else ""
-    if explained is None or not np.isfinite(explained.share):
+    if explained is None:
         return [f"The {rest}"] if rest else []
+    if not np.isfinite(explained.share):
+        doubt = f"Whether the nominal car errs by more than noise {explained.horizon:.2g} s ahead is in doubt"
+        return [f"{doubt}; the {rest}" if rest else f"{doubt}."]
     share, (low, high) = 100 * explained.share, (100 * bound for bound in explained.ci95)
     where = "on held-out runs" if explained.held_out else "on these runs"
     text = (
