@@ -201,8 +201,10 @@ def information_and_score(at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
     return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
 
 
-def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation, num: int = 6) -> Fit:
-    """Improve `fit` over the parameters `columns` by at most `num` Gauss-Newton steps, until its cost hardly falls.
+def refine(
+    problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation, num: int = 6, tolerance: float = TOLERANCE
+) -> Fit:
+    """Improve `fit` over `columns` by at most `num` Gauss-Newton steps, until its cost falls by less than `tolerance`.
 
     Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
     1995, Sec. 5.4.1), for they take several times as long as the innovations.
@@ -215,11 +217,11 @@ def refine(problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation,
         score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - problem.start)[columns] / PRIOR**2
         step = np.zeros_like(fit.theta)
         step[columns] = np.linalg.solve(H, score)
-        if not score @ step[columns] > TOLERANCE:  # what the step promises
+        if not score @ step[columns] > tolerance:  # what the step promises
             break
         before, fit = fit.cost, _shorten(problem, fit, step)
         fall = before - fit.cost
-        if not fall > TOLERANCE:
+        if not fall > tolerance:
             break
         if fall > REUSE_RATIO * last:
             J = np.asarray(linearise(problem, fit).J)[..., columns]

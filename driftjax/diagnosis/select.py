@@ -25,6 +25,7 @@ STRIDE = 2  # effects that a set may have beyond those named before
 REFITS = 3  # sets refitted to the end at each step, of twice as many begun
 PARAMETER_PENALTY = 10.0  # required fall of the sum of squares per parameter, beside the test
 MARGIN = 1.0  # by which a set must be better than the one before
+ROUGH = 0.1  # fall of the cost below which the fit of a set is good enough to compare it: well below the margin
 MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
 
 
@@ -240,7 +241,7 @@ def refine_material(
 ) -> tuple[Fit, tuple[int, ...]]:
     """Refine `trial` over `effects`, without those that turn out immaterial; return the fit and the effects left."""
     while True:
-        trial = refine(problem, trial, problem.columns(effects), at)
+        trial = refine(problem, trial, problem.columns(effects), at, tolerance=ROUGH)
         left = tuple(i for i in effects if is_material(problem, trial, i))
         if left == effects:
             return trial, effects
