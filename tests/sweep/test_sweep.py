@@ -91,11 +91,16 @@ def rows(config, blocks, folder):
     return iter([])
 WORK = Work(complete, files, rows, COLUMNS)
 """
-ID = """
-from own_work import WORK
+IDS = """
+import os, sys
 from driftjax.sweep import SweepConfig
 from driftjax.sweep.trial import make_trial
-print(make_trial(WORK, SweepConfig({"x": [1.0]}), 0, {"x": 1.0}).id)
+for _ in sys.stdin:  # a process of its own for each id, which imports what is written now
+    if os.fork() == 0:
+        from own_work import WORK
+        print(make_trial(WORK, SweepConfig({"x": [1.0]}), 0, {"x": 1.0}).id, flush=True)
+        os._exit(0)
+    assert os.wait()[1] == 0
 """
 
 
@@ -108,14 +113,16 @@ def test_other_source_or_another_file_of_a_folder_is_another_trial(tmp_path):
         """The trial's id after these files were written."""
         for name, text in texts.items():
             (tmp_path / NAMES[name]).write_text(text)
-        done = subprocess.run([sys.executable, "-c", ID], env=env, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        print(file=ids_of.stdin, flush=True)
+        assert ids_of.stdout is not None
+        return ids_of.stdout.readline()
 
-    ids = [written(work=OWN, helper="COLUMNS = {}", part="a"), written(helper="COLUMNS = {'a': float}")]
-    ids += [written(work=OWN + "# an edit"), written(part="b"), written(more="")]
-    assert len(set(ids)) == len(ids)
-    assert written(unused="") == ids[-1]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", IDS], env=env, **pipes) as ids_of:
+        ids = [written(work=OWN, helper="COLUMNS = {}", part="a"), written(helper="COLUMNS = {'a': float}")]
+        ids += [written(work=OWN + "# an edit"), written(part="b"), written(more="")]
+        assert len(set(ids)) == len(ids) and all(ids)
+        assert written(unused="") == ids[-1]
 
 
 NAMES = {"work": "own_work.py", "helper": "own_helper.py", "part": "bag/parts/0.db3", "more": "bag/1.db3",
