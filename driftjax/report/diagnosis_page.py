@@ -99,9 +99,11 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
 def _verdict(content: dict[str, Any]) -> str:
     """Return verdict, sentence and what to drive next."""
     verdict, proposal = content["verdict"], content.get("next_manoeuvre")
+    first = _worth_together(content)
     parts = [
-        paragraph(content["sentence"], "lead"),
-        paragraph("Source: diagnosis.json, verdict and sentence.", "source"),
+        *([paragraph(first, "lead")] if first else []),
+        paragraph(content["sentence"], "" if first else "lead"),
+        paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
         heading("What to drive next"),
     ]
     if not proposal:
@@ -141,6 +143,16 @@ def cause_errors(cause: dict[str, Any], gain: dict[str, Any]) -> dict[str, Any]:
         grown = [None if v is None else v * extended / floor for v in without.get(channel, ())]
         channels[channel] = {"nominal": nominal / floor, "extended": extended / floor, "without": grown}
     return {"effect": name, "channels": channels, "horizon": gain["horizons_s"][at]}
+
+
+def _worth_together(content: dict[str, Any]) -> str:
+    """Return what the named effects explain together; empty where there are none or their share is not known."""
+    names, explained = [cause["effect"] for cause in content.get("causes", ())], content.get("explained") or {}
+    if not names or explained.get("share") is None:
+        return ""
+    share, (low, high) = 100 * explained["share"], (100 * end for end in explained["ci95"])
+    words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained['horizon']:.2g} s ahead"
+    return f"{', '.join(names)}: together {words}."
 
 
 def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
