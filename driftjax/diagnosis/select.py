@@ -144,18 +144,20 @@ def advance(
 
 
 def drop_bounded(problem: Problem, now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
-    """Return the step without an effect at its bound that the best set without it can spare, and what is barred.
+    """Return the step without an effect at its bound, or with another in its place, and what is barred.
 
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
     """
-    for i in bounded(problem, now):
+    for i in bounded(problem, now) if now.errors is not None else []:
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
         less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
-        less = advance(problem, less, (less.fit, less.at), len(now.selected), free, out) or less
         if not now.improves(less):
             return less, out
+        other = advance(problem, less, (less.fit, less.at), len(now.selected), free, out)
+        if other is not None and not now.improves(other):
+            return other, out
     return None, barred
 
 
