@@ -100,7 +100,7 @@ def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, A
 
 
 def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float) -> Path:
-    """Run the observer along one run."""
+    """Run the observer along one run; its padding costs nothing where runs are not in a batch (`jax.lax.map`)."""
     model, step = model.with_parameters(theta), jnp.asarray(dt)
     run = align_measurements(model, run, dt)
     u, z = initial_state(model, run, dt)
@@ -108,14 +108,16 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
     def on(carry, row):
         z, d, rates = carry
         u, place, y, valid, L, alive = row
-        e = valid * (y - sensor_reading(model, z[:3], rates, step))
-        update = L @ e
-        d = d + update[3:]
-        after = set_state(model, z, z[:3] + update[:3], u)
-        ahead = move(model, after, u, place, step, State(d[0], d[1], d[2]))
-        next_one = ahead.z, gains.decay * d, ahead.rates
-        next_one = jax.tree.map(lambda new, old: jnp.where(alive, new, old), next_one, carry)
-        return next_one, (e, jnp.where(alive, after, z), z, rates, d)
+
+        def sample():
+            e = valid * (y - sensor_reading(model, z[:3], rates, step))
+            update = L @ e
+            trend = d + update[3:]
+            after = set_state(model, z, z[:3] + update[:3], u)
+            ahead = move(model, after, u, place, step, State(trend[0], trend[1], trend[2]))
+            return (ahead.z, gains.decay * trend, ahead.rates), (e, after, z, rates, trend)
+
+        return jax.lax.cond(alive, sample, lambda: (carry, (jnp.zeros(3), z, z, rates, d)))
 
     first = z, jnp.zeros(3), jnp.zeros((3, 3))
     rows = (u, run.place, run.y, run.valid, gains.L, in_run(run.valid))

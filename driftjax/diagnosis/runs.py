@@ -167,7 +167,7 @@ def _riccatis(A: Array, valid: Array, noise: Array, dt: float) -> Gains:
 
 
 def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
-    return eqx.filter_vmap(observe_run, in_axes=(None, 0, 0, 0, None))(model, theta, runs, gains, dt)
+    return jax.lax.map(lambda of: observe_run(model, of[0], of[1], of[2], dt), (theta, runs, gains))
 
 
 def _chain(steps: Steps, gains: Gains, dt: float) -> Array:
