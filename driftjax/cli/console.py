@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
@@ -18,6 +19,9 @@ from driftjax.store import RunFolder
 
 T = TypeVar("T")
 Report = Callable[[str, int, int], None]
+
+BAR = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}, {remaining} left, {rate_fmt}]"
+SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
 def early_flags(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]]:
@@ -74,18 +78,53 @@ def print_notes(notes: Iterable[str]) -> None:
 
 @contextmanager
 def progress() -> Iterator[Report]:
-    """Yield `report(text, done, total)`: a bar with the time left on a terminal, plain lines elsewhere."""
-    if not sys.stderr.isatty():
-        start = time.monotonic()
-        yield lambda text, done, total: print(f"[{time.monotonic() - start:6.1f} s] {done}/{total} {text}", flush=True)
+    """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
+
+    Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead.
+    """
+    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+        yield _report_lines()
         return
     from tqdm import tqdm
 
-    with tqdm(total=1, bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}, {remaining} left]") as bar:
+    ended, first = threading.Event(), None
+    with tqdm(total=1, bar_format=BAR) as bar:
 
         def show(text: str, done: int, total: int) -> None:
-            bar.total, bar.n = total, done
-            bar.set_description(text, refresh=False)
-            bar.refresh()
+            nonlocal first
+            first = done if first is None else first
+            bar.total, bar.n, bar.initial = total, done, first  # what was there before has no part in the rate
+            bar.set_description(text)
 
-        yield show
+        def tick() -> None:
+            while not ended.wait(1.0):  # a stage may take minutes, in which the time goes on
+                bar.refresh()
+
+        clock = threading.Thread(target=tick, daemon=True)
+        clock.start()
+        try:
+            yield show
+        finally:
+            ended.set()
+            clock.join()
+
+
+def _report_lines() -> Report:
+    """Return a report that prints a line per stage with the time left, and a line a minute for an unchanged text."""
+    from tqdm import tqdm
+
+    begin, first = time.monotonic(), None
+    last = ("", begin)
+
+    def show(text: str, done: int, total: int) -> None:
+        nonlocal first, last
+        now = time.monotonic()
+        first = done if first is None else first
+        if text == last[0] and done < total and now - last[1] < SILENCE:
+            return
+        last, ran = (text, now), done - first
+        known = 0 < ran and done < total
+        left = f", {tqdm.format_interval((total - done) * (now - begin) / ran)} left" if known else ""
+        print(f"[{now - begin:6.1f} s] {done}/{total} {text}{left}", flush=True)
+
+    return show

@@ -1,6 +1,7 @@
 """`driftjax diagnose`: model errors that measured logs show, and the gain of correcting them."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -64,17 +65,28 @@ def run(argv: list[str]) -> int:
     folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     def task() -> int:
-        diagnosis = work(vehicle, log, flags.options, folder, case)
+        diagnosis, last = work(vehicle, log, flags.options, folder, case), folder
         if flags.drive and diagnosis.proposal:
             more = folder.path / "next.csv"
             drive_again(flags.drive, diagnosis.proposal.manoeuvre, more)
-            again = RunFolder.create(
-                folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose"
-            )
-            work(vehicle, read_log((*flags.logs, more), cut=flags.cut), flags.options, again, case)
+            last = RunFolder.create(folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose")
+            diagnosis = work(vehicle, read_log((*flags.logs, more), cut=flags.cut), flags.options, last, case)
+        print(f"next: {next_step(diagnosis, last.path)}")
         return 0
 
     return run_in(folder, task)
+
+
+def next_step(diagnosis: Diagnosis, folder: Path) -> str:
+    """Say what to do after a diagnosis in `folder`: more data where they are needed, else how to use the result."""
+    path, car = shlex.quote(str(folder)), shlex.quote(str(folder / "extended.yaml"))
+    if diagnosis.evidence is None:
+        return "record a longer log and diagnose it; several logs can be given together."
+    if proposal := diagnosis.proposal:
+        return (f"drive `{proposal.manoeuvre}` for {proposal.duration:g} s and diagnose its log with this one; "
+                f"`driftjax play {path}` shows what is known so far.")  # fmt: skip
+    use = f"; `driftjax plan --vehicle {car}` plans with the corrected car" if diagnosis.causes else ""
+    return f"`driftjax play {path}` shows the measured car beside the predicted one{use}."
 
 
 def work(

@@ -74,4 +74,6 @@ def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:
     page = write_report(folder)
     print(results_table(results))
     print(f"report: {page}")
+    path = shlex.quote(str(folder.path))
+    print(f"next: see the laps with `driftjax play {path}`; try other options with `driftjax sweep`.")
     return 0

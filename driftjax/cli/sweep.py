@@ -71,4 +71,9 @@ def print_result(result: SweepResult) -> int:
         cells = [(name, f"{share:.2f}", f"[{low:.2f}, {high:.2f}]") for name, (share, low, high) in rows]
         print("\n".join(["", *aligned([head, *cells])]))
     print(f"sweep: {result.folder.path}")
-    return 0 if result.analysis.status.get("done") else 1
+    if not result.analysis.status.get("done"):
+        print(f"next: no trial is done; {result.folder.path / 'errors'} says why.")
+        return 1
+    figures = result.folder.path / "figures"
+    print(f"next: see {figures}, and run `driftjax {config.verb}` with the options of the best trial.")
+    return 0

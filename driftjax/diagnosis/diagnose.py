@@ -159,8 +159,8 @@ def diagnose(
         text = f"The log holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
         return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
     if any(lost := count_outliers(log.runs, vehicle.a + vehicle.b).values()):
-        report(f"{sum(lost)} outliers left out")
-    report("noise and nominal car")
+        report(f"noise and nominal car: {sum(lost)} outliers left out")
+    report("noise and nominal car: compile roll-outs, predictions and derivatives, or load them from the cache")
     initial = initial_problem(vehicle, effects, log.runs, config.without)
     names = tuple(run.name for run in log.runs)
     with ThreadPoolExecutor(2) as threads:

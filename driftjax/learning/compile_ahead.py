@@ -1,6 +1,7 @@
 """Compile the programs of the experiment ahead of time: all stages without their computations, in the workers."""
 
 import dataclasses
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from driftjax.learning.scenario import Scenario
@@ -11,7 +12,7 @@ from driftjax.parallel import CompileAheadExecutor
 ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 
-def compile_ahead(scenario: Scenario, names: list[str]) -> None:
+def compile_ahead(scenario: Scenario, names: list[str], before_stage: Callable[[str], object]) -> None:
     """Compile in the workers what the stages `names` need; does nothing without workers."""
     if scenario.executor.pool is None:
         return
@@ -19,8 +20,9 @@ def compile_ahead(scenario: Scenario, names: list[str]) -> None:
 
     def row(stages: tuple[str, ...]) -> None:
         progress = first_progress(dry)
-        for name in stages:
-            driven = drive_stage(dry, progress, name, 0) if name in names else None
+        for name in filter(names.__contains__, stages):
+            before_stage(name)
+            driven = drive_stage(dry, progress, name, 0)
             progress = progress if driven is None else driven[0]
 
     with ThreadPoolExecutor(len(ROWS)) as rows:

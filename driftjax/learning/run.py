@@ -74,14 +74,14 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
-    report("plan", 0, len(names) + 1)
+    report("plan", len(folder.finished()), len(names) + 1)
     with process_executor(num_workers) as executor:
         scenario = build(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
-        report("compile", 0, len(names) + 1)
-        compile_ahead(scenario, [name for name in names if name not in done])
+        say = lambda name: report(f"compile, or load from the cache: {name}", len(done) + 1, len(names) + 1)
+        compile_ahead(scenario, [name for name in names if name not in done], say)
         before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
         for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
@@ -95,11 +95,12 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 def drive_stages(
     scenario: Scenario, progress: Progress, done: Collection[str] = (), before_stage: Callable[[str], object] = str
 ) -> Iterator[tuple[str, xr.Dataset, Progress]]:
-    """Yield name, laps and progress of every stage not in `done`; `before_stage` is called before each of them."""
+    """Yield name, laps and progress of every stage not in `done`; `before_stage` is called before each of these."""
     for index, name in enumerate(stage_names(scenario.config)):
+        if name in done:
+            continue
         before_stage(name)
-        driven = None if name in done else drive_stage(scenario, progress, name, index)
-        if driven is not None:
+        if (driven := drive_stage(scenario, progress, name, index)) is not None:
             progress, data = driven
             yield name, data, progress
 

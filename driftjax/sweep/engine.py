@@ -1,6 +1,5 @@
 """Run the trials of a sweep in chunks on executors, and store every outcome as it arrives."""
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -45,7 +44,7 @@ class _Run:
         self._next: list[Trial] = []  # taken from the source; submitting them may fail
         self._suspects: list[Trial] = []  # that ran when a worker died: one of them may be to blame
         self._kills: Counter[str] = Counter()
-        self._begun, self._trial_seconds = time.monotonic(), CHUNK_SECONDS
+        self._trial_seconds = CHUNK_SECONDS
 
     def all(self) -> None:
         trials = self.source.trials()
@@ -105,11 +104,8 @@ class _Run:
 
     def _report(self) -> None:
         total, kept = self.source.total, self.source.num_known + self.counts.total()
-        spent, words = time.monotonic() - self._begun, f"{self.counts['failed']} failed"
-        if done := self.counts.total():
-            left = (total - kept) * spent / done
-            words += f", {3600 * done / spent:.0f} trials/h, {left / 60:.1f} min left"
-        self.report(words, kept, total)
+        first = kept < total and not self.counts
+        self.report("first trials, which compile" if first else f"{self.counts['failed']} failed", kept, total)
 
 
 def run_chunk(

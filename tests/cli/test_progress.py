@@ -1,0 +1,88 @@
+"""Progress: a bar with rate and time left in a terminal, a line per stage elsewhere, and what to do next at the end."""
+
+import io
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from driftjax.cli import console
+from driftjax.cli.diagnose import STEPS, next_step
+from driftjax.diagnosis.diagnose import diagnose
+from driftjax.logs import Log, Run
+from driftjax.vehicle import load_vehicle
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that the test sets [s]."""
+    clock = types.SimpleNamespace(now=0.0)
+    monkeypatch.setattr(console, "time", types.SimpleNamespace(monotonic=lambda: clock.now))
+    return clock
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_log_file_has_a_line_per_stage_and_the_time_left(clock, capsys):
+    with console.progress() as report:
+        for clock.now, text, done in ((0, "plan", 2), (10, "nominal", 3), (15, "nominal", 3), (80, "nominal", 3)):
+            report(text, done, 6)
+        clock.now = 90
+        report("done", 6, 6)
+    assert capsys.readouterr().out.splitlines() == [
+        "[   0.0 s] 2/6 plan",
+        "[  10.0 s] 3/6 nominal, 00:30 left",
+        "[  80.0 s] 3/6 nominal, 04:00 left",
+        "[  90.0 s] 6/6 done",
+    ]
+
+
+def test_a_terminal_has_a_bar_with_rate_and_time_left(monkeypatch):
+    out, err = Terminal(), Terminal()
+    monkeypatch.setattr("sys.stdout", out)
+    monkeypatch.setattr("sys.stderr", err)
+    with console.progress() as report:
+        report("plan", 0, 4)
+        report("nominal", 3, 4)
+    last = err.getvalue().strip().split("\r")[-1]
+    assert out.getvalue() == "" and last.startswith("nominal:  75%")
+    assert "3/4" in last and " left" in last and ("it/s" in last or "s/it" in last)
+
+
+def test_a_pipe_gets_lines_though_errors_go_to_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr", Terminal())
+    with console.progress() as report:
+        report("plan", 0, 4)
+    assert "0/4 plan" in capsys.readouterr().out
+
+
+def test_every_step_of_a_diagnosis_is_one_that_the_verb_counts(monkeypatch):
+    t, zero, steps = 0.01 * np.arange(2000), np.zeros(2000), []
+    r = np.random.default_rng(0).normal(0.0, 0.01, 2000)
+    r[500] = 1.0  # an outlier
+    run = Run("one", t, 10.0 + zero, zero, r, zero, zero, 0.01)
+
+    def stop(*args):
+        raise InterruptedError
+
+    monkeypatch.setattr("driftjax.diagnosis.diagnose.initial_problem", stop)
+    with pytest.raises(InterruptedError):
+        diagnose(load_vehicle("sedan"), Log((run,)), report=steps.append)
+    assert any("outliers left out" in step for step in steps) and any("compile" in step for step in steps)
+    assert {step.partition(":")[0] for step in steps} <= set(STEPS)
+
+
+def test_a_diagnosis_says_what_to_do_next():
+    def said(evidence=True, manoeuvre=None, causes=()):
+        proposal = manoeuvre and types.SimpleNamespace(manoeuvre=manoeuvre, duration=10.0)
+        made = types.SimpleNamespace(evidence=evidence or None, proposal=proposal, causes=causes)
+        return next_step(made, Path("runs/my car"))  # pyright: ignore[reportArgumentType]
+
+    assert "longer log" in said(evidence=False)
+    assert "drive `slalom` for 10 s" in said(manoeuvre="slalom")
+    assert "`driftjax play 'runs/my car'`" in said() and "extended.yaml" not in said()
+    assert "extended.yaml" in said(causes=("steer_lag",))
