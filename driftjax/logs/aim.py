@@ -17,21 +17,7 @@ DEFLATED = (b"\x78\x01", b"\x78\x9c", b"\x78\xda")  # .xrz
 REMEDY = "read it out of the logger again"
 TIMEOUT = 300.0  # s
 MOST_MEMORY = 8 * 2**30  # bytes
-READ = """
-import io, os, resource, sys
-import numpy as np
-resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
-stdout, sys.stdout = sys.stdout, sys.stderr
-from libxrk import ChannelMetadata, aim_xrk
-arrays = {}
-for name, table in aim_xrk(sys.argv[1]).channels.items():
-    k = len(arrays) // 3
-    arrays[f"name{k}"] = np.array([name, ChannelMetadata.from_channel_table(table).units])
-    arrays[f"t{k}"] = table.column("timecodes").to_numpy() / 1000
-    arrays[f"y{k}"] = np.asarray(table.column(name).to_numpy(), float)
-np.savez(whole := io.BytesIO(), **arrays)
-stdout.buffer.write(whole.getvalue())
-"""
+SCRIPT = Path(__file__).with_name("aim_process.py")
 
 
 def is_aim(path: Path, start: bytes) -> bool:
@@ -52,7 +38,7 @@ def aim_series(path: Path, names: list[str]) -> dict[str, Series]:
 def _read(path: Path) -> list[tuple[str, str, Series]]:
     """Return name, unit and samples of every channel."""
     import_extra(path, f"an {KIND}", "aim", "libxrk")
-    command = [sys.executable, "-c", READ, str(path.resolve()), str(MOST_MEMORY)]
+    command = [sys.executable, "-P", str(SCRIPT), str(path.resolve()), str(MOST_MEMORY)]
     try:
         done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=TIMEOUT)
     except subprocess.TimeoutExpired:
