@@ -85,19 +85,24 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
-    """Return the channels of a run and their rates, by parabolas over `WINDOW`; NaN in gaps and at low speed."""
-    from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
-
-    raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
-    num = max(2 * round(WINDOW / run.dt / 2) + 1, 5)
-    if len(run.t) < num:
-        nothing = {name: np.full(len(run.t), np.nan) for name in raw}
-        return nothing, nothing
+    """Return the channels of a run and their rates, as `smooth` does; NaN at low speed too."""
     V = fill_gaps(run.V)
     fast = V > SLOW * V.max()
-    whole = {name: (fill_gaps(y), fast & near_measurements(y, num // 2)) for name, y in raw.items()}
-    of = lambda y, keep, order: np.where(keep, np.asarray(savgol_filter(y, num, 2, order, run.dt)), np.nan)
-    return {name: of(*one, 0) for name, one in whole.items()}, {name: of(*one, 1) for name, one in whole.items()}
+    raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
+    both = {name: [np.where(fast, one, np.nan) for one in smooth(y, run.dt)] for name, y in raw.items()}
+    return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
+
+
+def smooth(y: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and rates (n,) of `y` (n,) by parabolas over `WINDOW`; NaN in gaps, and all of a shorter `y`."""
+    from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
+
+    num = max(2 * round(WINDOW / dt / 2) + 1, 5)
+    if len(y) < num:
+        return np.full(len(y), np.nan), np.full(len(y), np.nan)
+    keep, whole = near_measurements(y, num // 2), fill_gaps(y)
+    of = lambda order: np.where(keep, np.asarray(savgol_filter(whole, num, 2, order, dt)), np.nan)
+    return of(0), of(1)
 
 
 def near_measurements(values: np.ndarray, num: int) -> np.ndarray:

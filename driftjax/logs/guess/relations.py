@@ -4,16 +4,12 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
-from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, WINDOW, near_measurements
+from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth
 from driftjax.logs.guess.names import DEG, G
-from driftjax.logs.sampling import fill_gaps
 
 EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # what a relation is worth: of rigid bodies, without sideslip, of cars as a rule
-FEWEST = 50  # samples to compare
 EVERY = 4  # sample that the size of the values is taken from
-SLOW = 0.1  # share of the top speed below which angles are noise
 WEAK = 0.6  # correlation that says nothing
 ALIKE = (0.8, 1.25)  # ratio to the factor of a unit
 NOT_UNLIKE = (0.6, 1.6)
@@ -37,12 +33,7 @@ class Signal(NamedTuple):
 
 def smoothed(y: np.ndarray, dt: float) -> Signal:
     """Return values and rates by parabolas over a quarter of a second."""
-    num = max(2 * round(WINDOW / dt / 2) + 1, 5)
-    if len(y) < num:
-        return Signal(np.full(len(y), np.nan), np.full(len(y), np.nan))
-    keep, whole = near_measurements(y, num // 2), fill_gaps(y)
-    of = lambda order: np.where(keep, np.asarray(savgol_filter(whole, num, 2, order, dt)), np.nan)
-    return Signal(of(0), of(1))
+    return Signal(*smooth(y, dt))
 
 
 class Relation(NamedTuple):
@@ -258,7 +249,7 @@ def fit(relation: Relation, signal: Signal, fast: np.ndarray) -> Fit | None:
     """Return how a column follows a relation where the car is `fast` (n,); None where too little moves."""
     y = signal.rate if relation.of_rate else signal.y
     both = fast & np.isfinite(y) & np.isfinite(relation.predicted)
-    if both.sum() < FEWEST:
+    if both.sum() < MIN_SAMPLES:
         return None
     a, b = y[both], relation.predicted[both]
     if not (np.std(a) > 0 and np.std(b) > 0):
