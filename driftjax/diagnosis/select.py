@@ -103,13 +103,13 @@ def search(
         if now.selected:
             report(f"naming: {', '.join(problem.effects[i].name for i in now.selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
-        more = STRIDE if rejected or bounded(problem, now) else 0
+        more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = advance(problem, now, (now.fit, now.at), limit, free, barred)
+        new = advance(now, (now.fit, now.at), limit, free, barred)
         if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
-            new = advance(problem, now, (start, first_at), limit, free, barred)
+            new = advance(now, (start, first_at), limit, free, barred)
         if new is None:
-            new, barred = drop_bounded(problem, now, free, barred)
+            new, barred = drop_bounded(now, free, barred)
         if new is None:
             return Selection(now.selected, now.fit, now.at, remaining, problem, start, first, free)
         now = new
@@ -122,40 +122,39 @@ def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearis
     return Step(problem, selected, fit, at)
 
 
-def bounded(problem: Problem, step: Step) -> list[int]:
+def bounded(step: Step) -> list[int]:
     """Return the selected effects that end at a bound."""
-    ends = at_bound(problem, step.fit.theta)
-    return [i for i in step.selected if ends[problem.columns((i,))].any()]
+    ends = at_bound(step.problem, step.fit.theta)
+    return [i for i in step.selected if ends[step.problem.columns((i,))].any()]
 
 
-def advance(
-    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
-) -> Step | None:
+def advance(now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]) -> Step | None:
     """Return the best set without `barred` effects that costs less than that of `now`, None where there is none.
 
     One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
     effects need not: on an unstable drift even the true car predicts no better, and the test has its own error rate.
     """
-    for effects, trial in better_sets(problem, now, about, limit, barred):
-        after = fitted(problem, trial, effects)
+    for effects, trial in better_sets(now, about, limit, barred):
+        after = fitted(now.problem, trial, effects)
         if len(effects) <= max(len(now.selected), free) or after.improves(now):
             return after
     return None
 
 
-def drop_bounded(problem: Problem, now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
+def drop_bounded(now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
     """Return the step without an effect at its bound, or with another in its place, and what is barred.
 
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
     """
-    for i in bounded(problem, now) if now.errors is not None else []:
+    problem = now.problem
+    for i in bounded(now) if now.errors is not None else []:
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
         less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
         if not now.improves(less):
             return less, out
-        other = advance(problem, less, (less.fit, less.at), len(now.selected), free, out)
+        other = advance(less, (less.fit, less.at), len(now.selected), free, out)
         if other is not None and not now.improves(other):
             return other, out
     return None, barred
@@ -186,14 +185,14 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
 
 
 def better_sets(
-    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+    now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
 ) -> list[tuple[tuple[int, ...], Fit]]:
     """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the least first.
 
     Of the sets that promise less in the quadratic model `about` a fit, those that promise least are refitted.
     """
-    trials, at = [], about[1]
-    for one in promising_sets(problem, now, about, limit, barred):
+    problem, trials, at = now.problem, [], about[1]
+    for one in promising_sets(now, about, limit, barred):
         trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), at, num=1)
         trials.append((one.effects, trial))
     price = lambda item: penalised_cost(problem, item[1], item[0])
@@ -206,14 +205,13 @@ def better_sets(
     return sorted((item for item in refitted.items() if price(item) < now_price), key=price)
 
 
-def promising_sets(
-    problem: Problem, now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
-) -> list[EffectSet]:
+def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]) -> list[EffectSet]:
     """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
     About another fit than the present one, what the present set costs is what the model there says of it.
     """
+    problem = now.problem
     model = quadratic_cost(problem, *about)
     model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
     price = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
