@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 import driftjax as dj
 from driftjax.core import write_atomically
+from driftjax.parallel import num_workers
 from driftjax.report import write_diagnosis
 from driftjax.report.style import COMPARED
 from driftjax.studies.closed_loop import closed_loop, load_case
@@ -138,7 +139,7 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     path, course = cfg.data / question.log, load_case(plant, car) if plant else None
     log, config = dj.read_log(path, question.columns, runs=question.runs, cut=question.cut), dj.DiagnoseConfig()
     print(f"\ndiagnosing {question.name}: {path}", flush=True)
-    diagnosis = dj.diagnose(car, log, config)
+    diagnosis = dj.diagnose(car, log, config, workers=min(num_workers(2), 1))
     options = {"vehicle": dataclasses.asdict(car), "logs": [str(path)], "columns": question.columns,
                "runs": list(question.runs), "cut": question.cut, "options": dataclasses.asdict(config),
                "closed_loop": course.name if course else None}  # fmt: skip

@@ -3,7 +3,7 @@
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -13,6 +13,7 @@ from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
+from driftjax.parallel import num_workers
 from driftjax.report import closed_loop_table, gain_table, parity_statement, worth_table, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
@@ -47,6 +48,9 @@ class Diagnose:
     closed_loop: Path | None = None
     """Plant: the truth.yaml of a simulated car, a plant YAML or a shipped plant. The corner of `driftjax learn` is
     driven on it with the nominal and with the extended car as the MPC's model, four laps each; for a sedan or rc."""
+    workers: Literal[0, 1] | None = None
+    """Processes beside this one: 1 measures the gain in a second one, 0 does all in one; left out, 1 where there are
+    two cores and no GPU. The result does not depend on it."""
     out: Path | None = None
     """Output folder; runs/diagnose-CAR-TIME where left out."""
 
@@ -64,13 +68,16 @@ def run(argv: list[str]) -> int:
     options |= {"options": dataclasses.asdict(flags.options), "closed_loop": case.name if case else None}
     folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
+    workers = min(num_workers(2), 1) if flags.workers is None else flags.workers
+
     def task() -> int:
-        diagnosis, last = work(vehicle, log, flags.options, folder, case), folder
+        diagnosis, last = work(vehicle, log, flags.options, folder, case, workers), folder
         if flags.drive and diagnosis.proposal:
             more = folder.path / "next.csv"
             drive_again(flags.drive, diagnosis.proposal.manoeuvre, more)
             last = RunFolder.create(folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose")
-            diagnosis = work(vehicle, read_log((*flags.logs, more), cut=flags.cut), flags.options, last, case)
+            log_with_it = read_log((*flags.logs, more), cut=flags.cut)
+            diagnosis = work(vehicle, log_with_it, flags.options, last, case, workers)
         print(f"next: {next_step(diagnosis, last.path)}")
         return 0
 
@@ -90,13 +97,18 @@ def next_step(diagnosis: Diagnosis, folder: Path) -> str:
 
 
 def work(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, folder: RunFolder, case: ClosedLoopCase | None
+    vehicle: VehicleConfig,
+    log: Log,
+    config: DiagnoseConfig,
+    folder: RunFolder,
+    case: ClosedLoopCase | None,
+    workers: int,
 ) -> Diagnosis:
     """Diagnose into `folder` and print the result, with closed-loop laps on `case`."""
     print_notes(log.notes)
     with progress() as report:
         step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
-        diagnosis = diagnose(vehicle, log, config, report=step)
+        diagnosis = diagnose(vehicle, log, config, workers=workers, report=step)
         step("show")
         diagnosis.save(folder.path)
         step("done")

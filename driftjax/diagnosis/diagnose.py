@@ -30,6 +30,7 @@ from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdi
 from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
 from driftjax.logs import Log
+from driftjax.parallel import process_executor
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect
@@ -142,6 +143,7 @@ def diagnose(
     log: Log,
     config: DiagnoseConfig | None = None,
     *,
+    workers: int = 0,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Diagnosis:
@@ -149,8 +151,9 @@ def diagnose(
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
     no part in the noise and the observer either. `effects` is the catalogue to choose from: another one is another
-    model to compile. The gain is measured in a thread of its own meanwhile. `report` hears of every step. Raises
-    `BadInput` for runs whose sample times differ.
+    model to compile. The gain is measured meanwhile: with `workers` = 1 in a process of its own, which halves the time
+    where two cores are free (a script then needs `if __name__ == "__main__"`), with 0 in a thread. `report` hears of
+    every step. Raises `BadInput` for runs whose sample times differ.
     """
     require_float64()
     config = DiagnoseConfig() if config is None else config
@@ -163,8 +166,9 @@ def diagnose(
     report("noise and nominal car: compile roll-outs, predictions and derivatives, or load them from the cache")
     initial = initial_problem(vehicle, effects, log.runs, config.without)
     names = tuple(run.name for run in log.runs)
-    with ThreadPoolExecutor(2) as threads:
-        measured = threads.submit(measure_gain, initial, names, config)
+    with process_executor(workers) as processes, ThreadPoolExecutor(2) as threads:
+        measure = processes.submit(measure_gain, initial, names, config)
+        measured = threads.submit(measure)  # without a worker the thread computes, else it waits
         compiled = threads.submit(compile_programs, initial)
         found = _name_causes(initial, config, report)
         report("gain")

@@ -7,6 +7,7 @@ arguments come from with all that these import. Programs used least recently are
 the number of bytes in the environment variable DRIFTJAX_PROGRAM_CACHE_BYTES.
 """
 
+import fcntl
 import hashlib
 import os
 import pickle
@@ -14,7 +15,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -102,10 +103,33 @@ def _strongly_typed(leaf: Any) -> Any:
 def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
     """Compile the program, from its stored form where there is one."""
     if (path := _path(plain, arrays, around)) is None:
-        lowered, skeleton = jax.jit(plain).lower(*arrays), plain.skeleton
-    else:
+        return jax.jit(plain).lower(*arrays).compile(), plain.skeleton, plain
+    with _file_lock(path):
         lowered, skeleton = _stored(path, plain, arrays)
-    return lowered.compile(), skeleton, plain
+        return lowered.compile(), skeleton, plain
+
+
+@contextmanager
+def _file_lock(path: Path) -> Iterator[None]:
+    """Let one of several processes compile the program at `path`; the others wait and load it.
+
+    A process that ends gives its locks back. A lock file deleted by its last holder while another process opens it
+    costs a second compilation at worst. Where no file can be written, nothing is locked: see `_stored`.
+    """
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = lock.open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                lock.unlink(missing_ok=True)
 
 
 def _path(plain: "_Plain", arrays: list, around: tuple) -> Path | None:

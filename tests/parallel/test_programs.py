@@ -200,3 +200,22 @@ def test_a_program_is_not_stored_where_its_source_changed_after_the_start(folder
     monkeypatch.setattr(source, "STARTED", os.stat(__file__).st_mtime - 1)
     call(scaled, jnp.arange(3.0), 2)
     assert not (folder / "programs").exists()
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path):
+    """A lock of an open file holds between threads as between processes."""
+    order, waits = [], threading.Event()
+
+    def second() -> None:
+        waits.set()
+        with programs._file_lock(tmp_path / "programs" / "f-1"):
+            order.append("second")
+
+    thread = threading.Thread(target=second)
+    with programs._file_lock(tmp_path / "programs" / "f-1"):
+        thread.start()
+        waits.wait()
+        with programs._file_lock(tmp_path / "programs" / "f-2"):  # another program is not locked
+            order.append("first")
+    thread.join()
+    assert order == ["first", "second"] and not list((tmp_path / "programs").iterdir())
