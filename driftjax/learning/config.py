@@ -67,8 +67,14 @@ class ExploreConfig:
     gamma_share: float = 0.08
     """Most that the widest bound on gamma may be, as a share of the planned cornering speed [-]."""
     speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
-    """Candidates: from the V-sets; drawn at random or evenly spaced within the widest bound; or the planned speed
-    again and again. The last three are there to compare with."""
+    """Candidates: from the V-sets; drawn at random or evenly spaced within the widest bound, nearest first; or the
+    planned speed again and again. The last three are there to compare with."""
+    correction: bool = True
+    """Correct the path that is aimed at by the measured lateral error, by k/K of it with candidate k of K: iterative
+    learning control (Arimoto, Kawamura and Miyazaki 1984). Applies to every kind of `speeds`."""
+    fixed_laps: bool = False
+    """For comparisons: offer all `num_sets` candidates, those of equal speed too, and drive all `laps` even where no
+    entry has a candidate left."""
 
     def __post_init__(self) -> None:
         require(self.w1 > 0 and self.w2 > 0, "keys 'w1' and 'w2' must be positive.")
@@ -112,8 +118,11 @@ class LearnConfig:
     """Controllers driven side by side: `path` also tracks e and theta, `paper` is the paper's."""
     reference: Literal["entry", "step"] = "entry"
     """Reference along s: planned with its entry on the corrected car, or the paper's step to the equilibrium."""
-    layers: Literal["both", "reference", "mpc"] = "both"
-    """Where what was learnt is used: in the reference and in the MPC, or in one of them only."""
+    layers: Literal["both", "reference", "mpc", "none"] = "both"
+    """Where the mean of the GP is used: in the reference and in the MPC, in one of them, or nowhere. The learnt lags
+    and the measured arrival are used in any case."""
+    measured_arrival: bool = True
+    """Plan the corner from the mean state measured where the drift controller takes over; else from the planned one."""
     gpr_laps: int = 3
     """Most GP laps; fewer where the error has converged. 0: nominal laps only, neither GP laps nor exploration."""
     converged: float = 0.05

@@ -24,7 +24,7 @@ class Candidates(eqx.Module):
     s: Array  # (batch, AIM_POINTS) arc length of the curves [m]
     origin: Array  # (batch, AIM_POINTS) planned speed, from which they start [m/s]
     target: Array  # (batch, AIM_POINTS) r_b e, where they tend to [m/s]
-    e: Array  # (batch, AIM_POINTS) measured lateral error behind them [m]
+    e: Array  # (batch, AIM_POINTS) measured lateral error that they correct [m]
     aimed: Array  # (batch, AIM_POINTS) target offset from the path of the lap with this error [m]
     widest: Array  # (batch,) largest bound on gamma, both signs [m/s]
     V: Array  # (batch, K, AIM_POINTS) generated curves [m/s]
@@ -58,8 +58,12 @@ def drifts(scenario: Scenario) -> Drifts:
     return Drifts(scenario.nominal, beta, scenario.x_eq, scenario.u_eq, branch)
 
 
-def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array) -> Candidates:
-    """Compute V-sets (Eq. 9) from the lateral errors in `trace`, which tracked `aimed` (batch, AIM_POINTS)."""
+def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Array, number: int) -> Candidates:
+    """Compute candidates from the lateral errors in `trace`, which tracked `aimed` (batch, AIM_POINTS) in a stage.
+
+    Speeds come from the V-sets (Eq. 9) or, to compare with, from `speeds`; those drawn at random are new in every stage
+    `number`. All kinds have the same bounds, the same number of candidates and the same corrections of the path.
+    """
     table, config, V_b = scenario.table, scenario.config.explore, scenario.corner.V_b
     shares, most = jnp.asarray(np.arange(1, config.num_sets + 1) / config.num_sets), config.gamma_share * V_b
     weights = (jnp.asarray(config.w1), jnp.asarray(config.w2))
@@ -67,10 +71,11 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Arra
         speed_sets_batch, (trace, aimed), table, shares, jnp.asarray(most), weights, jnp.asarray(V_b)
     )
     if config.speeds != "sets":
-        V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys)
+        V_ep = V_b + shaped.widest[:, None] * _offsets(config, scenario.keys, number)
         level = jnp.broadcast_to(V_ep[..., None], shaped.V.shape)
-        all_open, unled = jnp.zeros(V_ep.shape, bool), jnp.zeros_like(shaped.e)
-        shaped = eqx.tree_at(lambda c: (c.e, c.V, c.V_ep, c.visited), shaped, (unled, level, V_ep, all_open))
+        shaped = eqx.tree_at(lambda c: (c.V, c.V_ep), shaped, (level, V_ep))
+    if config.speeds != "sets" or config.fixed_laps:  # candidates of equal speed differ in their correction
+        shaped = eqx.tree_at(lambda c: c.visited, shaped, jnp.zeros_like(shaped.visited))
     _, exists = _states(scenario, shaped.V_ep, residual)
     return eqx.tree_at(lambda c: c.visited, shaped, shaped.visited | ~exists[:, :-1])
 
@@ -78,38 +83,53 @@ def candidates(scenario: Scenario, trace: Trace, residual: Residual, aimed: Arra
 def offset(scenario: Scenario, sets: Candidates, index: Array) -> Array:
     """Return the offset from the path (batch, AIM_POINTS) [m] to track with candidate `index` (batch,).
 
-    Candidate k of K shifts the target by k/K of the measured error e, opposite to that error, limited to the error that
-    the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve alone is not enough: where
-    the planned speed is curved, as in a corner with braking, its smoothness weight outweighs r_b e.
+    Iterative learning control of the reference (Arimoto, Kawamura and Miyazaki 1984): the target of the lap before
+    minus a learning gain times its measured error e. The gain of candidate k of K is k/K, at any kind of speeds; e is
+    limited to the error that the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve
+    alone is not enough: where the planned speed is curved, as in a corner with braking, its smoothness weight outweighs
+    r_b e. Without `correction` the target stays.
     """
     config, corner = scenario.config.explore, scenario.corner
+    if not config.correction:
+        return sets.aimed
     most = config.gamma_share * corner.V_b / abs(corner.r_b)
     share = (index + 1) / config.num_sets
     return sets.aimed - share[:, None] * jnp.clip(sets.e, -most, most)
 
 
 def remaining(
-    scenario: Scenario, sets: Candidates, index: Array, aimed: Array, better: Array, trace: Trace, residual: Residual
+    scenario: Scenario,
+    sets: Candidates,
+    index: Array,
+    aimed: Array,
+    better: Array,
+    trace: Trace,
+    residual: Residual,
+    number: int,
 ) -> Candidates:
     """Return the candidates after the laps in `trace`, which drove `index` (batch,) with the offset `aimed`.
 
-    An entry that improved (`better`) gets new sets around this lap, the others keep their remaining candidates.
+    An entry that improved (`better`) gets new candidates around this lap, the others keep those that remain; so at any
+    kind of speeds. `number` is that of the stage.
     """
     visited = sets.visited | jax.nn.one_hot(index, sets.visited.shape[1], dtype=bool)
     left = eqx.tree_at(lambda c: c.visited, sets, visited)
-    if scenario.config.explore.speeds != "sets":
-        return left
-    return eqx.filter_jit(where_tree)(better, candidates(scenario, trace, residual, aimed), left)
+    return eqx.filter_jit(where_tree)(better, candidates(scenario, trace, residual, aimed, number), left)
 
 
-def _offsets(config: ExploreConfig, keys: Array) -> Array:
-    """Return the speeds (batch, K) that the V-sets are compared with, relative to their largest bound."""
+def _offsets(config: ExploreConfig, keys: Array, number: int) -> Array:
+    """Return the speeds (batch, K) that the V-sets are compared with in a stage, relative to their largest bound.
+
+    The nearest to the planned speed comes first, as in nested sets, and has the smallest correction of the path.
+    """
     K = config.num_sets
     if config.speeds == "random":
-        draw = lambda key: jax.random.uniform(jax.random.fold_in(key, SPEEDS), (K,), minval=-1.0, maxval=1.0)
-        return jax.vmap(draw)(keys)
-    even = jnp.linspace(-1.0, 1.0, K) if config.speeds == "uniform" else jnp.zeros(K)
-    return jnp.broadcast_to(even, (len(keys), K))
+        own = lambda key: jax.random.fold_in(jax.random.fold_in(key, SPEEDS), number)
+        drawn = jax.vmap(lambda key: jax.random.uniform(own(key), (K,), minval=-1.0, maxval=1.0))(keys)
+    else:
+        even = jnp.linspace(-1.0, 1.0, K) if config.speeds == "uniform" else jnp.zeros(K)
+        drawn = jnp.broadcast_to(even, (len(keys), K))
+    return jnp.take_along_axis(drawn, jnp.argsort(jnp.abs(drawn), axis=1), axis=1)
 
 
 def speed_sets_batch(
@@ -154,8 +174,10 @@ def drift_states_batch(batch: tuple[Array, Residual], states: Drifts) -> tuple[A
 
 def choose(scenario: Scenario, sets: Candidates, residual: Residual) -> tuple[Array, Array, Array]:
     """Apply Algorithm 1 to every batch entry: index of the next candidate, its speed, and whether any remained."""
-    z, _ = _states(scenario, sets.V_ep, residual)
     options = scenario.config.explore
+    if options.speeds == "planned":  # scores differ by rounding only
+        return jnp.argmax(~sets.visited, axis=1), sets.V_ep[:, 0], ~jnp.all(sets.visited, axis=1)
+    z, _ = _states(scenario, sets.V_ep, residual)
     batch = (sets.V_ep, sets.visited, z, residual)
     return scenario.executor.map(choose_batch, batch, jnp.asarray(options.P), jnp.asarray(options.lam))
 

@@ -88,11 +88,12 @@ def _initial_residual(scenario: Scenario) -> Residual:
 
 
 def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
-    """Return the residuals that the reference and the MPC may use."""
+    """Return the residuals that the reference and the MPC use: without the mean of the GP, the lags remain."""
     layers = scenario.config.layers
+    lags_only = eqx.tree_at(lambda d: d.trust_factor, residual, jnp.zeros_like(residual.trust_factor))
     return (
-        _initial_residual(scenario) if layers == "mpc" else residual,
-        _initial_residual(scenario) if layers == "reference" else residual,
+        residual if layers in ("both", "reference") else lags_only,
+        residual if layers in ("both", "mpc") else lags_only,
     )
 
 
@@ -123,20 +124,23 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if not scenario.config.explore.num_sets:
         return progress, _data(scenario, stage, "mpc", best.residual)
     if name == "gpr-best":
-        found = candidates(
-            scenario, stage.laps.trace, progress.model_state.residual, jnp.zeros_like(progress.candidates.aimed)
-        )
+        known, _ = _layers(scenario, progress.model_state.residual)
+        on_path = jnp.zeros_like(progress.candidates.aimed)
+        found = candidates(scenario, stage.laps.trace, known, on_path, number)
         progress = eqx.tree_at(lambda p: p.candidates, progress, found)
     return progress, _data(scenario, stage, "mpc", best.residual, progress.candidates)
 
 
 def _explore(scenario: Scenario, progress: Progress, number: int):
-    """Drive one lap of Algorithm 1: choose, plan, drive, learn; None where every entry has driven all its sets."""
-    found, residual = progress.candidates, progress.model_state.residual
-    chosen, V_ep, left = choose(scenario, found, residual)
-    if not bool(jnp.any(left)):
+    """Drive one lap of Algorithm 1: choose, plan, drive, learn.
+
+    None where every entry has driven all its sets, unless the number of laps is fixed.
+    """
+    found = progress.candidates
+    known, residual = _layers(scenario, progress.model_state.residual)
+    chosen, V_ep, left = choose(scenario, found, known)
+    if not bool(jnp.any(left)) and not scenario.config.explore.fixed_laps:
         return None
-    known, residual = _layers(scenario, residual)
     aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
     planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
     # an entry that has driven all its sets repeats its best
@@ -146,7 +150,8 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     before = progress.best.error
     progress = update_progress(scenario, progress, stage, used, number)
     better = progress.best.error < before
-    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, progress.model_state.residual)
+    known, _ = _layers(scenario, progress.model_state.residual)
+    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, known, number)
     progress = eqx.tree_at(lambda p: (p.candidates, p.explored), progress, (rest, jnp.asarray(True)))
     return progress, _data(scenario, stage, "mpc", used, found, planned)
 

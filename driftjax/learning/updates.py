@@ -88,6 +88,7 @@ def update_progress(
     config = scenario.config
     numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
     model_state, arrival = scenario.executor.map(learn_batch, batch, scenario.nominal, *numbers, config.gp.program)
+    arrival = arrival if config.measured_arrival else progress.arrival
     best = progress.best
     if residual is not None:
         error = jnp.where(stage.figures.completed, stage.figures.lateral_error_measured, jnp.inf)

@@ -11,14 +11,14 @@ import pytest
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig, load_learn_config
-from driftjax.learning.explore import candidates, offset, remaining
+from driftjax.learning.explore import candidates, choose, offset, remaining
 from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.run import _resume
 from driftjax.learning.scenario import build, drivers
 from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
-from driftjax.learning.stages import _layers, first_progress, stage_names
+from driftjax.learning.stages import _layers, drive_stage, first_progress, stage_names
 from driftjax.learning.updates import update_progress
 from driftjax.parallel import BatchExecutor
 from driftjax.sim import LapCode, Laps
@@ -65,21 +65,66 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     trace, residual = pursued
     path = jnp.zeros((2, AIM_POINTS))
     V_b, most = scenario.corner.V_b, scenario.corner.V_b * SHORT.explore.gamma_share
-    found = {speeds: candidates(exploring(scenario, speeds=speeds), trace, residual, path)
+    found = {speeds: candidates(exploring(scenario, speeds=speeds), trace, residual, path, 4)
              for speeds in ("random", "uniform", "planned", "sets")}  # fmt: skip
     at = {speeds: np.asarray(one.V_ep) for speeds, one in found.items()}
     widest = np.asarray(found["uniform"].widest)[:, None]
     assert np.all(widest > 0) and np.all(widest <= most * (1 + 1e-12))
     assert np.all(at["planned"] == V_b)
-    np.testing.assert_allclose(at["uniform"], V_b + widest * [-1, 0, 1], rtol=1e-12)
+    np.testing.assert_allclose(at["uniform"], V_b + widest * [0, -1, 1], rtol=1e-12)
     assert np.all(np.abs(at["random"] - V_b) < widest) and len(np.unique(at["random"])) == 6
-    again = candidates(exploring(scenario, speeds="random"), trace, residual, path)
-    assert np.all(at["random"] == np.asarray(again.V_ep))
+    assert np.all(np.diff(np.abs(at["random"] - V_b), axis=1) > 0)  # nearest first
+    again, later = (candidates(exploring(scenario, speeds="random"), trace, residual, path, n).V_ep for n in (4, 5))
+    assert np.all(at["random"] == np.asarray(again)) and not np.any(np.isin(later, again))
     parents = [jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) for key in scenario.keys]
     drawn = (at["random"] - V_b) / widest
     assert np.all(np.abs(drawn - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
-    for speeds in ("random", "uniform", "planned"):
-        assert not np.any(offset(scenario, found[speeds], jnp.asarray([0, 2])))  # nothing leads them off the path
+    same = [offset(scenario, one, jnp.asarray([0, 2])) for one in found.values()]
+    assert np.any(same[0]) and all(np.all(one == same[0]) for one in same)  # all kinds are offered the same corrections
+
+
+@pytest.mark.parametrize("speeds", ["sets", "planned"])
+def test_the_correction_moves_the_aimed_path_against_the_error_or_not_at_all(scenario, pursued, speeds):
+    trace, residual = pursued
+    aimed, first = jnp.full((2, AIM_POINTS), 0.1), jnp.asarray([0, 0])
+    off, on = (exploring(scenario, speeds=speeds, correction=correction) for correction in (False, True))
+    found = candidates(on, trace, residual, aimed, 4)
+    assert np.all(np.asarray(found.V_ep) == np.asarray(candidates(off, trace, residual, aimed, 4).V_ep))
+    assert np.all(offset(off, found, first) == aimed)
+    moved = np.asarray(offset(on, found, first) - aimed)
+    assert np.any(moved) and np.all(moved * np.asarray(found.e) <= 0)
+
+
+def test_at_the_planned_speed_corrections_grow_until_no_candidate_is_left(scenario, pursued):
+    (trace, residual), planned = pursued, exploring(scenario, speeds="planned")
+    found, order = candidates(planned, trace, residual, jnp.zeros((2, AIM_POINTS)), 4), []
+    for _ in range(3):
+        index, V, left = choose(planned, found, residual)
+        order.append(np.asarray(index).tolist())
+        assert np.all(V == scenario.corner.V_b) and np.all(left)
+        found = remaining(planned, found, index, found.aimed, jnp.zeros(2, bool), trace, residual, 5)
+    assert order == [[0, 0], [1, 1], [2, 2]] and not np.any(choose(planned, found, residual)[2])
+
+
+def test_fixed_laps_offer_every_candidate_and_drive_on_when_none_is_left(scenario, pursued, monkeypatch):
+    trace, residual = pursued
+    still = trace._replace(sensed=trace.sensed._replace(e=jnp.zeros_like(trace.sensed.e)))  # no error: equal speeds
+    path = jnp.zeros((2, AIM_POINTS))
+    shipped, fixed = (exploring(scenario, fixed_laps=fixed) for fixed in (False, True))
+    assert np.asarray(candidates(shipped, still, residual, path, 4).visited).tolist() == [[False, True, True]] * 2
+    assert not np.any(candidates(fixed, still, residual, path, 4).visited)
+
+    class Planning(Exception):
+        """Raised where a lap is about to be planned."""
+
+    def plan_reference(*_):
+        raise Planning
+
+    monkeypatch.setattr("driftjax.learning.stages.plan_reference", plan_reference)
+    none_left = first_progress(scenario)
+    assert drive_stage(shipped, none_left, "explore-1", 5) is None
+    with pytest.raises(Planning):
+        drive_stage(fixed, none_left, "explore-1", 5)
 
 
 def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
@@ -94,15 +139,17 @@ def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
 
 def test_a_better_lap_makes_new_sets_about_it_and_any_other_takes_one_away(scenario, pursued):
     trace, residual = pursued
-    found = candidates(scenario, trace, residual, jnp.zeros((2, AIM_POINTS)))
+    found = candidates(scenario, trace, residual, jnp.zeros((2, AIM_POINTS)), 4)
     aimed, better = jnp.full((2, AIM_POINTS), 0.2), jnp.asarray([True, False])
     none = eqx.tree_at(lambda c: (c.e, c.visited), found, (jnp.zeros_like(found.e), jnp.zeros_like(found.visited)))
-    rest = remaining(scenario, none, jnp.asarray([1, 1]), aimed, better, trace, residual)
+    rest = remaining(scenario, none, jnp.asarray([1, 1]), aimed, better, trace, residual, 5)
     assert np.all(np.asarray(rest.aimed[0]) == 0.2) and np.all(np.asarray(rest.e[0]) == np.asarray(found.e[0]))
     assert np.all(np.asarray(rest.visited[0]) == np.asarray(found.visited[0]))
     assert not np.any(rest.aimed[1]) and np.asarray(rest.visited[1]).tolist() == [False, True, False]
-    fixed = remaining(exploring(scenario, speeds="planned"), none, jnp.asarray([0, 0]), aimed, better, trace, residual)
-    assert np.asarray(fixed.visited).tolist() == [[True, False, False]] * 2
+    same = exploring(scenario, speeds="planned")  # renewed in the same way
+    rest = remaining(same, none, jnp.asarray([0, 0]), aimed, better, trace, residual, 5)
+    assert np.asarray(rest.visited).tolist() == [[False] * 3, [True, False, False]]
+    assert np.all(np.asarray(rest.e[0]) == np.asarray(found.e[0])) and not np.any(rest.e[1])
 
 
 def test_the_sets_are_led_by_what_is_measured(scenario, pursued):
@@ -112,7 +159,7 @@ def test_the_sets_are_led_by_what_is_measured(scenario, pursued):
     line = jnp.broadcast_to(jnp.linspace(0.0, 200.0, trace.s.shape[1]), trace.s.shape)
     sensed = trace.sensed._replace(s=line, e=0.01 * line)
     for true in (trace.s, trace.s + 30.0):
-        found = candidates(scenario, trace._replace(sensed=sensed, s=true), residual, path)
+        found = candidates(scenario, trace._replace(sensed=sensed, s=true), residual, path, 4)
         np.testing.assert_allclose(found.e, 0.01 * np.broadcast_to(found.s, found.e.shape), rtol=1e-9)
 
 
@@ -134,6 +181,20 @@ def test_the_best_lap_and_the_last_error_are_the_measured_ones(scenario, pursued
     assert np.asarray(third.best.error).tolist() == [0.2, 0.2] and np.asarray(third.last_error).tolist() == [0.25] * 2
 
 
+def test_the_arrival_is_measured_or_stays_the_planned_one(scenario, pursued):
+    trace, residual = pursued
+    sensed = trace.sensed._replace(s=jnp.broadcast_to(jnp.linspace(0.0, 200.0, trace.s.shape[1]), trace.s.shape))
+    laps = Laps(trace._replace(sensed=sensed), jnp.full(2, int(LapCode.COMPLETED)), jnp.asarray(SHORT.mpc.dt))
+    flat, before = jnp.full(2, 0.5), first_progress(scenario)
+    lap = StageResult(
+        laps, scenario.over_batch(scenario.table), trace.V, LapFigures(flat, flat, flat, flat, flat > 0, flat)
+    )
+    for measured in (True, False):
+        config = dataclasses.replace(SHORT, measured_arrival=measured)
+        after = update_progress(dataclasses.replace(scenario, config=config), before, lap, residual, 1).arrival
+        assert np.all(after.laps == measured) and np.all(np.any(after.x != before.arrival.x, axis=1) == measured)
+
+
 def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_path):
     trace, residual = pursued
     table = scenario.over_batch(scenario.table)
@@ -145,15 +206,20 @@ def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_
         _resume(scenario, folder)
 
 
-def test_what_was_learnt_reaches_the_layers_asked_for(scenario):
-    learnt = scenario.over_batch(eqx.tree_at(lambda d: d.trust_factor, empty(SHORT.gp).residual, jnp.ones(3)))
-    knows = lambda d: bool(jnp.all(d.trust_factor == 1))
+def test_what_was_learnt_reaches_the_layers_asked_for_and_the_lags_reach_all(scenario):
+    one = eqx.tree_at(lambda d: (d.trust_factor, d.lags), empty(SHORT.gp).residual, (jnp.ones(3), jnp.ones(2)))
+    learnt = scenario.over_batch(one)
+
+    def knows(d: Residual) -> bool:
+        assert bool(jnp.all(d.lags == 1)) and bool(jnp.all(d.trust_factor == d.trust_factor[0, 0]))
+        return bool(d.trust_factor[0, 0])
 
     def asked(layers: str) -> tuple[Residual, Residual]:
         return _layers(dataclasses.replace(scenario, config=dataclasses.replace(SHORT, layers=layers)), learnt)
 
-    assert [tuple(map(knows, asked(layers))) for layers in ("both", "reference", "mpc")] == [
+    assert [tuple(map(knows, asked(layers))) for layers in ("both", "reference", "mpc", "none")] == [
         (True, True),
         (True, False),
         (False, True),
+        (False, False),
     ]
