@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import find_config, from_dict, merge_config
+from driftjax.core import find_config, from_dict, merge_config, require
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
@@ -98,7 +98,9 @@ def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Ite
 
 def complete_paper(options: Options) -> Options:
     """Complete options of `paper`."""
-    return to_dict(from_dict(PaperConfig, options, "a trial"))
+    config = from_dict(PaperConfig, options, "a trial")
+    require(config.main, "key 'main' is false; the rows of a sweep are those of the main comparison.")
+    return to_dict(config)
 
 
 def paper_files(config: Options) -> list[Path]:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from driftjax.core import require, require_at_least
+from driftjax.learning.config import Controller
+from driftjax.studies.paper.ablations import ABLATIONS
 
 Car = Literal["sedan", "rc"]
 
@@ -23,10 +25,16 @@ class PaperConfig:
     """Noise seeds per plant."""
     seed: int = 6
     """Seed of plants and noise."""
+    main: bool = True
+    """Drive the main comparison: every method."""
     ablations: bool = True
     """Also drive the ablations."""
+    arms: tuple[str, ...] = ()
+    """Names of the ablations to drive; all where left out."""
     ablation_plants: int = 4
     """Plants of each ablation, one noise seed."""
+    ablation_controllers: tuple[Controller, ...] = ("path", "paper")
+    """Controllers of the ablations."""
     quick: bool = False
     """Four plants, one noise seed, the main comparison only."""
 
@@ -34,6 +42,12 @@ class PaperConfig:
         require(len(self.cars) > 0, "key 'cars' is empty; name sedan, rc or both.")
         require_at_least(self, 1, "plants", "noise_seeds", "ablation_plants")
         require_at_least(self, 0, "seed")
+        require(len(self.ablation_controllers) > 0, "key 'ablation_controllers' is empty; name path, paper or both.")
+        ablated = self.ablations and not self.quick
+        require(self.main or ablated, "key 'main' is false, and ablations are left out too: nothing to drive.")
+        require(ablated or not self.arms, "key 'arms' names ablations, which 'quick' and 'ablations: false' leave out.")
+        for name in self.arms:
+            require(name in ABLATIONS, f"key 'arms' names {name!r}; choose among {', '.join(ABLATIONS)}.")
 
     @property
     def first_plant(self) -> int:

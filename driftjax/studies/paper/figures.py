@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, NOMINAL, new_figure, save
+from driftjax.studies.paper.credit import CONTRASTS, SQUARE, WATERFALL
 from driftjax.studies.paper.statistics import ALONE, METHODS, TARGETS
 
 COLOURS = {"paper": GPR, "path": EXPLORED, "alone": NOMINAL}
@@ -14,8 +15,12 @@ SHIFT = {"paper": -0.16, "path": 0.16}
 
 
 def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
-    """Write `statistics_<car>.png` and .pdf; return the paths of the PNGs."""
-    return [_draw(car, found, folder) for car, found in results["cars"].items()]
+    """Write `statistics_<car>` and `credit_<car>` as .png and .pdf, where they have content; return the PNGs."""
+    cars = results["cars"].items()
+    compared = [_draw(car, found, folder) for car, found in cars if "methods" in found]
+    ladders = {car: {who: one for who, one in found["credit"].items() if "interaction" in one and
+                     all(step in one["contrasts"] for step in WATERFALL)} for car, found in cars}  # fmt: skip
+    return compared + [_draw_credit(car, ladder, folder) for car, ladder in ladders.items() if ladder]
 
 
 def _draw(car: str, found: dict[str, Any], folder: Path) -> Path:
@@ -97,3 +102,47 @@ def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> N
     _named(axis, [one["words"] for one in ablations.values()])
     _log(axis)
     axis.set_title(title)
+
+
+def _draw_credit(car: str, credit: dict[str, Any], folder: Path) -> Path:
+    """Draw per controller the waterfall from nominal to explored and the interaction of speed and correction."""
+    figure, axes = new_figure(len(credit), 2, (13.0, 4.2 * len(credit)), width_ratios=(2, 1))
+    for row, (who, found) in zip(axes, credit.items(), strict=True):
+        _waterfall(row[0], found)
+        _interaction(row[1], found)
+        row[0].set_title(CONTROLLERS[who])
+    figure.suptitle(f"{car}: who owns the gain; means and 95 % intervals over plants, of steps paired")
+    return save(figure, folder, f"credit_{car}")
+
+
+def _waterfall(axis: Axes, found: dict[str, Any]) -> None:
+    level = {name: rung["lateral_error"]["mean"] for name, rung in found["rungs"].items()}
+    axis.barh(0, level["nominal"], color=NOMINAL)
+    for y, step in enumerate(WATERFALL, start=1):
+        _, before, after = CONTRASTS[step]
+        better = level[after] <= level[before]
+        axis.barh(y, level[after] - level[before], left=level[before], color=GPR if better else EXPLORED)
+        low, high = found["contrasts"][step]["metres"]["ci95"]
+        if low is not None:
+            axis.plot([level[before] + low, level[before] + high], [y, y], color="black", lw=1.2)
+        axis.plot([level[before]] * 2, [y - 1, y], color="black", lw=0.6)
+    axis.barh(len(WATERFALL) + 1, level["all"], color=NOMINAL)
+    _named(axis, ["nominal MPC", *(CONTRASTS[step].words for step in WATERFALL), "explored"])
+    axis.margins(x=0.03)
+    axis.set_xlim(left=0.0)
+    axis.set_xlabel("mean lateral error [m]; blue: less, red: more")
+
+
+def _interaction(axis: Axes, found: dict[str, Any]) -> None:
+    for correction, colour, shift in (("off", NOMINAL, -0.03), ("on", EXPLORED, 0.03)):
+        cells = [found["rungs"][SQUARE[speed, correction]]["lateral_error"] for speed in ("planned", "sets")]
+        x = [shift, 1 + shift]
+        axis.plot(x, [cell["mean"] for cell in cells], "o-", color=colour, label=f"correction of the path {correction}")
+        for at, cell in zip(x, cells, strict=True):
+            if cell["ci95"][0] is not None:
+                axis.plot([at, at], cell["ci95"], color=colour, lw=1.0)
+    axis.set_xticks([0, 1], ["planned speed", "V-sets"])
+    axis.set_xlim(-0.4, 1.4)
+    axis.set_ylim(bottom=0.0)
+    axis.set_ylabel("mean lateral error [m]")
+    axis.legend()

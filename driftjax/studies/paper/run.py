@@ -13,8 +13,10 @@ from driftjax.learning.run import run as learn
 from driftjax.report import write_report
 from driftjax.store import RunFolder
 from driftjax.store.files import read_json
-from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
+from driftjax.studies.paper.ablations import ABLATIONS
+from driftjax.studies.paper.arms import EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
 from driftjax.studies.paper.config import PaperConfig
+from driftjax.studies.paper.credit import credit
 from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
 from driftjax.studies.paper.figures import write_figures
@@ -46,8 +48,9 @@ def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
     """Rebuild results, tables and figures from the finished runs."""
     cfg = cfg.reduced() if cfg.quick else cfg
     done = [arm for arm in arms(cfg) if (folder.path / arm.folder / "results.json").exists()]
-    if not done or done[0].name != MAIN:
-        raise BadInput(f"{folder.path}: its main comparison is not finished; go on with `driftjax paper --resume`.")
+    if not done or (cfg.main and done[0].name != MAIN):
+        first = "main comparison" if cfg.main else "first ablation"
+        raise BadInput(f"{folder.path}: its {first} is not finished; go on with `driftjax paper --resume`.")
     found = write_results(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
     write_figures(found, folder.path / "figures")
     return found
@@ -104,12 +107,16 @@ def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], fold
     """Write results.json and results.md of the runs in `done`; return the former."""
     cars: dict[str, Any] = {}
     for arm, one in done:
+        car = cars.setdefault(arm.car, {"ablations": {}})
         if arm.name == MAIN:
-            cars[arm.car] = one | {"ablations": {}}
-        elif arm.car in cars:
-            cars[arm.car]["ablations"][arm.name] = one
-    numbers = [*range(cfg.first_plant, cfg.first_plant + done[0][0].learn.plants)]
-    split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": cfg.noise_seeds,
+            car |= one
+        else:
+            car["ablations"][arm.name] = one
+    for car in cars.values():
+        car["credit"] = credit(car["ablations"])
+    first = done[0][0].learn
+    numbers = [*range(cfg.first_plant, cfg.first_plant + first.plants)]
+    split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": first.noise_seeds,
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
     found = {"options": to_dict(cfg), "split": split, "cars": cars}
     folder.write_json("results", found)

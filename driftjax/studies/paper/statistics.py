@@ -84,11 +84,11 @@ def targets(car: str, gains: dict[str, Any], methods: dict[str, dict[str, dict[s
 
 def ablation_results(run: RunFolder) -> dict[str, Any]:
     """Return figures and gains of an ablation."""
-    section, done = section_of(run), run.finished()
+    section, done, controllers = section_of(run), run.finished(), run.config["controllers"]
     stages = {name: run.read_stage(name) for name in ("nominal", "gpr-best", "explore-best") if name in done}
-    found = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in CONTROLLERS}
+    found = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in controllers}
     return {
-        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
+        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in controllers},
         "gains": {who: {name: paired_gain(found[who], *GAINS[name]) for name in ("gpr", "exploration", "all")}
-                  for who in CONTROLLERS},
+                  for who in controllers},
     }  # fmt: skip

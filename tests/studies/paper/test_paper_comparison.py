@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from driftjax.core import BadInput
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig
 from driftjax.store import RunFolder
-from driftjax.studies.paper.arms import ABLATIONS, EXTENDED, MAIN, SHARED, arms, settings_hash
+from driftjax.studies.paper.ablations import ABLATIONS
+from driftjax.studies.paper.arms import EXTENDED, MAIN, arms, settings_hash
 from driftjax.studies.paper.config import PaperConfig
 from driftjax.studies.paper.extrapolation import extrapolated
 from driftjax.studies.paper.figures import write_figures
@@ -79,10 +81,51 @@ def test_an_ablation_differs_in_what_it_says_only():
 
 def test_runs_that_share_laps_differ_in_exploration_only():
     found = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
-    for name, other in SHARED.items():
-        without = [dataclasses.replace(found[one].learn, explore=ExploreConfig()) for one in (name, other)]
-        assert without[0] == without[1] and found[name].like == f"rc/{other}"
-        assert found[name].learn.explore.num_sets == found[other].learn.explore.num_sets  # of one shape
+    alike = {name: arm.like for name, arm in found.items() if arm.like}
+    exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "sets_uncorrected")
+    assert alike == dict.fromkeys((*exploring, "planned_uncorrected"), "rc/as_it_is")
+    for name in alike:
+        without = [dataclasses.replace(found[one].learn, explore=ExploreConfig()) for one in (name, "as_it_is")]
+        assert without[0] == without[1]
+        assert found[name].learn.explore.num_sets == found["as_it_is"].learn.explore.num_sets  # of one shape
+
+
+def test_a_choice_of_arms_needs_no_main_comparison_and_shares_among_its_own():
+    chosen = ("planned_uncorrected", "planned", "lags")
+    found = arms(PaperConfig(cars=("rc",), main=False, arms=chosen, ablation_plants=16, ablation_controllers=("path",)))
+    assert [(arm.name, arm.like) for arm in found] == [
+        ("lags", None), ("planned", None), ("planned_uncorrected", "rc/planned"),
+    ]  # fmt: skip
+    assert all(arm.learn.plants == 16 and arm.learn.first_plant == 16 for arm in found)
+    assert all(arm.learn.controllers == ("path",) and arm.learn.noise_seeds == 1 for arm in found)
+    bad: list[tuple[dict[str, Any], str]] = [
+        ({"arms": ("lag",)}, "names 'lag'; choose among as_it_is"),
+        ({"main": False, "ablations": False}, "nothing to drive"),
+        ({"arms": ("lags",), "quick": True}, "'quick'"),
+        ({"ablation_controllers": ()}, "'ablation_controllers' is empty"),
+    ]
+    for changes, words in bad:
+        with pytest.raises(BadInput, match=words):
+            PaperConfig(**changes)
+
+
+def test_arms_drive_as_many_laps_and_differ_step_by_step():
+    """The ladder adds one thing at a time; the square of speed and correction has all else in common."""
+    found = {arm.name: arm.learn for arm in arms(PaperConfig(cars=("sedan",)))}
+    ladder = [found[name] for name in ("nominal", "lags", "arrival", "gp_reference", "gp_mpc", "as_it_is")]
+    assert [(a.gp.lags, a.measured_arrival, a.layers) for a in ladder] == [
+        (False, False, "none"), (True, False, "none"), (True, True, "none"),
+        (True, True, "reference"), (True, True, "mpc"), (True, True, "both"),
+    ]  # fmt: skip
+    bare = [dataclasses.replace(a, gp=ladder[0].gp, measured_arrival=True, layers="both", explore=ExploreConfig())
+            for a in ladder]  # fmt: skip
+    assert all(a == bare[0] for a in bare) and bare[0].converged == 0
+    square = [found[name].explore for name in ("planned_uncorrected", "planned", "sets_uncorrected", "as_it_is")]
+    assert [(one.speeds, one.correction) for one in square] == [
+        ("planned", False), ("planned", True), ("sets", False), ("sets", True),
+    ]  # fmt: skip
+    rest = [dataclasses.replace(one, speeds="sets", correction=True) for one in square]
+    assert all(one == rest[0] for one in rest) and rest[0].fixed_laps
 
 
 def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
@@ -180,6 +223,7 @@ def results() -> dict:
     car |= {"ablations": {"one": small}, "targets": targets("rc", gains["paper"], {"paper": rows})}
     held = {"exists": 0.5, "steady": 1.0, "speed": [0.95, 0.9, 1.01]}
     car["feasible"] = {"V_b": 3.1, "r_b": 2.7, "paper": held, "path": held}
+    car["credit"] = {}
     split = {"seed": 6, "half": "held_out", "plants": list(range(16, 32)), "noise_seeds": 2}
     return {"split": split, "cars": {"rc": car}}
 
@@ -224,6 +268,8 @@ def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
     RunFolder.create(tmp_path / "paper", to_dict(PaperConfig()), "paper")
     assert main(["report", str(tmp_path / "paper")]) == 2
     assert "its main comparison is not finished" in capsys.readouterr().err
+    assert main(["paper", "--arms", "lag", "--out", str(tmp_path / "new")]) == 2
+    assert "'lag'; choose among" in capsys.readouterr().err and not (tmp_path / "new").exists()
     assert main(["paper", "--plants", "0", "--out", str(tmp_path / "new")]) == 2
     assert "'plants' is 0" in capsys.readouterr().err and not (tmp_path / "new").exists()
     with pytest.raises(BadInput, match="noise_seeds"):

@@ -1,0 +1,29 @@
+"""The ablations of the comparison: the words and the changed options of each."""
+
+PLANNED, UNCORRECTED = {"speeds": "planned"}, {"correction": False}
+NO_GP = {"layers": "none"}
+BARE = NO_GP | {"measured_arrival": False, "explore": {"num_sets": 0}}  # not explored
+ABLATIONS: dict[str, tuple[str, dict]] = {  # name: (words, change)
+    "as_it_is": ("as in the main comparison", {}),
+    "extended": ("the nominal car extended by `diagnose`", {}),
+    "nominal": ("nothing learnt, as many laps", BARE | {"gp": {"lags": False}}),
+    "lags": ("no GP, planned arrival: learnt lags only", BARE),
+    "arrival": ("no GP: learnt lags and measured arrival; explored at the planned speed", NO_GP | {"explore": PLANNED}),
+    "gp_reference": ("GP in the reference only", {"layers": "reference"}),
+    "gp_mpc": ("GP in the MPC only", {"layers": "mpc"}),
+    "step": ("the paper's step to the equilibrium as reference", {"reference": "step"}),
+    "no_lags": ("no lags: bare commands in the GP's inputs", {"gp": {"lags": False}}),
+    "unbounded": ("the GP's bare mean, however far from data", {"gp": {"bounded": False}}),
+    "points_50": ("dictionary of 50 points", {"gp": {"size": 50, "num_fit": 50}}),
+    "points_400": ("dictionary of 400 points", {"gp": {"size": 400}}),
+    "variance": ("lambda 1: variance only", {"explore": {"lam": 1.0}}),
+    "nearness": ("lambda 0: nearness only", {"explore": {"lam": 0.0}}),
+    "equal_P": ("P of ones", {"explore": {"P": (1.0, 1.0, 1.0)}}),
+    "random": ("explored at random speeds", {"explore": {"speeds": "random"}}),
+    "uniform": ("explored at evenly spaced speeds", {"explore": {"speeds": "uniform"}}),
+    "planned": ("as many laps at the planned speed", {"explore": PLANNED}),
+    "sets_uncorrected": ("V-sets, the aimed path not corrected", {"explore": UNCORRECTED}),
+    "planned_uncorrected": (
+        "as many laps at the planned speed, the aimed path not corrected", {"explore": PLANNED | UNCORRECTED}
+    ),
+}  # fmt: skip

@@ -1,0 +1,85 @@
+"""Credit each cause with its gain: contrasts of ablations that differ in one change, paired over plants."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from driftjax.learning.metrics import difference, reduction
+
+GPR, EXPLORED = "gpr-best", "explore-best"
+RUNGS = {  # name: (words, ablation, stage whose laps are judged)
+    "nominal": ("nominal MPC, as many laps", "nominal", GPR),
+    "lags": ("+ learnt lags", "lags", GPR),
+    "arrival": ("+ measured arrival", "arrival", GPR),
+    "gp_reference": ("+ GP in the reference", "gp_reference", GPR),
+    "gp_mpc": ("+ GP in the MPC instead: single layer, as many laps", "gp_mpc", GPR),
+    "both": ("+ GP in both: double layer", "as_it_is", GPR),
+    "laps": ("+ more laps: planned speed, path not corrected", "planned_uncorrected", EXPLORED),
+    "sets": ("+ as many laps: V-sets, path not corrected", "sets_uncorrected", EXPLORED),
+    "correction": ("+ as many laps: planned speed, path corrected", "planned", EXPLORED),
+    "all": ("+ as many laps: V-sets, path corrected", "as_it_is", EXPLORED),
+    "correction_only": ("as many laps without GP: planned speed, path corrected", "arrival", EXPLORED),
+}
+
+
+class Contrast(NamedTuple):
+    """A gain and the two rungs between which it lies."""
+
+    words: str
+    before: str
+    after: str
+
+
+CONTRASTS = {
+    "lags": Contrast("learnt lags", "nominal", "lags"),
+    "arrival": Contrast("measured arrival", "lags", "arrival"),
+    "gp_reference": Contrast("GP in the reference", "arrival", "gp_reference"),
+    "gp_mpc_after": Contrast("GP in the MPC, beside the reference", "gp_reference", "both"),
+    "laps": Contrast("more laps of data alone", "both", "laps"),
+    "correction": Contrast("correction of the path", "laps", "correction"),
+    "sets_after": Contrast("V-sets, beside the correction", "correction", "all"),
+    "gp_mpc": Contrast("GP in the MPC alone", "arrival", "gp_mpc"),
+    "gp_reference_after": Contrast("GP in the reference, beside the MPC", "gp_mpc", "both"),
+    "sets": Contrast("V-sets alone", "laps", "sets"),
+    "correction_after": Contrast("correction of the path, beside V-sets", "sets", "all"),
+    "correction_only": Contrast("correction of the path, without GP", "arrival", "correction_only"),
+    "gpr_gross": Contrast("all of the GPR laps: lags, arrival and GP", "nominal", "both"),
+    "gpr": Contrast("**by GPR**, net of lags and arrival", "arrival", "both"),
+    "exploration_gross": Contrast("all of the exploration laps: data, correction and V-sets", "both", "all"),
+    "exploration": Contrast("**by exploration**, net of the correction", "correction", "all"),
+}
+WATERFALL = ("lags", "arrival", "gp_reference", "gp_mpc_after", "laps", "correction", "sets_after")
+SQUARE = {("planned", "off"): "laps", ("planned", "on"): "correction", ("sets", "off"): "sets", ("sets", "on"): "all"}
+
+
+def credit(ablations: dict[str, Any]) -> dict[str, Any]:
+    """Return per controller the rungs that the finished `ablations` drove, and every contrast between two of them.
+
+    Lateral errors are mean lap errors [m]; gains are paired over plants, with 95 % intervals by Student's t.
+    """
+    controllers = dict.fromkeys(who for one in ablations.values() for who in one["methods"])
+    found = {who: _credit(ablations, who) for who in controllers}
+    return {who: one for who, one in found.items() if one["contrasts"]}
+
+
+def _credit(ablations: dict[str, Any], who: str) -> dict[str, Any]:
+    rungs: dict[str, Any] = {}
+    for name, (_, ablation, stage) in RUNGS.items():
+        figures = ablations.get(ablation, {}).get("methods", {}).get(who, {}).get(stage)
+        if figures:
+            rungs[name] = {key: figures[key] for key in ("lateral_error", "velocity_rmse", "completed")}
+    values = lambda name, figure="lateral_error": np.asarray(rungs[name][figure]["per_plant"], float)
+    contrasts = {
+        name: {
+            "metres": difference(values(before), values(after)),
+            "percent": reduction(values(before), values(after)),
+            "velocity_percent": reduction(values(before, "velocity_rmse"), values(after, "velocity_rmse")),
+        }
+        for name, (_, before, after) in CONTRASTS.items()
+        if before in rungs and after in rungs
+    }
+    found = {"rungs": rungs, "contrasts": contrasts}
+    if all(name in rungs for name in SQUARE.values()):
+        alone, beside = values("sets") - values("laps"), values("all") - values("correction")
+        found["interaction"] = difference(alone, beside)
+    return found
