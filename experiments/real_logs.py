@@ -127,8 +127,11 @@ def diagnose_question(question: Question, cfg: Config) -> dict[str, Any]:
     out, plant, car = cfg.out / question.name, plant_file(question, cfg), nominal_car(question, cfg)
     if not (out / "diagnosis.json").is_file():
         write_question(question, cfg, out, plant, car)
-    content = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    content, versions = (
+        json.loads((out / f"{name}.json").read_text(encoding="utf-8")) for name in ("diagnosis", "versions")
+    )
     return {key: content[key] for key in ("verdict", "sentence", "causes", "gain", "closed_loop")} | {
+        "measured": {key: versions[key] for key in ("created", "commit")},
         "answer_car": content["answer"],
         "answer": answer(question, content, {one.effect: one.value for one in car.effects}),
     }

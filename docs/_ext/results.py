@@ -1,12 +1,13 @@
-"""Tables of results as MyST Markdown, from the committed `results.json` and `versions.json` of a run."""
+"""Tables of results as MyST Markdown, from committed result files."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 from options import table
 
-from driftjax.report.style import stage_label
-from driftjax.report.table import CONTROLLERS, REDUCTIONS, interval, number
+from driftjax.report.style import COMPARED, stage_label
+from driftjax.report.table import CONTROLLERS, REDUCTIONS, interval, number, with_interval
 
 
 def learn_tables(docs: Path) -> str:
@@ -24,7 +25,42 @@ def learn_tables(docs: Path) -> str:
     summary = results["summary"]["path"]
     reductions = [(words, interval(summary[key], ".1f"), number(summary[key]["paper"], ".1f"))
                   for key, words in REDUCTIONS.items()]  # fmt: skip
-    origin = f"Measured {versions['created'][:10]} at commit {versions['commit'][:7]}."
-    return "\n".join(
-        [origin, "", table(head, rows), table(("reduction [%]", "this run", "Wu et al. 2025"), reductions)]
-    )
+    tables = table(head, rows), table(("reduction [%]", "this run", "Wu et al. 2025"), reductions)
+    return "\n".join([f"Measured {_origin(versions)}.", "", *tables])
+
+
+def real_log_tables(docs: Path) -> str:
+    """Return the diagnoses in docs/results/real-logs.json, which `python -m experiments.real_logs` wrote."""
+    results = json.loads((docs / "results/real-logs.json").read_text(encoding="utf-8"))
+    parts = []
+    for name, found in results.items():
+        gain, ahead = found["gain"], found["gain"]["skill_horizon_s"]
+        explained = with_interval(*(_percent(gain[key]["extended"]) for key in ("skill", "ci95")), ".0f")
+        parts += [f"### `{name}`\n", f"Measured {_origin(found['measured'])}. Verdict {found['verdict']}; "
+                  f"the named effects remove {explained} % of the excess error {ahead:g} s ahead.\n"]  # fmt: skip
+        parts += [f"To compare with other work: `{key}` {with_interval(one['value'], one['ci95'])}, "
+                  f"{'inside' if one['as_known'] else 'outside'} its range.\n"
+                  for key, one in found["answer"].items() if one["as_known"] is not None]  # fmt: skip
+        rows = [(f"`{one['effect']}`" + " (exploratory)" * one["exploratory"], number(100 * one["share"], ".1f"),
+                 "; ".join(_parameter(*pair) for pair in one["parameters"].items()))
+                for one in found["causes"]]  # fmt: skip
+        parts.append(table(("effect", "share [%]", "value, with its 95 % interval"), rows))
+        at = gain["horizons_s"].index(ahead)
+        errors = [(COMPARED[model][1], *(f"{gain['rmse'][model][channel][at]:#.2g}" for channel in ("V", "beta", "r")))
+                  for model in ("nominal", "retuned", "extended")]  # fmt: skip
+        parts.append(table((f"error {ahead:g} s ahead", "V [m/s]", "beta [rad]", "r [rad/s]"), errors))
+    return "\n".join(parts)
+
+
+def _parameter(name: str, found: dict[str, Any]) -> str:
+    unit = "" if found["unit"] == "1" else f" {found['unit']}"
+    bound = ", at its bound" * found["at_bound"]
+    return f"{name} = {with_interval(found['value'], found['ci95'], '.3g')}{unit}{bound}"
+
+
+def _percent(value: Any) -> Any:
+    return [100 * one for one in value] if isinstance(value, list) else 100 * value
+
+
+def _origin(versions: dict[str, str]) -> str:
+    return f"{versions['created'][:10]} at commit {versions['commit'][:7]}"

@@ -98,4 +98,4 @@ def test_the_recording_of_the_sedan_shows_its_sensors(tmp_path):
     assert value["gyro_bias.p"] == pytest.approx(0.005, abs=0.001)
     assert value["steer_gain.p"] == pytest.approx(0.1, abs=0.05)
     assert found["verdict"] != "UNKNOWN" and found["gain"]["ci95"]["extended"][0] > 0.5
-    assert (tmp_path / "real_logs.png").is_file()
+    assert found["measured"]["created"] and (tmp_path / "real_logs.png").is_file()
