@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.metadata import Metadata
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,6 +30,14 @@ def test_the_wheel_holds_the_package_and_its_files_only(wheel):
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"driftjax"}
     for name in ("py.typed", "configs/vehicle/sedan.yaml", "studies/bench/single_track.cpp", "report/page/player.js"):
         assert f"driftjax/{name}" in names, name
+
+
+def test_the_metadata_of_the_wheel_are_valid_and_show_the_readme(wheel):
+    archive = zipfile.ZipFile(wheel)
+    content = archive.read(next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA")))
+    metadata = Metadata.from_email(content, validate=True)
+    assert metadata.description_content_type == "text/markdown" and metadata.license_files == ["LICENSE"]
+    assert metadata.description == (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_what_the_wheel_holds_runs_outside_the_checkout(wheel, tmp_path):
