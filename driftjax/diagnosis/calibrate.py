@@ -121,7 +121,7 @@ def calibrate(
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
     lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]
     if lost:
-        needs = " and ".join(EFFECTS[lost[0]].needs)
+        needs = " and ".join(EFFECTS[lost[0]].needs or ("Fxr",))
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
     problem, fit, at = fit_effects(with_nominal_noise(problem), selected)
     last = scores(problem, at, fit.theta, selected, seed)

@@ -90,10 +90,12 @@ def autocorrelation(problem: Problem, path: Path) -> Autocorrelation:
     """Return the autocorrelation of one model's whitened innovations."""
     skip, num = round(SKIPPED_START / problem.data.dt), max(round(LAGS / problem.data.dt), 1)
     e, valid = np.asarray(whiten(problem.gains, path.e))[:, skip:], np.asarray(path.valid)[:, skip:]
-    power = (e**2).sum(axis=(0, 1)) / valid.sum(axis=(0, 1))
+    valid = valid * problem.data.counts[skip:]
+    num_valid = valid.sum(axis=(0, 1))
+    power = np.where(num_valid > 0, (e**2).sum(axis=(0, 1)) / np.maximum(num_valid, 1), np.nan)
     pairs = lambda a, lag: (a[:, lag:] * a[:, :-lag]).sum(axis=(0, 1))
     rows = [pairs(e, lag) / np.maximum(pairs(valid, lag), 1) / power for lag in range(1, num + 1)]
-    return Autocorrelation(np.stack(rows), float(1.96 / np.sqrt(valid.sum(axis=(0, 1)).min())))
+    return Autocorrelation(np.stack(rows), float(1.96 / np.sqrt(num_valid[num_valid > 0].min())))
 
 
 def findings_json(findings: Findings, noise: Noise) -> dict[str, Any]:

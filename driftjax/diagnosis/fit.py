@@ -1,11 +1,13 @@
 """Fit hypotheses: Gauss-Newton on the active parameters, through the observer's innovations."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from driftjax.core import BadInput
+from driftjax.diagnosis.assumed import force, has_force, sideslip
 from driftjax.diagnosis.motion import (
     MotionNoise,
     estimate_motion_noise,
@@ -29,12 +31,15 @@ from driftjax.diagnosis.runs import (
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Effect
+from driftjax.vehicle.effect.families import DRIVE, FAMILY_OF
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal_car
 
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
+SIDESLIPS = 2  # times that a force is estimated anew for the sideslip which the observer infers with it
+BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
@@ -58,6 +63,16 @@ class Problem(NamedTuple):
         """Return the catalogue, in the order of `owner`."""
         return self.model.effects
 
+    @property
+    def measured(self) -> np.ndarray:
+        """Return which of V, beta, r (3,) predictions can be compared with."""
+        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.counts[-1]
+
+    @property
+    def not_judged(self) -> tuple[int, ...]:
+        """Return the effects that cannot be told where the force was estimated."""
+        return () if self.data.force_known else tuple(i for i, e in enumerate(self.effects) if depends_on_force(e))
+
     def columns(self, selected: tuple[int, ...]) -> np.ndarray:
         """Return the parameter indices of the effects `selected`."""
         return np.flatnonzero(np.isin(self.owner, selected))
@@ -71,7 +86,7 @@ class Problem(NamedTuple):
     def num_measurements(self) -> int:
         """Number of measurements whose residuals the cost sums."""
         windows = 0 if self.motion is None else self.motion.used.sum()
-        return int(np.sum(np.asarray(self.data.padded.valid)) + windows)
+        return int(np.sum(np.asarray(self.data.padded.valid) * self.data.counts) + windows)
 
 
 class Fit(NamedTuple):
@@ -87,16 +102,39 @@ def initial_problem(
 ) -> Problem:
     """Build the problem with an initial guess of the noise and fixed observer gains.
 
-    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks.
+    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks and, where
+    the force is not known, those that depend on it.
     """
-    data = pieces(vehicle, runs)
-    model = universal_car(vehicle, effects, substeps(vehicle, runs))
+    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, substeps(vehicle, runs))
+    start = initial_theta(vehicle, model)
+    data = pieces(vehicle, runs) if known else pieces_with_assumed_force(vehicle, model, start, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
-    active = np.array([effects[i].name not in without and set(effects[i].needs) <= has for i, _ in parameters])
+    judged = lambda one: known or not depends_on_force(one)
+    asked = [one.name not in without and set(one.needs) <= has and judged(one) for one in effects]
+    active = np.array([asked[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner, fixed, start = np.array([i for i, _ in parameters]), fixed_gain(data), initial_theta(vehicle, model)
+    owner, fixed = np.array([i for i, _ in parameters]), fixed_gain(data)
     return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), fixed)
+
+
+def depends_on_force(effect: Effect) -> bool:
+    """Return whether an effect changes what the drive force does: an estimated force stands for it."""
+    return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
+
+
+def pieces_with_assumed_force(
+    vehicle: VehicleConfig, model: Universal, start: np.ndarray, runs: tuple[Run, ...]
+) -> Pieces:
+    """Return the pieces of runs whose drive force is estimated from their speed, at the observer's sideslip."""
+    slip = [sideslip(vehicle, run) for run in runs]
+    assume = lambda run, beta: dataclasses.replace(run, Fxr=force(vehicle, run, beta))
+    data = pieces(vehicle, tuple(map(assume, runs, slip)))
+    for _ in range(SIDESLIPS if data.skip else 0):
+        beta = run_observer(model, data, start, fixed_gain(data)).z[..., 1]
+        slip = [np.concatenate(beta[data.run == i])[: len(run.t)] for i, run in enumerate(runs)]
+        data = pieces(vehicle, tuple(map(assume, runs, slip)))
+    return data._replace(force_known=False)
 
 
 def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
@@ -134,7 +172,7 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
     model, data, fixed = problem.model, problem.data, fixed_gain(problem.data)
     path = run_observer(model, data, theta, fixed)
     steps = step_derivatives(model, data, theta, path, profiled)
-    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt)
+    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.counts)
     return with_noise(with_motion_noise(problem), theta, noise)
 
 
@@ -154,9 +192,8 @@ def with_motion_noise(problem: Problem) -> Problem:
 def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
     """Return the problem with this noise, and gains along the path of the car `theta`."""
     data = problem.data
-    return problem._replace(
-        noise=noise, gains=observer_gains(problem.model, data, theta, noise.as_vector(), fixed_gain(data))
-    )
+    first = fixed_gain(data)
+    return problem._replace(noise=noise, gains=observer_gains(problem.model, data, theta, noise.as_vector(), first))
 
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
@@ -177,7 +214,7 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
-    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid - used))
+    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.counts - used))
     if problem.motion is not None:
         further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing

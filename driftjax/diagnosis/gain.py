@@ -132,7 +132,7 @@ def prediction_starts(problem: Problem, last: int = len(SPANS)) -> tuple[np.ndar
     """Return the samples at which predictions start, and the number of steps to the horizon number `last`."""
     dt, steps = problem.data.dt, horizon_steps(problem)
     every = max(round(START_INTERVAL * float(problem.model.base.unit_time) / dt), 1)
-    return np.arange(round(SETTLED / dt), problem.data.size - 1, every), int(steps[last])
+    return np.arange(max(round(SETTLED / dt), problem.data.skip), problem.data.size - 1, every), int(steps[last])
 
 
 def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, last: int = len(SPANS)) -> Predictions:
@@ -145,7 +145,7 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, las
     told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
-    valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None]
+    valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None] & data.counts[-1]
     off = told - np.asarray(path.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
     return Predictions(starts, path.z, told, np.where(valid, off, np.nan))
@@ -190,8 +190,9 @@ def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: i
     starts spin and others do not; intervals are over blocks of time. Empty where no run lasts that long.
     """
     squares = np.stack([one.squares[:, at] for one in (least, *errors.values())])
+    squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has
     keep = np.isfinite(squares).all(axis=(0, 2))
-    if not keep.any():
+    if not squares.shape[2] or not keep.any():
         return {}
     first = errors["nominal"]
     piece = np.unique(first.piece[keep], return_inverse=True)[1]
@@ -223,8 +224,10 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
     found = np.full((len(before.horizons), 3), np.nan)
     for at in range(len(found)):
         old, new = before.squares[:, at], after.squares[:, at]
+        there = np.isfinite(old).any(axis=0)
+        old, new = old[:, there], new[:, there]
         keep = np.isfinite(old + new).all(axis=1)
-        if not keep.any():
+        if not there.any() or not keep.any():
             continue
         unit = old[keep].mean(axis=0)
         old, new = ((one[keep] / unit).sum(axis=1) for one in (old, new))

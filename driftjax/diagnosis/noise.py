@@ -20,6 +20,9 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 0.5  # disturbance assumed before any is known, in measurement noise per second
+UNMEASURED = (
+    0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
+)
 CORRELATION = 0.3  # and its correlation time [s]
 SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 40  # of the search, at most
@@ -46,7 +49,8 @@ def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
     d = np.diff(y, n=3, axis=1)
     whole = np.min([valid[:, k : k + d.shape[1]] for k in range(4)], axis=0) > 0
     spread = [robust_deviation(d[..., i][whole[..., i]]) for i in range(y.shape[2])]
-    return np.maximum(np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
+    noise = np.maximum(np.array(spread) / np.sqrt(20.0), 1e-6 * np.abs(y).max(axis=(0, 1)))
+    return np.where(valid.any(axis=(0, 1)), noise, UNMEASURED)
 
 
 def robust_deviation(values: np.ndarray) -> float:
@@ -54,16 +58,19 @@ def robust_deviation(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
-def restricted_likelihood(logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float) -> Float[Array, ""]:
+def restricted_likelihood(
+    logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
+) -> Float[Array, ""]:
     """Return minus twice the restricted log-likelihood for the logarithms of `Noise.as_vector`; leading axis of pieces.
 
-    `e` are innovations under the gains `L`; those under other gains follow to first order.
+    `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
+    where `counts` (T, 3) is 1 do.
     """
     noise = jnp.exp(logs)
     decay = jnp.exp(-dt / noise[6])
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt, counts)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -81,16 +88,18 @@ def restricted_likelihood(logs: Float[Array, "7"], steps: Steps, e: Array, L: Ar
     return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters
 
 
-def _search(first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float) -> Minimum:
+def _search(
+    first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float, counts: Array
+) -> Minimum:
     """Minimise `restricted_likelihood` per measurement within bounds, in scaled logarithms."""
     rows, stiff = jnp.maximum(jnp.sum(steps.valid), 1.0), jnp.asarray(LOG_SCALES)
-    value = lambda x, first, steps, e, L: restricted_likelihood(first + x / stiff, steps, e, L, dt) / rows
+    value = lambda x, first, steps, e, L, use: restricted_likelihood(first + x / stiff, steps, e, L, dt, use) / rows
     lower, upper, options = (
         (low - first) * stiff,
         (high - first) * stiff,
         {"tolerance": GRADIENT_TOLERANCE, "max_steps": ITERATIONS},
     )
-    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, **options)
+    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, counts, **options)
     return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 
@@ -103,15 +112,16 @@ def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Arra
     return jax.tree.map(pad, trees)
 
 
-def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float) -> Noise:
+def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, counts: np.ndarray) -> Noise:
     """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
-    measurement: seven numbers need no more, and one program serves all logs.
+    measurement: seven numbers need no more, and one program serves all logs. Only innovations where
+    `counts` (T, 3) is true do.
     """
     steps, e, L = spread_pieces((steps, e, gains.L))
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
-    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt).x)
+    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x)
     return Noise(best[:3], best[3:6], float(best[6]))

@@ -75,7 +75,10 @@ def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, num, noise
 
 
 def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int) -> np.ndarray:
-    """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right."""
+    """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right.
+
+    NaN in channels that were not measured.
+    """
     data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
     readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, room_for(num, ROOM) - num), (0, 0)))
@@ -87,4 +90,4 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
         )
         return map_pieces(of, len(data.run), data.padded, ahead.z, problem.gains.P, there, number)
 
-    return map_starts(some, ahead.starts)[:, :, :num]
+    return np.where(problem.measured, map_starts(some, ahead.starts)[:, :, :num], np.nan)

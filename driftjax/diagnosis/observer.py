@@ -126,15 +126,19 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
 
 
 def kalman_gains(
-    A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float
+    A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float, counts: Array
 ) -> Gains:
-    """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates."""
+    """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates.
+
+    All measurements update the state, but only innovations where `counts` (T, 3) is 1 are whitened: the others are
+    conditioned on.
+    """
     R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
     start = jnp.block([[START_VARIANCE * R, zero], [zero, grown]])
     Q = disturbance_covariance(disturbance, decay)
 
     def on(P, row):
-        A, valid, alive = row
+        A, valid, alive, counts = row
         H = jnp.concatenate([jnp.diag(valid), zero], axis=1)
         S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
         factor = jnp.linalg.cholesky(S)
@@ -143,9 +147,11 @@ def kalman_gains(
         known = P - L @ S @ L.T
         F = transition(A, decay, dt)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
-        return (P + P.T) / 2, (L, whitening, known, jnp.sum(jnp.log(jnp.diagonal(factor))))
+        log_det = jnp.sum(counts * jnp.log(jnp.diagonal(factor)))
+        return (P + P.T) / 2, (L, counts[:, None] * whitening, known, log_det)
 
-    L, whitening, known, log_det = jax.lax.scan(on, start, (A, valid, in_run(valid)))[1]
+    rows = A, valid, in_run(valid), counts
+    L, whitening, known, log_det = jax.lax.scan(on, start, rows)[1]
     return Gains(L, whitening, decay, known, jnp.sum(log_det))
 
 

@@ -24,7 +24,7 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
     is added to the rates of the state, not to what sensors read.
     """
     data, num = problem.data, max(round(WINDOW / problem.data.dt), 1)
-    starts = np.arange(num, data.size - num, num)
+    starts = np.arange(max(num, data.skip), data.size - num, num)
     path = run_observer(problem.model, data, theta, fixed_gain(data))
     predicted = predict_pieces(problem, theta, path.z, starts, num)[:, :, -1, 0]
     missed = np.array(path.z[:, starts + num, :3] - predicted)
@@ -34,7 +34,8 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
     x, u = path.z[:, middle, :3], path.u[:, middle]
     columns = lambda a: np.moveaxis(np.asarray(a), -1, 0)
     Z = jax.jit(features)(State(*columns(x)), Control(*columns(u)[:2]))
-    measured = np.asarray(path.valid)[:, starts + num].all(axis=-1)
+    valid = np.asarray(path.valid) > 0
+    measured = (valid | ~valid.any(axis=(0, 1)))[:, starts + num].all(axis=-1)
     return Z.reshape(-1, 5), jnp.asarray(lacking.reshape(-1, 3)), jnp.asarray(measured.reshape(-1))
 
 

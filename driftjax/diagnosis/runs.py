@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from driftjax.core import State
+from driftjax.diagnosis.assumed import has_sideslip, sideslip
 from driftjax.diagnosis.observer import (
     Gains,
     PaddedRun,
@@ -30,6 +31,7 @@ from driftjax.sim.rollout import SETTLE
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.effect.flow import heat_rate
+from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal
 
 PIECE_LENGTH, SHORT_PIECE_LENGTH = 1000, 250  # samples of one piece: a longer run is followed piece by piece
@@ -38,6 +40,7 @@ BATCH_SIZE = 2  # pieces followed at once: more take longer on a CPU where runs 
 SAMPLES = 2000  # samples differentiated in one call
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
+UNKNOWN_START = 2.0  # time in which the observer finds a sideslip that is not measured [sqrt(L/g)]
 FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
 
@@ -60,17 +63,26 @@ class Pieces(NamedTuple):
     num_blocks: int
     dt: float
     motion: Motion | None = None  # where runs have any of these channels
+    skip: int = 0  # samples from the start of a piece in which the observer finds a state that is not measured
+    force_known: bool = True  # where not, it was estimated from V, whose innovations then say nothing
 
     @property
     def size(self) -> int:
         """Number of samples T of one piece."""
         return self.block.shape[1]
 
+    @property
+    def counts(self) -> np.ndarray:
+        """Return which innovations (T, 3) of a piece say something about the car."""
+        channels = np.array([self.force_known, True, True])
+        return (np.arange(self.size) >= self.skip)[:, None] & channels
+
     def subset(self, keep: np.ndarray) -> "Pieces":
         """Return the pieces with the numbers `keep`."""
         names, block = np.unique(self.block[keep], return_inverse=True)
         padded, motion = take((self.padded, self.motion), keep)
-        return Pieces(padded, self.run[keep], block.reshape(len(keep), -1), len(names), self.dt, motion)
+        block = block.reshape(len(keep), -1)
+        return self._replace(padded=padded, run=self.run[keep], block=block, num_blocks=len(names), motion=motion)
 
 
 def error_blocks(data: Pieces) -> np.ndarray:
@@ -94,7 +106,7 @@ def lap_lengths(runs: tuple[Run, ...]) -> list[float]:
 
 def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
     """Return time, heading, share of the lap of length `lap` [m] and sliding work along a run (n,)."""
-    V, beta, r = fill_gaps(run.V), fill_gaps(run.beta), fill_gaps(run.r)
+    V, beta, r = fill_gaps(run.V), sideslip(vehicle, run), fill_gaps(run.r)
     psi = fill_gaps(run.extra["psi"]) if "psi" in run.extra else np.cumsum(r) * run.dt
     s = fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros_like(V)
     heat = np.asarray(eqx.filter_jit(heat_rate)(vehicle.build(), State(*map(jnp.asarray, (V, beta, r)))))
@@ -116,7 +128,7 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     for i, (run, lap) in enumerate(zip(runs, lap_lengths(runs), strict=True)):
         n, place = len(run.t), places(vehicle, run, lap)
         for k in range(0, n, size):
-            rows.append(_piece_of(run, place, k, size))
+            rows.append(_piece_of(run, sideslip(vehicle, run), place, k, size))
             further.append(_further_of(run, k, size))
             sample = np.minimum(k + np.arange(size), n - 1)  # padding belongs to the run's last block
             blocks.append([(i, int(j * dt // BLOCK)) for j in sample])
@@ -127,7 +139,9 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     valid = np.isfinite(motion)
     known = Motion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
     padded = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *rows)
-    return Pieces(padded, np.array(number), block, len(names), dt, known)
+    unknown = not all(map(has_sideslip, runs))
+    skip = round(UNKNOWN_START * np.sqrt((vehicle.a + vehicle.b) / G) / dt) if unknown else 0
+    return Pieces(padded, np.array(number), block, len(names), dt, known, skip)
 
 
 def _further_of(run: Run, k: int, size: int) -> np.ndarray:
@@ -140,8 +154,8 @@ def _further_of(run: Run, k: int, size: int) -> np.ndarray:
     return further
 
 
-def _piece_of(run: Run, place: Place, k: int, size: int) -> PaddedRun:
-    """Return the piece of `run` of `size` samples that begins at sample `k`."""
+def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> PaddedRun:
+    """Return the piece of `run` of `size` samples that begins at sample `k`; `beta` (n,) has no gaps."""
     measured, w = np.stack([run.V, run.beta, run.r], axis=1), round(SETTLE / run.dt)
     lead = lambda values: np.concatenate([np.repeat(values[:1], w, axis=0), values])
     part = measured[k : k + size]
@@ -149,7 +163,7 @@ def _piece_of(run: Run, place: Place, k: int, size: int) -> PaddedRun:
     pad = lambda values: np.concatenate([values, np.repeat(values[-1:], short, axis=0)])
     window, here = slice(k, k + w + len(part)), slice(k, k + len(part))
     valid = np.concatenate([np.isfinite(part), np.zeros((short, 3), bool)])
-    start = [np.median(fill_gaps(column)[k : k + 3]) for column in measured.T]
+    start = [np.median(column[k : k + 3]) for column in (fill_gaps(run.V), beta, fill_gaps(run.r))]
     commands, V = lead(np.stack([run.delta, run.Fxr], axis=1))[window], lead(fill_gaps(run.V))[window]
     y = np.where(valid, pad(part), 0.0)
     there = Place(*(jnp.asarray(pad(np.asarray(column)[here])) for column in place))
@@ -158,12 +172,12 @@ def _piece_of(run: Run, place: Place, k: int, size: int) -> PaddedRun:
     )
 
 
-def _riccati(A: Array, valid: Array, noise: Array, dt: float) -> Gains:
-    return kalman_gains(A, valid, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt)
+def _riccati(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
+    return kalman_gains(A, valid, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt, counts)
 
 
-def _riccatis(A: Array, valid: Array, noise: Array, dt: float) -> Gains:
-    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None))(A, valid, noise, dt)
+def _riccatis(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
+    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None, None))(A, valid, noise, dt, counts)
 
 
 def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
@@ -208,7 +222,10 @@ class Linearisation(NamedTuple):
 
 
 def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
-    """Return fixed gains, for use before any noise is known: each innovation is applied by `share`."""
+    """Return fixed gains, for use before any noise is known: each innovation is applied by `share`.
+
+    A sideslip that is not measured follows from speed and yaw rate, to which it returns by itself.
+    """
     num = len(data.run)
     zeros = lambda *shape: np.zeros((num, *shape))
     L = zeros(data.size, 6, 3)
@@ -222,9 +239,15 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
     for _ in range(2):
         path = run_observer(model, data, theta, found)
         A = _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
-        riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt)
-        found = map_pieces(riccati_of, len(data.run), A, path.valid)
+        found = gains_along(data, A, path.valid, noise)
     return found
+
+
+def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
+    """Return the gains for transitions `A` (P, T, 3, 3) and measurements that are `valid` (P, T, 3)."""
+    counts = jnp.asarray(data.counts, float)
+    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, counts)
+    return map_pieces(riccati_of, len(data.run), A, valid)
 
 
 def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:

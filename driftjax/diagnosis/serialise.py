@@ -10,7 +10,6 @@ from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import Gain
-from driftjax.diagnosis.noise import Noise
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
@@ -44,9 +43,14 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     content["unexplained"] = unexplained_json(evidence.unexplained)
     content["show"] = None if findings is None else findings_json(findings, noise)
     content["data"] |= {
-        "noise_sigma": dict(zip(MEASURED, map(float, noise.sigma), strict=True)),
+        "noise_sigma": {
+            name: float(sigma)
+            for name, sigma, there in zip(MEASURED, noise.sigma, evidence.problem.measured, strict=True)
+            if there
+        },
         "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
         "process_correlation_s": noise.correlation,
+        "missing": evidence.lost._asdict() | {"sentence": evidence.lost.sentence},
     }
     return content
 
@@ -105,9 +109,11 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
     }
 
 
-def found_noise(noise: Noise) -> FoundNoise:
-    """Return estimated noise as vehicle files hold it."""
-    channels = lambda row: PerChannel(*map(float, row))
+def found_noise(problem: Problem) -> FoundNoise | None:
+    """Return estimated noise as vehicle files hold it; None where that of a channel could not be estimated."""
+    if problem.data.skip or not problem.data.force_known:
+        return None
+    noise, channels = problem.noise, lambda row: PerChannel(*map(float, row))
     return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation))
 
 
@@ -130,7 +136,7 @@ def extended_car(
     before = [one for one in vehicle.effects if one.effect not in named]
     order = {name: i for i, name in enumerate(EFFECTS)}
     effects = tuple(sorted([*before, *found], key=lambda one: order[one.effect]))
-    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=found_noise(problem.noise))
+    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=found_noise(problem))
     if before or not found:
         return vehicle
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])

@@ -95,7 +95,8 @@ def decide_verdict(
     varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = all(cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() for cause in claimed)
-    certain = sure and not varying and not remaining.simpler
+    # an estimated force errs in ways that no test here knows
+    certain = sure and not varying and not remaining.simpler and problem.data.force_known
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")

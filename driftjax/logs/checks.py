@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED
+from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL
 from driftjax.logs.raw import RawRun
 from driftjax.logs.sampling import JITTER, UNIFORM, jitter, sample_time
 
@@ -46,6 +46,8 @@ def check_values(run: RawRun) -> None:
     """Raise `BadInput` if a channel is empty, stuck, negative or in another unit."""
     for name in CHANNELS[1:]:
         values = run.values[name][np.isfinite(run.values[name])]
+        if not values.size and name in OPTIONAL:
+            continue
         if not values.size:
             raise BadInput(f"{run.where}: {run.labels[name]} has no value in any row; fill it in or leave the run out.")
         if name in MEASURED and values.size > STUCK_ROWS and np.ptp(values) == 0:
@@ -66,7 +68,8 @@ def check_values(run: RawRun) -> None:
 def count_missing(run: RawRun) -> str:
     """Return the number of missing values per channel as `2 of V, 5 of delta`; empty if none."""
     counts = {name: int(np.isnan(run.values[name]).sum()) for name in (*MEASURED, *COMMANDS)}
-    return ", ".join(f"{count} of {name}" for name, count in counts.items() if count)
+    absent = {name for name in OPTIONAL if counts[name] == len(run.lines)}
+    return ", ".join(f"{count} of {name}" for name, count in counts.items() if count and name not in absent)
 
 
 def check_rates(sample_times: Mapping[str, float]) -> None:

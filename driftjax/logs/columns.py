@@ -15,6 +15,10 @@ from driftjax.logs.table import Table
 CHANNELS = ("t", "V", "beta", "r", "delta", "Fxr")
 MEASURED = ("V", "beta", "r")
 COMMANDS = ("delta", "Fxr")
+OPTIONAL = {  # channel: what the diagnosis does without it
+    "beta": "sideslip is inferred from the other channels",
+    "Fxr": "the force is estimated from the speed, and drive, brakes and drag are not judged",
+}
 VELOCITIES = ("vx", "vy")
 EXTRA = ("x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
 RUN = "run"
@@ -160,6 +164,7 @@ class ColumnMap:
         require(self.Fxr_from is None or "Fxr" not in names, "Fxr is in 'columns' and 'Fxr_from'; leave one.")
         require(self.position_from is None or not {"x", "y"} & set(names),
                 "x or y is in 'columns' and in 'position_from'; leave one.")  # fmt: skip
+        require(names.count("vx") == names.count("vy"), "key 'columns' maps one of vx and vy; map both, or V and beta.")
         lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
         require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
@@ -182,10 +187,10 @@ class ColumnMap:
 
 
 def first_missing(names: Iterable[str]) -> str | None:
-    """Return the first channel missing from `names`; vx, vy provide V, beta."""
+    """Return the first channel missing from `names` that a log must have; vx, vy provide V."""
     have = set(names)
-    have |= {"V", "beta"} if have.issuperset(VELOCITIES) else set()
-    return next((name for name in CHANNELS if name not in have), None)
+    have |= {"V"} if have.issuperset(VELOCITIES) else set()
+    return next((name for name in CHANNELS if name not in have and name not in OPTIONAL), None)
 
 
 def load_columns(name: str | Path) -> ColumnMap:
@@ -208,9 +213,10 @@ def load_columns(name: str | Path) -> ColumnMap:
 
 def standard_columns(table: Table) -> ColumnMap:
     """Return the column map of a file in the log format."""
-    names = [name for name in (*CHANNELS, *VELOCITIES, *EXTRA) if name in table]
+    velocities = [name for name in VELOCITIES if name in table]
+    names = [name for name in (*CHANNELS, *EXTRA) if name in table] + velocities * (len(velocities) == 2)
     if (lacks := first_missing(names)) is not None:
-        instead = " (or vx and vy)" if lacks in ("V", "beta") else ""
+        instead = " (or vx and vy)" if lacks == "V" else ""
         raise BadInput(
             f"{table.path}: column '{lacks}' is missing; add it{instead}, "
             f"or name the column that holds it in a column map. There are {similar_names(lacks, table.names)}."
@@ -227,8 +233,10 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
     if columns.position_from is not None:
         values |= columns.position_from.metres(table)
     if columns.Fxr_from is not None:
-        values["Fxr"] = columns.Fxr_from.force(table, values["V"] * np.cos(values["beta"]))
-    return values
+        forward = np.cos(values["beta"]) if "beta" in values else 1.0
+        values["Fxr"] = columns.Fxr_from.force(table, values["V"] * forward)
+    none = np.full(len(table.lines), np.nan)
+    return {name: none for name in OPTIONAL} | values
 
 
 def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

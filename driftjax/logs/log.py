@@ -12,7 +12,7 @@ import numpy as np
 
 from driftjax.core import BadInput, write_atomically
 from driftjax.logs.checks import check_rates
-from driftjax.logs.columns import CHANNELS, EXTRA, RUN, ColumnMap, load_columns
+from driftjax.logs.columns import CHANNELS, EXTRA, OPTIONAL, RUN, ColumnMap, load_columns
 from driftjax.logs.parse import parse_table
 from driftjax.logs.prepare import Segment, prepare_segments
 from driftjax.logs.raw import raw_runs
@@ -32,13 +32,13 @@ class Run:
     V: np.ndarray
     """Speed [m/s]."""
     beta: np.ndarray
-    """Sideslip [rad], left positive."""
+    """Sideslip [rad], left positive; NaN throughout where the log has none."""
     r: np.ndarray
     """Yaw rate [rad/s], left positive."""
     delta: np.ndarray
     """Commanded steering angle [rad], left positive."""
     Fxr: np.ndarray
-    """Commanded longitudinal force of the rear axle [N], driving positive."""
+    """Commanded longitudinal force of the rear axle [N], driving positive; NaN throughout where the log has none."""
     dt: float
     """Sample time [s]."""
     extra: dict[str, np.ndarray] = field(default_factory=dict)
@@ -180,6 +180,7 @@ def write_log(path: Path, runs: Sequence[Run]) -> None:
         raise BadInput(f"{path}: there is no run to write; give one at least.")
     extra = [name for name in EXTRA if any(name in run.extra for run in runs)]
     columns = {name: np.concatenate([getattr(run, name) for run in runs]) for name in CHANNELS}
+    columns = {name: y for name, y in columns.items() if name not in OPTIONAL or np.isfinite(y).any()}
     for name in extra:
         columns[name] = np.concatenate([run.extra.get(name, np.full(len(run.t), np.nan)) for run in runs])
     names = [run.name for run in runs for _ in run.t]

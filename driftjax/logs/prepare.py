@@ -6,7 +6,7 @@ import numpy as np
 
 from driftjax.logs import sampling
 from driftjax.logs.checks import check_time, check_values, count_missing, invalid_sideslip
-from driftjax.logs.columns import COMMANDS
+from driftjax.logs.columns import COMMANDS, OPTIONAL
 from driftjax.logs.raw import RawRun
 
 
@@ -60,6 +60,9 @@ def _checked(run: RawRun, notes: list[str]) -> RawRun:
         )
     run = run.with_channels(beta=np.where(void, np.nan, run.values["beta"]))
     check_values(run)
+    for name, instead in OPTIONAL.items():
+        if not np.isfinite(run.values[name]).any():
+            notes.append(f"{run.where}: has no {name}; {instead}.")
     if lacking := count_missing(run):
         notes.append(f"{run.where}: values are missing: {lacking}.")
     return run
@@ -69,6 +72,8 @@ def _hold_commands(run: RawRun, dt: float, notes: list[str]) -> RawRun:
     """Hold commands over short gaps and drop the rows in long ones."""
     known, held = np.ones(len(run.lines), bool), 0
     for name in COMMANDS:
+        if name in OPTIONAL and not np.isfinite(run.values[name]).any():
+            continue
         values, there = sampling.hold_commands(run.values["t"], run.values[name], dt)
         held += int(np.sum(there & np.isnan(run.values[name])))
         known &= there

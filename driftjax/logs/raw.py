@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.columns import CHANNELS, EXTRA, RUN, VELOCITIES, ColumnMap, map_channels, standard_columns
+from driftjax.logs.columns import RUN, ColumnMap, map_channels, standard_columns
 from driftjax.logs.table import Table
 
 
@@ -51,7 +51,7 @@ def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[
     path = table.path
     if columns is None:
         columns = standard_columns(table)
-        known = (*CHANNELS, *VELOCITIES, *EXTRA, RUN)
+        known = (*(channel.name for channel in columns.columns), RUN)
         if ignored := [f"'{name}'" for name in table.names if name not in known]:
             notes.append(f"{path}: columns that the log format does not have were left out: {', '.join(ignored)}.")
     elif columns.Fxr_from is not None:

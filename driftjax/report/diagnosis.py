@@ -60,7 +60,7 @@ def diagnosis_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
 def parity_statement(parity: dict[str, Any] | None) -> str:
     """Return the statement of kinematic parity, or why there is none."""
     if parity is None:
-        return "Kinematic parity was not looked at: the log has no ax, ay."
+        return "Kinematic parity was not looked at: the log lacks ax, ay or a measured sideslip."
     return str(parity["statement"])
 
 

@@ -43,7 +43,8 @@ def plot_predictions(data: xr.Dataset) -> Figure:
         for axis, (channel, (label, factor)) in zip(axes[:, column], CHANNELS.items(), strict=True):
             measured = one["measured"].sel(channel=channel).values * factor
             axis.plot(data["sample_time"], measured, color="0.72", lw=2.6, label="measured")
-            axis.set_ylim(_room(measured, 8 * float(data["sigma"].sel(channel=channel)) * factor))
+            shown = measured if np.isfinite(measured).any() else one["predicted"].sel(channel=channel).values * factor
+            axis.set_ylim(_room(shown, 8 * float(data["sigma"].sel(channel=channel)) * factor))
             for model in drawn_models(data):
                 colour, words = COMPARED[model]
                 rows = one["predicted"].sel(model=model, channel=channel).values * factor
@@ -62,7 +63,7 @@ def plot_predictions(data: xr.Dataset) -> Figure:
 
 
 def _room(measured: np.ndarray, least: float) -> tuple[float, float]:
-    """Return limits half a range beyond the measurement, so that a diverging prediction does not flatten it."""
+    """Return limits half a range beyond the values, so that a diverging prediction does not flatten them."""
     low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     room = 0.5 * max(high - low, least)
     return low - room, high + room
@@ -75,6 +76,12 @@ def plot_error_over_horizon(data: xr.Dataset) -> Figure:
     models = [str(name) for name in data["compared"].values if named or name != "extended"]
     for axis, (channel, (label, factor)) in zip(axes[0], CHANNELS.items(), strict=True):
         errors = data["rmse"].sel(channel=channel) * factor
+        if not np.isfinite(errors).any():
+            axis.text(
+                0.5, 0.5, f"{label.split(' ')[0]}: nothing to compare with", ha="center", transform=axis.transAxes
+            )
+            axis.set_axis_off()
+            continue
         for model in models:
             colour, words = COMPARED[model]
             axis.plot(data["horizon"], errors.sel(compared=model), color=colour, label=words)
@@ -89,6 +96,6 @@ def plot_error_over_horizon(data: xr.Dataset) -> Figure:
         axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.set_ylim(0.7 * sigma, 1.5 * max(float(errors.max()), sigma))
-    legend_below(figure, axes[0, 0], 5)
+    legend_below(figure, axes[0, 2], 5)
     figure.suptitle(f"Open-loop error on {data.attrs['predicted_on']}", fontsize=10.5)
     return figure

@@ -102,9 +102,10 @@ def test_the_wheelbase_tells_a_steering_wheel_from_a_road_wheel(tmp_path):
 
 def test_what_is_missing_is_named(tmp_path):
     d = drive()
-    guess = guess_columns(written(tmp_path / "log.csv", {key: d[key] for key in ("t", "V", "r", "delta")}))
-    assert "No column was recognised as beta, Fxr, which the diagnosis needs." in guess.yaml()
-    with pytest.raises(BadInput, match="no column was recognised as 'beta'"):
+    guess = guess_columns(written(tmp_path / "log.csv", {key: d[key] for key in ("t", "V", "r")}))
+    assert "No column was recognised as delta, which the diagnosis needs." in guess.yaml()
+    assert "No column was recognised as beta: sideslip is inferred from the other channels." in guess.yaml()
+    with pytest.raises(BadInput, match="no column was recognised as 'delta'"):
         guess.column_map()
     with pytest.raises(BadInput, match="no column rises like a time"):
         guess_columns(written(tmp_path / "no.csv", {"speed": d["V"], "yaw": d["psi"]}))

@@ -82,6 +82,24 @@ def test_velocities_stand_for_speed_and_sideslip(tmp_path):
     assert run.extra == {}
 
 
+def test_a_log_without_sideslip_or_force_is_read_and_says_so(tmp_path):
+    given = columns()
+    log = read_log(
+        write(tmp_path / "log.csv", {k: v for k, v in given.items() if k not in ("beta", "Fxr")} | {"vx": given["V"]})
+    )
+    (run,) = log.runs
+    assert np.isnan(run.beta).all() and np.isnan(run.Fxr).all() and len(run.t) == N
+    np.testing.assert_array_equal(run.r, given["r"])
+    assert [note.partition(": ")[2] for note in log.notes] == [
+        "columns that the log format does not have were left out: 'vx'.",
+        "has no beta; sideslip is inferred from the other channels.",
+        "has no Fxr; the force is estimated from the speed, and drive, brakes and drag are not judged.",
+    ]
+    write_log(tmp_path / "again.csv", log.runs)
+    (again,) = read_log(tmp_path / "again.csv").runs
+    assert np.isnan(again.beta).all() and "beta" not in (tmp_path / "again.csv").read_text()
+
+
 def test_comments_blank_lines_other_delimiters_and_unknown_columns(tmp_path):
     values = columns() | {"lap": [1] * N}
     path = write(tmp_path / "log.csv", values)
@@ -192,11 +210,11 @@ def put(name: str, row: int, value) -> dict[str, list]:
 
 
 BAD = {
-    "a column is missing": ({k: v for k, v in columns().items() if k != "Fxr"}, "column 'Fxr' is missing"),
-    "no sideslip": ({k: v for k, v in columns().items() if k != "beta"}, "column 'beta' is missing; add it (or vx and"),
+    "a column is missing": ({k: v for k, v in columns().items() if k != "r"}, "column 'r' is missing"),
+    "no speed": ({k: v for k, v in columns().items() if k != "V"}, r"column 'V' is missing; add it (or vx and vy"),
     "half a velocity": (
-        {k: v for k, v in columns().items() if k != "beta"} | {"vx": [1.0] * N},
-        "column 'beta' is missing",
+        {k: v for k, v in columns().items() if k != "V"} | {"vx": [1.0] * N},
+        "column 'V' is missing",
     ),
     "a column is repeated": (columns() | {" r": [0.0] * N}, "column 'r' is there 2 times"),
     "text": (put("r", 42, "fast"), "row 42: column 'r' holds 'fast', not a number"),
@@ -373,7 +391,7 @@ def test_a_column_map_thins_to_a_rate(tmp_path):
     [
         (("delta: steer", "steer: steer"), "maps 'steer'; the channels are"),
         (("  delta: steer\n", ""), "maps nothing to 'delta'"),
-        (("  vy: side\n", ""), "maps nothing to 'V'"),
+        (("  vy: side\n", ""), "maps one of vx and vy"),
         (("delta: steer", "delta: steer\n  Fxr: throttle"), "Fxr is in 'columns' and 'Fxr_from'"),
         (("factor: 0.001", "factr: 0.001"), "unknown key 'factr'"),
         (("where:", "filter:"), "unknown key 'filter'"),

@@ -41,7 +41,7 @@ def test_page_holds_every_figure_and_needs_nothing_else(run, capsys):
     assert not re.search(r"(src|href)=['\"]?(http|/|figures)", page), "the page must stand alone"
     for words in ("NAMED", "Rear friction differs &lt;a lot&gt;.", "The lateral force of the rear axle is off most.",
                   "0.80 [0.70, 0.90]", "100 % [90, 100]", "1.50 [1.40, 1.60]",
-                  "the log has no ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
+                  "the log lacks ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
         assert words in page, words
 
 

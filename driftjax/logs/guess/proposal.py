@@ -10,7 +10,7 @@ import yaml
 
 from driftjax.core import BadInput, write_atomically
 from driftjax.logs.agreement import time_shift
-from driftjax.logs.columns import CHANNELS, Channel, ColumnMap, Drive, Position, first_missing
+from driftjax.logs.columns import CHANNELS, OPTIONAL, Channel, ColumnMap, Drive, Position, first_missing
 from driftjax.logs.guess.assign import SIGNED, Placed, place, plain_values, values
 from driftjax.logs.guess.material import Material, read_material
 from driftjax.logs.guess.names import DEG, words_of
@@ -228,7 +228,9 @@ def _provided(name: str, placed: dict[str, Placed], drive: Drive | None) -> bool
 
 def _open(material: Material, placed: dict[str, Placed], lacks: list[str], found: list[Guessed]) -> list[str]:
     """Return sentences about channels without a column, and columns without a channel."""
-    sentences = [f"No column was recognised as {', '.join(lacks)}, which the diagnosis needs."] if lacks else []
+    needed = [name for name in lacks if name not in OPTIONAL]
+    sentences = [f"No column was recognised as {', '.join(needed)}, which the diagnosis needs."] if needed else []
+    sentences += [f"No column was recognised as {name}: {OPTIONAL[name]}." for name in lacks if name in OPTIONAL]
     used = {one.column for one in found}
     rest = [one.name for one in material.columns if one.name not in used]
     pedals = [name for name in rest if PEDALS & set(words_of(name))]

@@ -1,12 +1,13 @@
 """Families of effects: parts of the car or of the measurement that a mechanic or an instrument would look at."""
 
+DRIVE = "drive and brake"
 FAMILIES = {
     "front tyre": ("friction_front", "stiffness_front"),
     "rear tyre": ("friction_rear", "stiffness_rear", "sliding_friction"),
     "tyres": ("friction", "tyre_shape", "combined_slip", "relaxation_length", "friction_fade", "traction_limit"),
     "load transfer": ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "roll_lag",
                       "roll_steer"),
-    "drive and brake": ("drive_gain", "drive_lag", "power_limit", "wheel_spin", "differential_moment",
+    DRIVE: ("drive_gain", "drive_lag", "power_limit", "wheel_spin", "differential_moment",
                         "torque_vectoring", "drive_split", "brake_split", "engine_drag", "rolling_resistance",
                         "aero_drag"),
     "steering": ("steer_offset", "steer_gain", "steer_compliance", "steer_lag", "steer_delay", "steer_backlash"),

@@ -1,0 +1,50 @@
+"""Sideslip and drive force of logs that lack them, as far as the nominal car and the other channels give them."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.core import Control, State
+from driftjax.logs import Run
+from driftjax.logs.agreement import smooth
+from driftjax.logs.sampling import fill_gaps
+from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.single_track import G
+
+SLOWEST = 0.1  # speed below which yaw rate over speed means nothing [sqrt(gL)]
+ITERATIONS = 4  # of the force, which moves the lateral forces that it is computed beside
+
+
+def has_sideslip(run: Run) -> bool:
+    """Return whether the sideslip was measured at all."""
+    return bool(np.isfinite(run.beta).any())
+
+
+def has_force(run: Run) -> bool:
+    """Return whether the longitudinal force was measured or commanded."""
+    return bool(np.isfinite(run.Fxr).any())
+
+
+def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
+    """Return the sideslip (n,) [rad] without gaps; where it was not measured, that of a rear axle that rolls."""
+    if has_sideslip(run):
+        return fill_gaps(run.beta)
+    slowest = SLOWEST * np.sqrt(G * (vehicle.a + vehicle.b))
+    return np.arctan(vehicle.b * fill_gaps(run.r) / np.maximum(fill_gaps(run.V), slowest))
+
+
+def force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
+    """Return the longitudinal force (n,) [N]; where it is not known, the one that explains the measured speed.
+
+    It is that with which the nominal `vehicle` at the sideslip `beta` (n,) accelerates as the smoothed speed does, at
+    most friction times weight.
+    """
+    if has_force(run):
+        return run.Fxr
+    nominal = vehicle.build()
+    V, dV = (fill_gaps(values) for values in smooth(run.V, run.dt))
+    x = State(*map(jnp.asarray, (V, beta, fill_gaps(run.r))))
+    most, Fxr = vehicle.mu * vehicle.m * G, np.zeros_like(V)
+    for _ in range(ITERATIONS):
+        lacking = dV - np.asarray(nominal(x, Control(jnp.asarray(run.delta), jnp.asarray(Fxr))).V)
+        Fxr = np.clip(Fxr + vehicle.m * np.cos(beta) * lacking, -most, most)
+    return Fxr

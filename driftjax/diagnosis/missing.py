@@ -1,0 +1,87 @@
+"""What a log cannot say for want of a sideslip sensor or of a drive channel."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from driftjax.diagnosis.fit import Problem, information
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.runs import gains_along, whitened_derivatives
+from driftjax.diagnosis.select import Selection
+
+SENSOR = 0.01  # standard deviation of the sideslip sensor whose worth is stated [rad]
+WORTHWHILE = 1.5  # times by which an interval must be wider without it to be stated
+TOLD_APART = 3.0  # half the fall of the cost, by one effect beside the other, from which P exceeds 0.95
+
+
+class Lost(NamedTuple):
+    """What a log cannot say."""
+
+    channels: tuple[str, ...]  # of the log format that it lacks
+    wider: dict[str, float]  # named effect: its interval over that with a sideslip sensor
+    apart: dict[str, tuple[str, ...]]  # named effect: rivals that such a sensor would rule out
+    not_judged: tuple[str, ...]  # effects on the force, which was estimated
+
+    @property
+    def sentence(self) -> str:
+        """Return all of it in words; empty where nothing is missing."""
+        words = []
+        if "beta" in self.channels:
+            words.append("The log has no sideslip; it was inferred from speed and yaw rate.")
+            sensor = f"a sensor with {SENSOR:g} rad of noise"
+            words += [f"The interval of {name} would be {ratio:.1f} times narrower with {sensor}."
+                      for name, ratio in self.wider.items()]  # fmt: skip
+            words += [
+                f"Such a sensor would tell {name} from {', '.join(rivals)}." for name, rivals in self.apart.items()
+            ]
+        if "Fxr" in self.channels:
+            words.append("The log has no drive force; the one that explains the measured speed was used, so that "
+                         "drive, brakes and drag are not judged.")  # fmt: skip
+        return " ".join(words)
+
+
+def lost_by_missing(problem: Problem, selection: Selection, rivals: dict[int, tuple[int, ...]]) -> Lost:
+    """Return what missing channels cost; `rivals` are those of each named effect."""
+    data, names = problem.data, [effect.name for effect in problem.effects]
+    lacks = [name for name, there in (("beta", not data.skip), ("Fxr", data.force_known)) if not there]
+    not_judged = () if data.force_known else tuple(names[i] for i in problem.not_judged)
+    if not data.skip or not rivals:
+        return Lost(tuple(lacks), {}, {}, not_judged)
+    H, better = information(selection.linearisation.J), information_with_sideslip(problem, selection)
+    columns = problem.columns(tuple(rivals))
+    deviation = lambda H: np.sqrt(np.diag(np.linalg.inv(H[np.ix_(columns, columns)] + np.eye(len(columns)) / PRIOR**2)))
+    ratio = dict(zip(columns, deviation(H) / deviation(better), strict=True))
+    wider = {names[i]: float(max(ratio[k] for k in problem.columns((i,)))) for i in rivals}
+    apart = {
+        names[i]: tuple(
+            names[j] for j in others
+            if separation(problem, selection.fit.theta, H, i, j) < TOLD_APART
+            <= separation(problem, selection.fit.theta, better, i, j)
+        )
+        for i, others in rivals.items()
+    }  # fmt: skip
+    return Lost(tuple(lacks), {name: one for name, one in wider.items() if one >= WORTHWHILE},
+                {name: one for name, one in apart.items() if one}, not_judged)  # fmt: skip
+
+
+def separation(problem: Problem, theta: np.ndarray, H: np.ndarray, one: int, other: int) -> float:
+    """Return half the cost that the effect `one` at `theta` leaves where the `other` stands for it instead."""
+    mine, theirs = problem.columns((one,)), problem.columns((other,))
+    moved = (theta - problem.start)[mine]
+    shared = H[np.ix_(theirs, mine)] @ moved
+    own = H[np.ix_(theirs, theirs)] + np.eye(len(theirs)) / PRIOR**2
+    return 0.5 * float(moved @ H[np.ix_(mine, mine)] @ moved - shared @ np.linalg.solve(own, shared))
+
+
+def information_with_sideslip(problem: Problem, selection: Selection) -> np.ndarray:
+    """Return the information (K, K) that the log would give if the sideslip had been measured too."""
+    data, steps = problem.data, selection.linearisation.steps
+    valid = np.array(steps.valid)
+    valid[..., 1] = valid.max(axis=-1)
+    noise = problem.noise.as_vector()
+    noise[1] = SENSOR
+    steps = steps._replace(valid=jnp.asarray(valid))
+    gains = gains_along(data, np.asarray(steps.A)[..., :3, :3], valid, noise)
+    of_pose = information(np.asarray(selection.linearisation.J)[:, :, 3:])
+    return information(np.asarray(whitened_derivatives(steps, gains, data))) + of_pose

@@ -1,0 +1,90 @@
+"""Logs without sideslip or drive force: what is inferred instead, what is named all the same, what is not judged."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, recorded, sedan
+
+from driftjax.diagnosis.assumed import force, sideslip
+from driftjax.diagnosis.fit import depends_on_force, information, initial_problem
+from driftjax.diagnosis.gain import predict
+from driftjax.diagnosis.missing import information_with_sideslip, lost_by_missing
+from driftjax.diagnosis.naming import name_effects
+from driftjax.diagnosis.runs import run_observer
+from driftjax.logs import Run
+
+EXACT = ("psi", "s")  # columns that stay: they do not tell the sideslip
+
+
+def without(runs: tuple[Run, ...], *channels: str) -> tuple[Run, ...]:
+    return tuple(
+        replace(run, extra={name: run.extra[name] for name in EXACT},
+                **{name: np.full(len(run.t), np.nan) for name in channels})
+        for run in runs
+    )  # fmt: skip
+
+
+@functools.cache
+def measured() -> tuple[Run, ...]:
+    return recorded(hidden(yaw_inertia=1.0), 5, 6)
+
+
+@functools.cache
+def named():
+    """What is named without sideslip."""
+    return name_effects(build_problem(sedan(), EFFECTS, without(measured(), "beta")))
+
+
+def test_without_sideslip_the_observer_infers_it_and_the_cause_is_named():
+    problem, selection = named()
+    assert [ORDER[i] for i in selection.selected] == ["yaw_inertia"]
+    assert selection.fit.theta[ORDER.index("yaw_inertia")] == pytest.approx(1.0, abs=0.3)
+    path = run_observer(problem.model, problem.data, selection.fit.theta, problem.gains)
+    for piece, run in zip(np.asarray(path.z)[..., 1], measured(), strict=True):
+        error = (piece[: len(run.t)] - run.beta)[problem.data.skip :]
+        assert np.sqrt(np.mean(error**2)) < 0.03  # of drifts at 0.4; the sensor's own noise is 0.009
+
+
+def test_predictions_are_compared_in_the_channels_that_were_measured():
+    problem, selection = named()
+    assert problem.measured.tolist() == [True, False, True]
+    error = predict(problem, selection.fit.theta).error
+    assert np.isnan(error[..., 1]).all() and np.isfinite(error[..., 0]).any() and np.isfinite(error[..., 2]).any()
+    assert predict(problem, selection.fit.theta).starts[0] >= problem.data.skip > 0
+
+
+def test_a_sideslip_sensor_would_add_information_and_the_sentence_says_what():
+    problem, selection = named()
+    without_it, with_it = information(selection.linearisation.J), information_with_sideslip(problem, selection)
+    assert (np.diag(with_it) > 0.99 * np.diag(without_it)).all()  # whitened anew, by another noise
+    front = ORDER.index("stiffness_front")
+    assert with_it[front, front] > 1.5 * without_it[front, front]
+    lost = lost_by_missing(problem, selection, {i: () for i in selection.selected})
+    assert lost.channels == ("beta",) and lost.sentence.startswith("The log has no sideslip;")
+
+
+def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():
+    runs = without(measured(), "Fxr")
+    given = np.concatenate([run.Fxr for run in measured()])
+    found = np.concatenate([force(sedan(), run, sideslip(sedan(), run)) for run in runs])
+    assert np.sqrt(np.mean((found - given) ** 2)) < 0.2 * np.sqrt(np.mean(given**2))
+    problem = initial_problem(sedan(), EFFECTS, runs)
+    judged = {effect.name for effect, active in zip(EFFECTS, problem.active, strict=True) if active}
+    assert judged == {effect.name for effect in EFFECTS if not depends_on_force(effect)}
+    assert {"drive_gain", "aero_drag", "load_transfer_long"}.isdisjoint(judged) and "yaw_inertia" in judged
+    assert problem.measured.tolist() == [False, True, True]
+    assert not initial_problem(sedan(), EFFECTS, measured()).not_judged
+
+
+def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
+    """In a drift the rear axle pushes the car along: without the sideslip that is taken for drive force."""
+    (run,) = [run for run in measured() if run.name.startswith("drift")][:1]
+    given = run.Fxr
+    first = force(sedan(), replace(run, Fxr=np.full(len(run.t), np.nan)), sideslip(sedan(), without((run,), "beta")[0]))
+    problem = initial_problem(sedan(), EFFECTS, without((run,), "beta", "Fxr"))
+    found = np.asarray(problem.data.padded.commands)[0, :, 1][-problem.data.size :][: len(given)]
+    settled = slice(problem.data.skip, round(5.5 / DT))
+    size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
+    assert size(found - given) < 0.8 * size(first - given)
