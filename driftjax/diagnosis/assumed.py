@@ -5,12 +5,13 @@ import numpy as np
 
 from driftjax.core import Control, State
 from driftjax.logs import Run
-from driftjax.logs.agreement import smooth
+from driftjax.logs.agreement import WINDOW, smooth
 from driftjax.logs.sampling import fill_gaps
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
 SLOWEST = 0.1  # speed below which yaw rate over speed means nothing [sqrt(gL)]
+SLOW = 1.0  # time over which accelerometers are believed [s]
 ITERATIONS = 4  # of the force, which moves the lateral forces that it is computed beside
 
 
@@ -35,16 +36,28 @@ def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
 def force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
     """Return the longitudinal force (n,) [N]; where it is not known, the one that explains the measured speed.
 
-    It is that with which the nominal `vehicle` at the sideslip `beta` (n,) accelerates as the smoothed speed does, at
-    most friction times weight.
+    It is that with which the nominal `vehicle` at the sideslip `beta` (n,) accelerates as measured, at most friction
+    times weight.
     """
     if has_force(run):
         return run.Fxr
-    nominal = vehicle.build()
-    V, dV = (fill_gaps(values) for values in smooth(run.V, run.dt))
-    x = State(*map(jnp.asarray, (V, beta, fill_gaps(run.r))))
-    most, Fxr = vehicle.mu * vehicle.m * G, np.zeros_like(V)
+    nominal, dV = vehicle.build(), acceleration(run, beta)
+    x = State(*map(jnp.asarray, (fill_gaps(run.V), beta, fill_gaps(run.r))))
+    most, Fxr = vehicle.mu * vehicle.m * G, np.zeros_like(dV)
     for _ in range(ITERATIONS):
         lacking = dV - np.asarray(nominal(x, Control(jnp.asarray(run.delta), jnp.asarray(Fxr))).V)
         Fxr = np.clip(Fxr + vehicle.m * np.cos(beta) * lacking, -most, most)
     return Fxr
+
+
+def acceleration(run: Run, beta: np.ndarray) -> np.ndarray:
+    """Return the rate (n,) [m/s^2] of the speed: that of the smoothed speed, with what accelerometers add at once.
+
+    Slow errors of the accelerometers, such as a bias, are left to the speed (complementary filter, Higgins 1975).
+    """
+    at_once, window = np.zeros(len(run.t)), WINDOW
+    if {"ax", "ay"} <= set(run.extra):
+        ax, ay = (fill_gaps(run.extra[name]) for name in ("ax", "ay"))
+        at_once, window = ax * np.cos(beta) + ay * np.sin(beta), SLOW
+    rest = run.V - np.cumsum(at_once) * run.dt
+    return fill_gaps(smooth(rest, run.dt, window)[1]) + at_once

@@ -20,6 +20,7 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 0.5  # disturbance assumed before any is known, in measurement noise per second
+UNSEEN = 10.0  # bound of a disturbance, over the first one, whose own channel does not tell it
 UNMEASURED = (
     0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
 )
@@ -122,6 +123,7 @@ def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float
     steps, e, L = spread_pieces((steps, e, gains.L))
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
+    high[3:6] = np.where(counts.any(axis=0), high[3:6], UNSEEN * start.disturbance)
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
     best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x)
     return Noise(best[:3], best[3:6], float(best[6]))

@@ -93,11 +93,11 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
     return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
 
 
-def smooth(y: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and rates (n,) of `y` (n,) by parabolas over `WINDOW`; NaN in gaps, and all of a shorter `y`."""
+def smooth(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and rates (n,) of `y` (n,) by parabolas over `window` [s]; NaN in gaps and of a shorter `y`."""
     from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
 
-    num = max(2 * round(WINDOW / dt / 2) + 1, 5)
+    num = max(2 * round(window / dt / 2) + 1, 5)
     if len(y) < num:
         return np.full(len(y), np.nan), np.full(len(y), np.nan)
     keep, whole = near_measurements(y, num // 2), fill_gaps(y)

@@ -102,7 +102,7 @@ def test_two_seconds_of_data_say_nothing(capsys):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda rows: [row[:2] + row[3:] for row in rows], ("log.csv", "beta")),
+        (lambda rows: [row[:3] + row[4:] for row in rows], ("log.csv", "column 'r'")),
         (lambda rows: [rows[0], *[[*row[:2], str(57.3 * float(row[2])), *row[3:]] for row in rows[1:]]], ("degrees",)),
         (lambda rows: rows[:50] + rows[40:], ("log.csv", "t")),
         (lambda rows: [rows[0], [rows[1][0], "fast", *rows[1][2:]], *rows[2:]], ("log.csv", "fast")),

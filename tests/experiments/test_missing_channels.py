@@ -1,0 +1,44 @@
+"""The study of missing channels: what is taken out, and how cases are counted."""
+
+import numpy as np
+
+import driftjax as dj
+from experiments.missing_channels import MASKS, Config, drawn, masked, outcomes, table
+
+
+def row(channels, hidden, named, verdict="NAMED", sets=None):
+    return {
+        "channels": channels,
+        "hidden": hidden,
+        "named": named,
+        "verdict": verdict,
+        "sets": sets or [[n] for n in named],
+    }
+
+
+def test_channels_are_taken_out_and_with_the_sideslip_the_pose():
+    wave = np.sin(np.arange(20.0))
+    run = dj.Run(
+        "a", 0.01 * np.arange(20), 10 + wave, wave, wave, wave, wave, 0.01, {"psi": wave, "x": wave, "ay": wave}
+    )
+    both = masked(run, MASKS["neither"])
+    assert np.isnan(both.beta).all() and np.isnan(both.Fxr).all() and set(both.extra) == {"ay"}
+    assert set(masked(run, MASKS["no force"]).extra) == {"psi", "x", "ay"} and np.isfinite(run.beta).all()
+
+
+def test_cases_are_the_same_for_a_seed_and_every_fifth_hides_nothing():
+    cases = drawn(Config(cases=5, cars=("rc",)))
+    assert [len(case.names) for case in cases].count(0) == 1 and cases == drawn(Config(cases=5, cars=("rc",)))
+
+
+def test_outcomes_are_counted_per_set_of_channels():
+    assert outcomes(row("neither", [], ["mass"])) == ["nothing hidden", "named"]
+    assert outcomes(row("neither", ["mass"], ["mass"])) == ["one hidden", "first", "in a set"]
+    assert outcomes(row("neither", ["mass"], ["steer_lag", "mass"])) == ["one hidden", "beside", "in a set"]
+    rival = row("neither", ["mass"], ["drive_gain"], "SET", [["drive_gain", "mass"]])
+    assert outcomes(rival) == ["one hidden", "in a set"]
+    assert outcomes(row("neither", ["mass"], ["drive_gain"])) == ["one hidden", "false"]
+    assert outcomes(row("neither", ["mass"], [], "UNKNOWN")) == ["one hidden"]
+    assert "| neither | 2 | 1/1 | 0/1 | 1/1 | 0/1 | 1/1 |" in table(
+        [row("neither", ["mass"], ["mass"]), row("neither", [], ["mass"])]
+    )
