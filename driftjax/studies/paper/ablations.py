@@ -4,7 +4,7 @@ PLANNED, UNCORRECTED = {"speeds": "planned"}, {"correction": False}
 NO_GP = {"layers": "none"}
 BARE = NO_GP | {"measured_arrival": False, "explore": {"num_sets": 0}}  # not explored
 ABLATIONS: dict[str, tuple[str, dict]] = {  # name: (words, change)
-    "as_it_is": ("as in the main comparison", {}),
+    "as_it_is": ("as in the main comparison, all laps driven", {}),
     "extended": ("the nominal car extended by `diagnose`", {}),
     "nominal": ("nothing learnt, as many laps", BARE | {"gp": {"lags": False}}),
     "lags": ("no GP, planned arrival: learnt lags only", BARE),
