@@ -78,7 +78,8 @@ def decide_verdict(
     """Decide the verdict on a search by the size of what it leaves, and state its reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
-    and no run is long enough to measure its size.
+    and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
+    no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
     """
     large = explained.too_little(tolerated) if explained else remaining.significant or remaining.simpler is not None
     if large and (remaining.significant or remaining.simpler or named):
@@ -95,14 +96,17 @@ def decide_verdict(
     varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = all(cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() for cause in claimed)
-    # an estimated force errs in ways that no test here knows
-    certain = sure and not varying and not remaining.simpler and problem.data.force_known
+    certain = sure and not varying and not remaining.simpler
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     if remaining.simpler:
         words.append(f"Together they explain no more than {_words(remaining.simpler)} would.")
-    return Judgement(Verdict.NAMED if certain else Verdict.SET, " ".join([*words, *_size(explained, remaining)]))
+    verdict = Verdict.NAMED if certain else Verdict.SET
+    if not problem.data.force_known:
+        words.append("The drive force was estimated, and its errors may stand for these effects.")
+        verdict = Verdict.UNKNOWN
+    return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
 
 def describe_cause(problem: Problem, cause: Cause) -> str:

@@ -96,6 +96,9 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         assert told.verdict == Verdict.SET and "differs from run to run" in told.sentence
         small = decide_verdict(problem, found, [], remaining, 36.0, explained, 0.1)
         assert small.verdict == Verdict.NOTHING and "too small" in small.sentence
+        assumed = problem._replace(data=problem.data._replace(force_known=False))
+        hint = decide_verdict(assumed, found, [cause], remaining, 36.0, explained, 0.1)
+        assert hint.verdict == Verdict.UNKNOWN and "friction_rear" in hint.sentence and "force" in hint.sentence
 
 
 def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
