@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from driftjax.core import Control as Control
     from driftjax.core import State as State
     from driftjax.diagnosis.calibrate import calibrate as calibrate
+    from driftjax.diagnosis.compare import CompareConfig as CompareConfig
+    from driftjax.diagnosis.compare import LogComparison as LogComparison
+    from driftjax.diagnosis.compare import compare as compare
     from driftjax.diagnosis.diagnose import Diagnosis as Diagnosis
     from driftjax.diagnosis.diagnose import diagnose as diagnose
     from driftjax.diagnosis.held_out import DiagnoseConfig as DiagnoseConfig
@@ -72,6 +75,7 @@ MODULES = {
     "control.mpc": ("MPCConfig", "Reference", "Weights"),
     "core": ("RESULTS", "BadInput", "Control", "State"),
     "diagnosis.calibrate": ("calibrate",),
+    "diagnosis.compare": ("CompareConfig", "LogComparison", "compare"),
     "diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "diagnosis.held_out": ("DiagnoseConfig",),
     "equilibrium.branch": ("Branch",),

@@ -15,6 +15,7 @@ from api import definition, markdown
 
 from driftjax.cli.front import VERBS
 from driftjax.control.mpc import MPCConfig, Weights
+from driftjax.diagnosis.compare import CompareConfig
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.learning.config import LearnConfig
 from driftjax.logs.columns import Channel, ColumnMap, Condition, Drive
@@ -34,6 +35,7 @@ FILES = {
     "Track": ("`configs/track/`, used by `--track`", (CornerConfig, PlaygroundConfig, CsvConfig)),
     "Column map": ("`configs/columns/`, used by `--columns`", (ColumnMap, Channel, Condition, Drive)),
     "Diagnosis": ("Options of `driftjax diagnose` and of `dj.diagnose`", (DiagnoseConfig,)),
+    "Comparison of two logs": ("Options of `driftjax compare` and of `dj.compare`", (CompareConfig,)),
     "Sweep": ("`configs/sweep/`, used by `driftjax sweep`", (SweepConfig, Range)),
 }
 REPEATED = (MPCConfig, Weights)  # stand once though several keys hold one

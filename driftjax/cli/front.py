@@ -22,6 +22,7 @@ A differentiable, jit-compiled car in JAX that learns to drift.
 
   learn          plan, nominal laps, GP laps and active exploration on a batch of plants: table, figures, run folder
   diagnose LOG   name the model errors that measured logs show, and the gain of correcting them
+  compare A B    name what differs between two logs of like manoeuvres, and the gap that it makes
   inspect LOG    what is in a measured log, and whether its channels agree
   calibrate LOG  fit the nominal car to runs in which it should be right, before a diagnosis
   simulate       drive manoeuvres on a car with any effects and noise: a log in the log format, and its truth

@@ -7,7 +7,7 @@ import tyro
 
 from driftjax.cli.console import parse
 from driftjax.core import BadInput, from_dict
-from driftjax.report import results_table, write_diagnosis, write_plan_figures, write_report
+from driftjax.report import results_table, write_comparison, write_diagnosis, write_plan_figures, write_report
 from driftjax.store import RunFolder
 
 
@@ -27,6 +27,9 @@ def run(argv: list[str]) -> int:
         return 0
     if folder.verb == "diagnose":
         print(f"report: {write_diagnosis(folder)}")
+        return 0
+    if folder.verb == "compare":
+        print(f"report: {write_comparison(folder)}")
         return 0
     if folder.verb == "paper":
         return _paper(folder)

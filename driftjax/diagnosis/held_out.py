@@ -25,6 +25,15 @@ def check_held_out(every: int) -> None:
     require(every == 0 or every >= 2, f"key 'held_out' is {every}; give 0, or 2 or more.")
 
 
+def check_naming(most: int, unexplained: float, seed: int, without: tuple[str, ...]) -> None:
+    """Raise `BadInput` unless these options of naming effects are in their ranges."""
+    require(most >= 1, f"key 'most' is {most}; give 1 or more.")
+    require(0 < unexplained < 1, f"key 'unexplained' is {unexplained}; give a share between 0 and 1.")
+    require(seed >= 0, f"key 'seed' is {seed}; give 0 or more.")
+    unknown = sorted(set(without) - set(EFFECTS))
+    require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
+
+
 @dataclass(frozen=True)
 class DiagnoseConfig:
     """Options of a diagnosis."""
@@ -45,11 +54,7 @@ class DiagnoseConfig:
 
     def __post_init__(self) -> None:
         check_held_out(self.held_out)
-        require(self.most >= 1, f"key 'most' is {self.most}; give 1 or more.")
-        require(0 < self.unexplained < 1, f"key 'unexplained' is {self.unexplained}; give a share between 0 and 1.")
-        require(self.seed >= 0, f"key 'seed' is {self.seed}; give 0 or more.")
-        unknown = sorted(set(self.without) - set(EFFECTS))
-        require(not unknown, f"key 'without' names {unknown}; the catalogue holds {', '.join(EFFECTS)}.")
+        check_naming(self.most, self.unexplained, self.seed, self.without)
 
 
 @dataclass(frozen=True)

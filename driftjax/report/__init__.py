@@ -1,5 +1,7 @@
 """Write figures, tables and the HTML page of a run, from its folder alone."""
 
+from driftjax.report.compared import comparison_text as comparison_text
+from driftjax.report.compared import write_comparison as write_comparison
 from driftjax.report.diagnosis import CLOSED_LOOP as CLOSED_LOOP
 from driftjax.report.diagnosis import closed_loop_table as closed_loop_table
 from driftjax.report.diagnosis import gain_table as gain_table

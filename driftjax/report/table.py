@@ -109,7 +109,8 @@ def run_line(run: RunFolder) -> str:
     stages = run.finished()
     car = str(run.config.get("car", run.config.get("vehicle", "")))
     if run.verb != "learn":
-        state = "done" if any(map(run.has, ("plan.nc", "results.json", "diagnosis.json", "log.csv"))) else "unfinished"
+        results = ("plan.nc", "results.json", "diagnosis.json", "compare.json", "log.csv")
+        state = "done" if any(map(run.has, results)) else "unfinished"
     else:
         state = f"{len(stages)} stages" if run.has("results.json") else f"stopped after {(stages or ['nothing'])[-1]}"
     best = best_errors(run.read_json("results")) if run.verb == "learn" and run.has("results.json") else {}

@@ -10,11 +10,12 @@ from diagnosis.recorded import EFFECTS
 import driftjax as dj
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "experiments" / "examples").glob("*.py"))
-LEARN = "learn.py"  # minutes of compiling: run with the other tests that learn, in tests/learning/test_loop.py
+# run elsewhere, with what is asserted of them: tests/learning/test_loop.py, tests/diagnosis/test_compare.py
+ELSEWHERE = ("learn.py", "compare.py")
 LINES = 12  # of statements; the equations of a problem of one's own, a class, come on top
 
 
-@pytest.mark.parametrize("path", [path for path in EXAMPLES if path.name != LEARN], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [path for path in EXAMPLES if path.name not in ELSEWHERE], ids=lambda path: path.stem)
 def test_an_example_runs_as_it_stands(path, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", [str(path), str(tmp_path / "out.csv" if path.stem == "read_log" else tmp_path)])
@@ -37,7 +38,7 @@ def test_an_example_is_short(path):
 def test_the_examples_show_what_the_package_is_for():
     text = "".join(path.read_text(encoding="utf-8") for path in EXAMPLES)
     shown = ("setup", "load_vehicle", "load_plant", "draw_plants", "simulate", "load_track", "plan", "equilibria",
-             "fit_gp", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose")  # fmt: skip
+             "fit_gp", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose", "compare")  # fmt: skip
     assert [name for name in shown if f"dj.{name}(" not in text] == []
 
 

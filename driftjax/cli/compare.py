@@ -1,0 +1,75 @@
+"""`driftjax compare`: what differs between two logs of like manoeuvres, and the gap that it makes."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from driftjax.cli.console import default_out, parse, print_notes, progress, run_in
+from driftjax.diagnosis.compare import CompareConfig, check_alike, compare
+from driftjax.logs import read_log
+from driftjax.report import comparison_text, write_comparison
+from driftjax.store import RunFolder
+from driftjax.vehicle import load_vehicle
+
+STEPS = ("noise and naming", "differences", "gap", "done")
+
+
+@dataclasses.dataclass(frozen=True)
+class Compare:
+    """Name what differs between two logs of like manoeuvres, and the gap that it makes: compare.json, report.html.
+
+    Such as a real car and any simulator of it, a wet and a dry road, before and after a repair.
+    """
+
+    a: tyro.conf.Positional[Path]
+    """First log, as for `driftjax diagnose`."""
+    b: tyro.conf.Positional[Path]
+    """Second log; it may be the same file with other runs, by `--runs-a` and `--runs-b`."""
+    options: Annotated[CompareConfig, tyro.conf.arg(name="")] = CompareConfig()
+    vehicle: Path = Path("sedan")
+    """Nominal car: a shipped name or a vehicle YAML."""
+    combined_slip: float | None = None
+    """Friction ellipse of the nominal car, 0 none (as published), 1 a circle; left out: the vehicle's own [-]."""
+    columns_a: str | None = None
+    """Column map of A: a shipped name or a YAML; left out: the log format."""
+    columns_b: str | None = None
+    """Column map of B; left out: the log format."""
+    runs_a: tuple[str, ...] = ()
+    """Names of the runs of A to use, or of parts that `--cut` makes of them (RUN@BEGIN), `*` stands for anything; all
+    where left out."""
+    runs_b: tuple[str, ...] = ()
+    """The same of B."""
+    cut: float | None = None
+    """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
+    out: Path | None = None
+    """Output folder; runs/compare-CAR-TIME where left out."""
+
+
+def run(argv: list[str]) -> int:
+    """Read, compare and print."""
+    flags = parse(Compare, argv, "driftjax compare")
+    vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
+    log_a = read_log(flags.a, flags.columns_a, runs=flags.runs_a, cut=flags.cut)
+    log_b = read_log(flags.b, flags.columns_b, runs=flags.runs_b, cut=flags.cut)
+    check_alike(log_a, log_b)
+    options = {"vehicle": dataclasses.asdict(vehicle), "a": str(flags.a), "b": str(flags.b)}
+    options |= {"columns": [flags.columns_a, flags.columns_b], "runs": [list(flags.runs_a), list(flags.runs_b)]}
+    options |= {"cut": flags.cut, "options": dataclasses.asdict(flags.options)}
+    folder = RunFolder.create(flags.out or default_out("compare", vehicle.name), options, "compare")
+
+    def work() -> int:
+        print_notes(f"{name}: {note}" for name, log in (("A", log_a), ("B", log_b)) for note in log.notes)
+        with progress() as report:
+            step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
+            found = compare(vehicle, log_a, log_b, flags.options, report=step)
+            found.save(folder.path)
+            step("done")
+        print(f"\n{found.verdict}: {found.sentence}\n")
+        if tables := comparison_text(folder.read_json("compare")):
+            print(tables)
+        print(f"report: {write_comparison(folder)}")
+        return 0
+
+    return run_in(folder, work)

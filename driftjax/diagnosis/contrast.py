@@ -1,0 +1,304 @@
+"""Contrast of two logs of one car: differences of all parameters, with what both logs share profiled out.
+
+Each log is linearised about a fit of its own. With parameters c in the first log and c + d in the second one, the cost
+of d with all c at their best (Neyman 1959, C(alpha)) is again quadratic, and so is its score a sum over blocks of time:
+tests, beam search and intervals of a diagnosis serve differences as they are. An error that both logs have moves c and
+leaves d; a direction that only one of the logs excites has no information on d.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from driftjax.diagnosis.beam import QuadraticCost, beam_search, gain_of, minimise, parameters_of
+from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
+from driftjax.diagnosis.fit import Fit, Problem, evaluate, information, linearise, refit_to_convergence
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.runs import Linearisation
+from driftjax.diagnosis.score import (
+    CONDITION,
+    Scores,
+    covariance,
+    half_widths_from,
+    joint_score,
+    null_max_scores,
+    partial_out,
+    studentised,
+    sum_by_block,
+)
+from driftjax.diagnosis.select import LEVEL, MARGIN, MIN_SIZE, PARAMETER_PENALTY, STRIDE
+
+MIN_RUNS = 4  # runs of each log from which the spread between runs counts in an interval
+STEPS = 4  # Gauss-Newton steps of both logs together, at most
+SETTLED = 0.01  # largest change of a parameter, in typical sizes, from which these steps have converged
+
+
+class Information(NamedTuple):
+    """What one log says of all parameters about one fit."""
+
+    theta: np.ndarray  # (K,) of the fit
+    H: np.ndarray  # (C, K, K) information by block of time
+    score: np.ndarray  # (C, K)
+    run: np.ndarray  # (C,) number of the run of each block
+
+    def total(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information (K, K) of the log, and H theta + score (K,): what its own minimum solves."""
+        H = self.H.sum(axis=0)
+        return H, self.score.sum(axis=0) + H @ self.theta
+
+    def at(self, theta: np.ndarray) -> np.ndarray:
+        """Return the scores (C, K) at other parameters `theta` (K,)."""
+        return self.score - self.H @ (theta - self.theta)
+
+
+def information_of(problem: Problem, fit: Fit, at: Linearisation) -> Information:
+    """Return the information of the log of `problem` about `fit`, which the linearisation `at` belongs to."""
+    J, e, block = np.asarray(at.J), np.asarray(at.e), problem.data.block
+    num = problem.data.num_blocks
+    H = np.stack([information(J[block == k][None]) for k in range(num)])
+    run = np.zeros(num, int)
+    run[block] = problem.data.run[:, None]
+    return Information(fit.theta, H, sum_by_block(problem, np.einsum("ptik,pti->ptk", J, e)), run)
+
+
+class Contrast(NamedTuple):
+    """Two logs, each about its fit, and the cost of their differences d (K,), in typical sizes."""
+
+    first: Information
+    second: Information
+    start: np.ndarray  # (K,) theta of the nominal car
+    share: np.ndarray  # (K, K) M H_B: how scores of c count in those of d
+    cost: QuadraticCost  # of d, everything else at its best
+
+    def shared(self, d: np.ndarray) -> np.ndarray:
+        """Return the parameters c (K,) that fit both logs best for the differences `d` (K,)."""
+        (HA, bA), (HB, bB) = self.first.total(), self.second.total()
+        M = HA + HB + np.eye(len(d)) / PRIOR**2
+        return np.linalg.solve(M, bA + bB - HB @ d + self.start / PRIOR**2)
+
+
+def contrast_of(problem: Problem, first: Information, second: Information) -> Contrast:
+    """Return the contrast of two logs of `problem`'s car."""
+    (HA, bA), (HB, bB) = first.total(), second.total()
+    prior = np.eye(len(HA)) / PRIOR**2
+    share = np.linalg.solve(HA + HB + prior, HB)
+    c = np.linalg.solve(HA + HB + prior, bA + bB + problem.start / PRIOR**2)
+    span = problem.upper - problem.lower
+    columns = tuple(problem.columns((i,)) for i in range(len(problem.effects)))
+    active = tuple(k if problem.active[k].all() else k[:0] for k in columns)
+    H = HB - HB @ share
+    cost = QuadraticCost(0.0, bB - HB @ c, 0.5 * (H + H.T) + prior, -span, span, active)
+    return Contrast(first, second, problem.start, share, cost)
+
+
+def difference_scores(contrast: Contrast, d: np.ndarray, selected: tuple[int, ...], seed: int) -> Scores:
+    """Test the differences of all effects outside `selected` at `d` (K,), everything shared at its best.
+
+    H, blocks and all else of the result are those of d; blocks of the first log come first.
+    """
+    c, model = contrast.shared(d), contrast.cost
+    a, b = contrast.first.at(c), contrast.second.at(c + d)
+    blocks = np.concatenate([-a @ contrast.share, b - b @ contrast.share])
+    H = model.H - np.eye(len(d)) / PRIOR**2
+    columns = parameters_of(model, selected)
+    P = partial_out(H, columns)
+    effective, left = blocks @ P, P.T @ H @ P
+    own = np.diag(left) > CONDITION * np.maximum(np.diag(H), 1.0)
+    own[columns] = False
+    own &= np.isin(np.arange(len(d)), np.concatenate(model.columns))
+    T, U = studentised(effective, own), effective.sum(axis=0)
+    several = {i: k for i, k in enumerate(model.columns) if len(k) > 1 and own[k].all()}
+    joint = np.zeros(len(model.columns))
+    for i, k in several.items():
+        joint[i] = joint_score(effective[:, k], U[None, k])[0]
+    chance = null_max_scores(effective, own, np.zeros(len(d), bool), seed, list(several.values()))
+    return Scores(H, blocks, T, joint, np.zeros(len(joint)), chance, effective[:, own], seed)
+
+
+def with_dispersion(contrast: Contrast) -> Contrast:
+    """Return the contrast whose costs count in units of their dispersion, as in QAIC (Burnham and Anderson 2002).
+
+    That of all scores where every difference is at its best.
+    """
+    every = tuple(range(len(contrast.cost.columns)))
+    best = difference_scores(contrast, minimise(contrast.cost, every), (), 0)
+    own = np.diag(best.H) > 1.0
+    excess = max(float(np.mean((best.blocks**2).sum(axis=0)[own] / np.diag(best.H)[own])), 1.0) if own.any() else 1.0
+    model = contrast.cost
+    return contrast._replace(cost=model._replace(g=model.g / excess, H=model.H / excess))
+
+
+def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, ...]:
+    """Return the effects, at most `most`, whose sizes differ: the set of least penalised cost whose members pass.
+
+    None is less than material, and each is significant beside the others, at a family-wise rate of 5 %.
+    """
+    model, selected = with_dispersion(contrast).cost, ()
+    gain = lambda effects: gain_of(model, minimise(model, effects))
+    price = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
+    while True:
+        sets = beam_search(model, min(len(selected) + STRIDE, most), PARAMETER_PENALTY)
+        best = next((one.effects for one in sets if is_material(model, one.psi, one.effects)), ())
+        new = supported(contrast, best, seed)
+        if price(new) >= price(selected) - MARGIN:
+            return selected
+        selected = new
+
+
+def is_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...]) -> bool:
+    """Return whether every one of `effects` differs materially at `psi` (K,)."""
+    return all(np.abs(psi[model.columns[i]]).max() >= MIN_SIZE for i in effects)
+
+
+def supported(contrast: Contrast, selected: tuple[int, ...], seed: int) -> tuple[int, ...]:
+    """Return those of `selected` whose own difference is significant beside the others; the least is left out first.
+
+    It must also exceed what sizes vary by from run to run, at a family-wise rate of 5 % too.
+    """
+    num = sum(len(k) > 0 for k in contrast.cost.columns)
+    while selected:
+        p_values = {i: p_value_of(contrast, selected, i, seed) for i in selected}
+        psi, width = intervals(contrast, selected, LEVEL / num)
+        owner = np.repeat(selected, [len(contrast.cost.columns[i]) for i in selected])
+        certain = {i: bool((np.abs(psi) > width)[owner == i].any()) for i in selected}
+        worst = max(selected, key=lambda i: (not certain[i], p_values[i]))
+        if certain[worst] and p_values[worst] < LEVEL:
+            return selected
+        selected = tuple(i for i in selected if i != worst)
+    return ()
+
+
+def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed: int) -> float:
+    """Return the p-value of the difference of `member` beside the others, adjusted for all effects.
+
+    The difference over its robust standard error against the largest score that random signs give, both where all are
+    at their best: a score where a large difference is left out would drown in what it spoils.
+    """
+    psi, own = minimise(contrast.cost, selected), contrast.cost.columns[member]
+    rest = tuple(i for i in selected if i != member)
+    found = difference_scores(contrast, psi, rest, seed)
+    P = partial_out(found.H, parameters_of(contrast.cost, rest))
+    effective, known = found.blocks @ P[:, own], P[:, own].T @ found.H @ P[:, own]
+    U = known @ psi[own]
+    size = float(np.abs(U / np.sqrt(np.maximum((effective**2).sum(axis=0), np.diag(known)))).max())
+    if len(own) > 1:
+        size = max(size, float(joint_score(effective, U[None])[0]))
+    return float((1 + np.sum(found.null_max >= size)) / (len(found.null_max) + 1))
+
+
+def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Return the differences (k,) of the parameters of `selected`, and half-widths (k,) of their 95 % intervals.
+
+    Robust to dependence within blocks of time and, where both logs have several runs, to sizes that vary from run to
+    run (at `run_level`): the wider one counts.
+    """
+    psi, columns = minimise(contrast.cost, selected), parameters_of(contrast.cost, selected)
+    found = difference_scores(contrast, psi, selected, 0)
+    width = half_widths_from(found.H, found.blocks, columns)
+    runs = [np.unique(one.run, return_inverse=True)[1] for one in (contrast.first, contrast.second)]
+    num = [run.max() + 1 for run in runs]
+    if min(num) >= MIN_RUNS:
+        sums = np.zeros((sum(num), found.blocks.shape[1]))
+        np.add.at(sums, np.concatenate([runs[0], runs[1] + num[0]]), found.blocks)
+        spread = np.sqrt(np.diag(covariance(found.H, sums, columns)))
+        width = np.maximum(width, student.ppf(1 - run_level / 2, max(sum(num) - len(columns) - 1, 1)) * spread)
+    return psi[columns], width
+
+
+def probabilities(contrast: Contrast, selected: tuple[int, ...], member: int) -> np.ndarray:
+    """Return the probabilities (E,) that `member` differs, or another effect in its place."""
+    model = with_dispersion(contrast).cost
+    costs = -rival_gains(model, tuple(i for i in selected if i != member))
+    costs[member] = -gain_of(model, minimise(model, selected))
+    return hypothesis_probabilities(costs, np.array([max(len(k), 1) for k in model.columns]), 1.0)
+
+
+class Pair(NamedTuple):
+    """Two logs of one car with the effects fitted to both, and their contrast."""
+
+    problems: tuple[Problem, Problem]
+    effects: tuple[int, ...]  # fitted to each log
+    fits: tuple[Fit, Fit]
+    at: tuple[Linearisation, Linearisation]
+    contrast: Contrast
+
+
+def fit_pair(problems: tuple[Problem, Problem], effects: tuple[int, ...], starts: tuple[np.ndarray, ...]) -> Pair:
+    """Fit `effects` to each log by itself, from the parameters `starts`."""
+    columns = problems[0].columns(effects)
+    each = [
+        refit_to_convergence(problem, evaluate(problem, theta), columns)
+        for problem, theta in zip(problems, starts, strict=True)
+    ]
+    (fit_a, at_a), (fit_b, at_b) = each
+    known = [information_of(problem, *one) for problem, one in zip(problems, each, strict=True)]
+    return Pair(problems, effects, (fit_a, fit_b), (at_a, at_b), contrast_of(problems[0], *known))
+
+
+class Sizes(NamedTuple):
+    """Parameters of the differing effects in both logs, in typical sizes, (k,) each."""
+
+    first: np.ndarray
+    second: np.ndarray
+    first_error: np.ndarray  # standard error
+    second_error: np.ndarray
+    difference: np.ndarray
+    half_width: np.ndarray  # of its 95 % interval
+
+
+def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes]:
+    """Fit both logs together: sizes of `pair.effects` shared, those of `selected` apart.
+
+    Returns the contrast about that fit. Differences and their intervals are those with all shared parameters profiled
+    out, sizes in each log those with the parameters of `pair.effects` only.
+    """
+    problems, contrast = pair.problems, pair.contrast
+    columns, own = problems[0].columns(pair.effects), problems[0].columns(selected)
+    for _ in range(STEPS):
+        c, d = _together(contrast, columns, own)
+        thetas = [np.clip(theta, p.lower, p.upper) for p, theta in zip(problems, (c, c + d), strict=True)]
+        moved = max(
+            np.abs(t - one.theta).max() for t, one in zip(thetas, (contrast.first, contrast.second), strict=True)
+        )
+        fits = [evaluate(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
+        known = [information_of(p, fit, linearise(p, fit)) for p, fit in zip(problems, fits, strict=True)]
+        contrast = contrast_of(problems[0], *known)
+        if moved < SETTLED:
+            break
+    c, d = _together(contrast, columns, own)
+    difference, width = intervals(contrast, selected)
+    error_a, error_b = _standard_errors(contrast, columns, own, c, d)
+    return contrast, Sizes(c[own], c[own] + difference, error_a, error_b, difference, width)
+
+
+def _both(contrast: Contrast) -> tuple[np.ndarray, np.ndarray]:
+    """Return the information (2K, 2K) of c and d together, and the right side (2K,) that their minimum solves."""
+    (HA, bA), (HB, bB) = contrast.first.total(), contrast.second.total()
+    return np.block([[HA + HB, HB], [HB, HB]]), np.concatenate([bA + bB, bB])
+
+
+def _together(contrast: Contrast, columns: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return c and d (K,) of the joint minimum over the shared parameters `columns` and the differences `own`."""
+    H, right = _both(contrast)
+    K = len(contrast.start)
+    free, start = np.concatenate([columns, K + own]), np.concatenate([contrast.start, np.zeros(K)])
+    right = right - H @ start
+    found = start.copy()
+    found[free] += np.linalg.solve(H[np.ix_(free, free)] + np.eye(len(free)) / PRIOR**2, right[free])
+    return found[:K], found[K:]
+
+
+def _standard_errors(
+    contrast: Contrast, columns: np.ndarray, own: np.ndarray, c: np.ndarray, d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard errors of the parameters `own` in the first and in the second log."""
+    K, H = len(c), _both(contrast)[0]
+    a, b = contrast.first.at(c), contrast.second.at(c + d)
+    blocks = np.concatenate([np.concatenate([a, 0 * a], axis=1), np.concatenate([b, b], axis=1)])
+    free = np.concatenate([columns, K + own])
+    full = np.zeros_like(H)
+    full[np.ix_(free, free)] = covariance(H, blocks, free)
+    of = lambda rows, others: np.diag(full[np.ix_(rows, others)])
+    second = of(own, own) + of(K + own, K + own) + 2 * of(own, K + own)
+    return np.sqrt(of(own, own)), np.sqrt(np.maximum(second, 0.0))

@@ -1,0 +1,106 @@
+"""`driftjax compare`: a change named beside an error that both logs share, and one sentence for bad input."""
+
+import json
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis.recorded import EFFECTS
+
+import driftjax as dj
+from driftjax.cli import main
+from driftjax.diagnosis.compare import range_sentence
+from driftjax.diagnosis.gap import Overlap
+from driftjax.logs import Run, write_log
+from driftjax.vehicle.effect import EFFECTS as EFFECTS_BY_NAME
+
+EXAMPLE = Path(__file__).parents[2] / "experiments" / "examples" / "compare.py"
+TRUE = -1.0 * EFFECTS_BY_NAME["friction_rear"].parameters[0].typical
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """Every test works in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """What the example leaves: less grip at the rear in B, and a gyro that is biased in both logs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", [str(EXAMPLE), str(tmp_path_factory.mktemp("compare"))])
+        patch.setitem(dj.compare.__kwdefaults__, "effects", EFFECTS)  # the small catalogue, that other tests compile
+        yield runpy.run_path(str(EXAMPLE), run_name="__main__")
+
+
+def test_lower_friction_is_named_and_a_bias_that_both_logs_share_is_not(example):
+    found = json.loads((Path(example["out"]) / "compare.json").read_text())
+    assert (found["schema"], found["verdict"]) == (1, "NAMED")
+    assert [one["effect"] for one in found["differences"]] == ["friction_rear"]
+    assert "gyro_bias" in found["named"]["a"] and "gyro_bias" in found["named"]["b"]
+    row = found["differences"][0]["parameters"]["p"]
+    low, high = row["ci95"]
+    assert low < TRUE < high < 0 and high - low < -0.5 * TRUE
+    assert row["b"] - row["a"] == pytest.approx(row["difference"]) and 0 < row["a_error"] < -0.1 * TRUE
+    gap = found["gap"]["b"]
+    at = gap["horizons_s"].index(gap["decisive_horizon_s"])
+    assert gap["ratio_ci95"]["other"]["all"][at][0] > 1.3 and gap["ratio_to_own"]["corrected"]["all"][at] < 1.1
+    assert gap["closed"]["value"] > 0.8 and gap["held_out"]
+    assert found["overlap"]["V"]["share"] > 0.6
+
+
+def test_the_verb_prints_and_draws_what_was_found(example, monkeypatch, capsys):
+    monkeypatch.setattr("driftjax.cli.compare.compare", lambda *logs, **options: example["comparison"])
+    for name, log in zip("ab", example["logs"], strict=True):
+        write_log(Path(f"{name}.csv"), log.runs)
+    assert main(["compare", "a.csv", "b.csv", "--out", "out"]) == 0
+    told, page = capsys.readouterr().out, Path("out/report.html").read_text()
+    assert example["comparison"].sentence in told and "car of A with the named differences" in told
+    assert page.count("data:image/png;base64,") == 1 and "friction_rear.p" in page
+    assert main(["report", "out"]) == 0
+
+
+def runs(dt: float = 0.01, num: int = 200, name: str = "a", phase: float = 0.0) -> list[Run]:
+    t = np.arange(num) * dt
+    wave = 0.1 * np.sin(5 * t + phase)
+    return [Run(name, t, 10 + wave, wave, wave, wave, 100 * wave, dt)]
+
+
+def test_two_seconds_say_nothing(capsys):
+    write_log(Path("a.csv"), runs())
+    write_log(Path("b.csv"), runs(phase=1.0))
+    assert main(["compare", "a.csv", "b.csv", "--out", "out"]) == 0
+    found = json.loads(Path("out/compare.json").read_text())
+    assert found["verdict"] == "DATA_INSUFFICIENT" and found["differences"] == [] and found["gap"] is None
+    assert "Log A holds 2.0 s" in capsys.readouterr().out and "2.0 s" in Path("out/report.html").read_text()
+    assert main(["runs"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["a.csv", "none.csv"], "none.csv"),
+        (["a.csv", "slow.csv"], "Run 'A: a' has 100 Hz but run 'B: a' has 50 Hz"),
+        (["a.csv", "a.csv"], "A and B hold the same runs"),
+        (["a.csv", "copy.csv"], "A and B hold the same runs"),
+        (["a.csv", "b.csv", "--runs-b", "lap*"], "no run is called lap*"),
+        (["a.csv", "b.csv", "--without", "magic"], "magic"),
+        (["a.csv", "b.csv", "--unexplained", "2"], "key 'unexplained' is 2"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(flags, words, capsys):
+    write_log(Path("a.csv"), runs())
+    Path("copy.csv").write_bytes(Path("a.csv").read_bytes())
+    write_log(Path("b.csv"), runs(phase=1.0))
+    write_log(Path("slow.csv"), runs(dt=0.02))
+    assert main(["compare", *flags, "--out", "out"]) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1 and not Path("out").exists()
+
+
+def test_ranges_that_hardly_overlap_are_told():
+    slow_and_fast = {"V": Overlap((5.0, 8.0), (9.0, 14.0), 0.04), "beta": Overlap((-0.1, 0.1), (-0.1, 0.2), 0.8)}
+    (text,) = range_sentence(slow_and_fast)
+    assert "V (4 %: 5 to 8 in A, 9 to 14 in B)" in text and "beta" not in text
+    assert range_sentence({"beta": slow_and_fast["beta"]}) == []

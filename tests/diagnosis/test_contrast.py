@@ -1,0 +1,95 @@
+"""Differences between two logs by linear algebra alone: chance, what both share, signs, what one log alone says."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from driftjax.diagnosis.contrast import (
+    Contrast,
+    Information,
+    contrast_of,
+    intervals,
+    probabilities,
+    search_differences,
+)
+from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.gap import overlaps
+from driftjax.logs import Run
+
+C, N, K, RUNS = 40, 12, 7, 5  # blocks, measurements in each, effects, runs of each log
+NOTHING: Any = None
+
+
+def problem() -> Problem:
+    model: Any = SimpleNamespace(effects=(NOTHING,) * K)
+    known = np.zeros(K), np.arange(K), frozenset[str](), np.ones(K, bool)
+    return Problem(model, NOTHING, np.full(K, -4.0), np.full(K, 4.0), *known, NOTHING, NOTHING)
+
+
+MIXED = np.eye(K) + 0.4 * np.random.default_rng(8).normal(size=(K, K))  # manoeuvres are alike: so are derivatives
+
+
+def log_of(rng, theta: np.ndarray, varies: float = 0.0, coloured: bool = False, excited=None) -> Information:
+    """A log of a car whose true parameters are `theta` (K,), about a fit of the nominal car, 0."""
+    J = rng.normal(size=(C, N, K)) @ MIXED * (np.ones(K) if excited is None else excited)
+    run = np.arange(C) * RUNS // C
+    size = theta + varies * rng.normal(size=(RUNS, K))[run]
+    e = np.einsum("cnk,ck->cn", J, size) + rng.normal(size=(C, N))
+    if coloured:
+        e += 1.5 * np.einsum("cnk,ck->cn", J, rng.normal(size=(C, K))) / np.sqrt(N)
+    return Information(np.zeros(K), np.einsum("cni,cnj->cij", J, J), np.einsum("cni,cn->ci", J, e), run)
+
+
+def contrast(rng, a: np.ndarray, b: np.ndarray, **options) -> Contrast:
+    return contrast_of(problem(), log_of(rng, a, **options), log_of(rng, b, **options))
+
+
+SHARED = np.array([1.5, 0.0, -1.0, 0.0, 0.3, 0.0, 0.0])
+CHANGE = np.array([0.0, 0.0, 0.0, -0.8, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("options", [{}, {"coloured": True}, {"varies": 0.4}], ids=["white", "coloured", "by run"])
+def test_what_both_logs_share_is_no_difference(options, cases=25):
+    rng = np.random.default_rng(1)
+    found = [search_differences(contrast(rng, SHARED, SHARED, **options), 0, 8) for _ in range(cases)]
+    assert np.mean([len(one) > 0 for one in found]) <= 0.12
+
+
+def test_what_changed_is_named_with_its_size_and_what_is_shared_is_not(cases=15):
+    rng, inside = np.random.default_rng(2), []
+    for _ in range(cases):
+        one = contrast(rng, SHARED, SHARED + CHANGE)
+        assert 3 in (named := search_differences(one, 0, 8)) and len(named) == 1
+        value, width = intervals(one, named)
+        inside.append(abs(value[0] - CHANGE[3]) < width[0])
+        assert width[0] < 0.3 and probabilities(one, named, 3)[3] > 0.99
+    assert np.mean(inside) > 0.85
+
+
+def test_swapped_logs_give_the_opposite_difference():
+    rng = np.random.default_rng(3)
+    one = contrast(rng, SHARED, SHARED + CHANGE)
+    other = contrast_of(problem(), one.second, one.first)
+    named = search_differences(one, 0, 8)
+    assert named == search_differences(other, 0, 8) == (3,)
+    (there, width), (back, same) = intervals(one, named), intervals(other, named)
+    np.testing.assert_allclose([there, width], [-back, same], atol=2e-3)
+    np.testing.assert_allclose(one.shared(CHANGE) + CHANGE, other.shared(-CHANGE), atol=2e-3)
+
+
+def test_what_one_log_alone_excites_is_no_difference():
+    """The other one does not say that it lacks it."""
+    rng, excited = np.random.default_rng(4), np.where(np.arange(K) == 3, 1e-3, 1.0)
+    a = log_of(rng, SHARED, excited=excited)
+    assert search_differences(contrast_of(problem(), a, log_of(rng, SHARED + CHANGE)), 0, 8) == ()
+
+
+def test_the_range_of_a_channel_is_shared_as_far_as_its_samples_are():
+    t, same = np.arange(1000) * 0.01, np.linspace(0.0, 1.0, 1000)
+    run = lambda V: (Run("a", t, V, same, same, same, 0 * same, 0.01),)
+    shared = overlaps(run(5 + same), run(5.5 + same))
+    assert shared["V"].share == pytest.approx(0.5, abs=0.06) and shared["beta"].share == pytest.approx(1.0)
+    assert shared["V"].second == pytest.approx((5.55, 6.45), abs=0.01) and shared["Fxr"].share == pytest.approx(1.0)
+    assert overlaps(run(5 + same), run(7 + same))["V"].share < 0.02
