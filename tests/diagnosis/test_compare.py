@@ -47,7 +47,7 @@ def test_lower_friction_is_named_and_a_bias_that_both_logs_share_is_not(example)
     at = gap["horizons_s"].index(gap["decisive_horizon_s"])
     assert gap["ratio_ci95"]["other"]["all"][at][0] > 1.3 and gap["ratio_to_own"]["corrected"]["all"][at] < 1.1
     assert gap["closed"]["value"] > 0.8 and gap["held_out"]
-    assert found["overlap"]["V"]["share"] > 0.6
+    assert set(found["overlap"]) == {"V", "beta", "r", "delta", "Fxr"}
 
 
 def test_the_verb_prints_and_draws_what_was_found(example, monkeypatch, capsys):
