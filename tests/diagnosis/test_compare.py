@@ -3,6 +3,7 @@
 import json
 import runpy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from diagnosis.recorded import EFFECTS
 
 import driftjax as dj
 from driftjax.cli import main
-from driftjax.diagnosis.compare import range_sentence
-from driftjax.diagnosis.gap import Overlap
+from driftjax.diagnosis.compare import CompareConfig, Difference, judge, range_sentence
+from driftjax.diagnosis.gain import Errors, Share
+from driftjax.diagnosis.gap import Gap, Overlap
 from driftjax.logs import Run, write_log
 from driftjax.vehicle.effect import EFFECTS as EFFECTS_BY_NAME
 
@@ -30,7 +32,8 @@ def example(tmp_path_factory):
     """What the example leaves: less grip at the rear in B, and a gyro that is biased in both logs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", [str(EXAMPLE), str(tmp_path_factory.mktemp("compare"))])
-        patch.setitem(dj.compare.__kwdefaults__, "effects", EFFECTS)  # the small catalogue, that other tests compile
+        # the small catalogue, that other tests compile
+        patch.setattr(dj.compare, "__kwdefaults__", {**(dj.compare.__kwdefaults__ or {}), "effects": EFFECTS})
         yield runpy.run_path(str(EXAMPLE), run_name="__main__")
 
 
@@ -97,6 +100,49 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(flags, words, capsys):
     assert main(["compare", *flags, "--out", "out"]) == 2
     told = capsys.readouterr().err
     assert words in told and told.count("\n") == 1 and not Path("out").exists()
+
+
+def gap_of(closed: float, left: float) -> Gap:
+    """A gap of twice the error, of which the share `closed` is closed."""
+    errors = Errors(np.ones((4, 4, 3)), (0.01, 0.5, 1.0, 2.0), np.arange(4), np.arange(4))
+    ratio = {"other": np.full((4, 4, 3), [2.0, 1.8, 2.2])}
+    share = Share(closed, (closed - 0.05, min(closed + 0.05, 1.0)), left, (left / 2, 2 * left))
+    return Gap({"own": errors}, ratio, share, True)
+
+
+def difference(probability: float = 1.0, at_bound: bool = False) -> Difference:
+    row = {
+        "a": 0.0,
+        "a_error": 0.01,
+        "b": -0.3,
+        "b_error": 0.01,
+        "difference": -0.3,
+        "ci95": [-0.33, -0.27],
+        "unit": "1",
+    }
+    parameters = {"p": row | {"at_bound": at_bound}}
+    return Difference("friction", probability, 0.001, parameters, {"mass": 1 - probability}, "tyres")
+
+
+@pytest.mark.parametrize(
+    ("one", "closed", "left", "verdict"),
+    [
+        (difference(), 0.97, 0.02, "NAMED"),
+        (difference(0.6), 0.97, 0.02, "SET"),
+        (difference(at_bound=True), 0.97, 0.02, "SET"),
+        (difference(), 0.3, 0.5, "UNKNOWN"),
+        (difference(), 0.3, 0.05, "NAMED"),  # little is left, however significant
+    ],
+)
+def test_the_verdict_is_about_names_and_about_what_is_left_of_the_gap(one, closed, left, verdict):
+    nothing: Any = None  # without differences the information decides
+    gap = gap_of(closed, left)
+    found = judge(nothing, (one,), (gap, gap), {}, CompareConfig(), 30.0)
+    assert found.verdict == verdict
+    assert "The car of A predicts B with 2.00 [1.80, 2.20] times the error of B's own 1 s ahead" in found.sentence
+    assert f"close {100 * closed:.0f} %" in found.sentence and "-0.3 ± 0.03" in found.sentence
+    assert ("do not rule out mass (0.40)" in found.sentence) == (one.probability < 0.9)
+    assert ("Something differs" in found.sentence) == (verdict == "UNKNOWN")
 
 
 def test_ranges_that_hardly_overlap_are_told():
