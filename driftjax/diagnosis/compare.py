@@ -47,6 +47,8 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 ROUNDS = 3  # of fitting both logs and searching for differences, at most
+NO_FORCE = ("A log has no drive force; in both that which explains the measured speed was used, so that drive, brakes and "
+            "drag are not compared.")  # fmt: skip
 LITTLE = 0.3  # overlap of a channel below which two logs hardly share its range
 
 
@@ -257,7 +259,8 @@ def judge(
     """
     words = [describe(one) for one in differences]
     gaps = [f"{gap_sentence(one, names, bool(differences))}" for one, names in zip(gap, ("BA", "AB"), strict=True)]
-    limits = range_sentence(overlap)
+    force_known = pair.problems[0].data.force_known
+    limits = range_sentence(overlap) + ([] if force_known else [NO_FORCE])
     if any(left_open(one, config.unexplained) for one in gap):
         named = ", ".join(one.effect for one in differences)
         text = f"Something differs that no effect of the catalogue explains{', beside ' + named if named else ''}."
@@ -271,7 +274,7 @@ def judge(
         text = f"Nothing differs that {duration:.0f} s of each log could show."
         return Judgement(Verdict.NOTHING, " ".join([text, gaps[1], *limits]))
     bound = any(row["at_bound"] for one in differences for row in one.parameters.values())
-    sure = all(one.probability >= SURE_PROBABILITY for one in differences) and not bound
+    sure = all(one.probability >= SURE_PROBABILITY for one in differences) and not bound and force_known
     return Judgement(Verdict.NAMED if sure else Verdict.SET, " ".join([*words, gaps[1], *limits]))
 
 

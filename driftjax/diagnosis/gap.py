@@ -90,11 +90,13 @@ class Overlap(NamedTuple):
 
 
 def overlaps(first: tuple[Run, ...], second: tuple[Run, ...]) -> dict[str, Overlap]:
-    """Return the overlap of V, beta, r and both commands."""
+    """Return the overlap of V, beta, r and both commands, without what either log lacks."""
     found = {}
     for name in CHANNELS[1:]:
         a, b = (np.concatenate([getattr(run, name) for run in runs]) for runs in (first, second))
         a, b = (one[np.isfinite(one)] for one in (a, b))
+        if not len(a) or not len(b):
+            continue
         low, high = np.percentile(np.concatenate([a, b]), TAILS)
         edges = np.linspace(low, high, BINS + 1)
         edges[[0, -1]] = -np.inf, np.inf

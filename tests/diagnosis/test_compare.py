@@ -3,6 +3,7 @@
 import json
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -125,23 +126,25 @@ def difference(probability: float = 1.0, at_bound: bool = False) -> Difference:
 
 
 @pytest.mark.parametrize(
-    ("one", "closed", "left", "verdict"),
+    ("one", "force_known", "closed", "left", "verdict"),
     [
-        (difference(), 0.97, 0.02, "NAMED"),
-        (difference(0.6), 0.97, 0.02, "SET"),
-        (difference(at_bound=True), 0.97, 0.02, "SET"),
-        (difference(), 0.3, 0.5, "UNKNOWN"),
-        (difference(), 0.3, 0.05, "NAMED"),  # little is left, however significant
+        (difference(), True, 0.97, 0.02, "NAMED"),
+        (difference(), False, 0.97, 0.02, "SET"),
+        (difference(0.6), True, 0.97, 0.02, "SET"),
+        (difference(at_bound=True), True, 0.97, 0.02, "SET"),
+        (difference(), True, 0.3, 0.5, "UNKNOWN"),
+        (difference(), True, 0.3, 0.05, "NAMED"),  # little is left, however significant
     ],
 )
-def test_the_verdict_is_about_names_and_about_what_is_left_of_the_gap(one, closed, left, verdict):
-    nothing: Any = None  # without differences the information decides
+def test_the_verdict_is_about_names_and_about_what_is_left_of_the_gap(one, force_known, closed, left, verdict):
+    pair: Any = SimpleNamespace(problems=[SimpleNamespace(data=SimpleNamespace(force_known=force_known))])
     gap = gap_of(closed, left)
-    found = judge(nothing, (one,), (gap, gap), {}, CompareConfig(), 30.0)
+    found = judge(pair, (one,), (gap, gap), {}, CompareConfig(), 30.0)
     assert found.verdict == verdict
     assert "The car of A predicts B with 2.00 [1.80, 2.20] times the error of B's own 1 s ahead" in found.sentence
     assert f"close {100 * closed:.0f} %" in found.sentence and "-0.3 ± 0.03" in found.sentence
     assert ("do not rule out mass (0.40)" in found.sentence) == (one.probability < 0.9)
+    assert ("no drive force" in found.sentence) != force_known
     assert ("Something differs" in found.sentence) == (verdict == "UNKNOWN")
 
 

@@ -92,4 +92,5 @@ def test_the_range_of_a_channel_is_shared_as_far_as_its_samples_are():
     shared = overlaps(run(5 + same), run(5.5 + same))
     assert shared["V"].share == pytest.approx(0.5, abs=0.06) and shared["beta"].share == pytest.approx(1.0)
     assert shared["V"].second == pytest.approx((5.55, 6.45), abs=0.01) and shared["Fxr"].share == pytest.approx(1.0)
+    assert "V" not in overlaps(run(5 + same), run(np.nan * same))
     assert overlaps(run(5 + same), run(7 + same))["V"].share < 0.02
