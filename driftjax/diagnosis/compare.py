@@ -47,8 +47,8 @@ from driftjax.vehicle.effect import EFFECTS, Effect
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 ROUNDS = 3  # of fitting both logs and searching for differences, at most
-NO_FORCE = ("A log has no drive force; in both that which explains the measured speed was used, so that drive, brakes and "
-            "drag are not compared.")  # fmt: skip
+NO_FORCE = ("A log has no drive force; in both that which explains the measured speed was used, so that drive, brakes "
+            "and drag are not compared.")  # fmt: skip
 LITTLE = 0.3  # overlap of a channel below which two logs hardly share its range
 
 
