@@ -13,11 +13,12 @@ from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
 from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence
 from driftjax.diagnosis.gain import (
     DECISIVE,
+    RESAMPLES,
+    TINY,
     Errors,
     Share,
     at_horizons,
     channel_ratios,
-    excess_shares,
     horizon_steps,
     predict,
     ratios,
@@ -59,13 +60,32 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
     }
     models = {name: at_horizons(problem, predict(problem, theta).error ** 2) for name, theta in thetas.items()}
     own = models["own"]
-    shares = excess_shares({"nominal": models["other"], "corrected": models["corrected"]}, own, seed)
-    return Gap(
-        models,
-        {name: _ratio(own, one, seed) for name, one in models.items()},
-        shares.get("corrected"),
-        out is not None,
-    )
+    closed = closed_share(models["other"], models["corrected"], own, seed)
+    return Gap(models, {name: _ratio(own, one, seed) for name, one in models.items()}, closed, out is not None)
+
+
+def closed_share(other: Errors, corrected: Errors, own: Errors, seed: int) -> Share | None:
+    """Return how much of the squared error of `other` beyond that of `own` the `corrected` car removes.
+
+    At the decisive horizon, channels in the mean square of `own`, alike, with intervals over blocks of time. What is
+    left of the error of the corrected car counts as a whole: a channel that it predicts better makes up for one that
+    it predicts worse. None where no run lasts that long.
+    """
+    squares = np.stack([one.squares[:, DECISIVE] for one in (own, other, corrected)])
+    squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has
+    keep = np.isfinite(squares).all(axis=(0, 2))
+    if not squares.shape[2] or not keep.any():
+        return None
+    scaled = (squares[:, keep] / squares[0, keep].mean(axis=0)).sum(axis=2)
+    block = np.unique(own.block[keep], return_inverse=True)[1]
+    sums = np.stack([np.bincount(block, row) for row in scaled], axis=1)
+    draws = np.random.default_rng(seed).integers(0, len(sums), (RESAMPLES, len(sums)))
+    mine, theirs, mended = np.moveaxis(np.concatenate([sums.sum(axis=0)[None], sums[draws].sum(axis=1)]), 1, 0)
+    interval = lambda values: (float(values[0]), tuple(np.percentile(values[1:], [2.5, 97.5]).tolist()))
+    left = interval(np.maximum(mended - mine, 0.0) / mended)
+    if np.percentile((theirs - mine)[1:], 2.5) <= 0:  # whether there is a gap is in doubt
+        return Share(np.nan, (np.nan, np.nan), *left)
+    return Share(*interval(1 - (mended - mine) / np.maximum(theirs - mine, TINY * mine)), *left)
 
 
 def _without(

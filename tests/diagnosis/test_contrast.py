@@ -15,7 +15,8 @@ from driftjax.diagnosis.contrast import (
     search_differences,
 )
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gap import overlaps
+from driftjax.diagnosis.gain import Errors
+from driftjax.diagnosis.gap import closed_share, overlaps
 from driftjax.logs import Run
 
 C, N, K, RUNS = 40, 12, 7, 5  # blocks, measurements in each, effects, runs of each log
@@ -84,6 +85,25 @@ def test_what_one_log_alone_excites_is_no_difference():
     rng, excited = np.random.default_rng(4), np.where(np.arange(K) == 3, 1e-3, 1.0)
     a = log_of(rng, SHARED, excited=excited)
     assert search_differences(contrast_of(problem(), a, log_of(rng, SHARED + CHANGE)), 0, 8) == ()
+
+
+def errors(V: float, r: float, seed: int = 5) -> Errors:
+    """Errors of V and r at four horizons, those of beta unknown."""
+    noise = np.random.default_rng(seed).chisquare(1, (200, 4, 3))
+    return Errors(noise * np.array([V, np.nan, r]) ** 2, (), np.arange(200) // 4, np.zeros(200, int))
+
+
+def test_the_share_of_the_gap_that_is_closed_counts_all_channels_together():
+    own = errors(1.0, 1.0)
+    most, none = (
+        closed_share(errors(2.0, 2.0), corrected, own, 0) for corrected in (errors(1.2, 1.0), errors(2.0, 2.0))
+    )
+    assert most and most.value == pytest.approx(1 - 0.44 / 6, abs=0.03) and most.ci95[0] > 0.9 and most.left < 0.2
+    assert none and none.value == pytest.approx(0.0, abs=1e-9) and none.left == pytest.approx(0.75)
+    # one channel worse, the other one better: no gap, and nothing left, though a channel is worse
+    alike = closed_share(errors(1.2, 0.7), errors(1.2, 0.7), own, 0)
+    assert alike and np.isnan(alike.value) and alike.left_ci95[0] < 0.1
+    assert closed_share(*[errors(np.nan, np.nan)] * 3, 0) is None
 
 
 def test_the_range_of_a_channel_is_shared_as_far_as_its_samples_are():
