@@ -103,7 +103,8 @@ def test_the_share_of_the_gap_that_is_closed_counts_all_channels_together():
     # one channel worse, the other one better: no gap, and nothing left, though a channel is worse
     alike = closed_share(errors(1.2, 0.7), errors(1.2, 0.7), own, 0)
     assert alike and np.isnan(alike.value) and alike.left_ci95[0] < 0.1
-    assert closed_share(*[errors(np.nan, np.nan)] * 3, 0) is None
+    short = errors(np.nan, np.nan)
+    assert closed_share(short, short, short, 0) is None
 
 
 def test_the_range_of_a_channel_is_shared_as_far_as_its_samples_are():
