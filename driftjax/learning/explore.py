@@ -28,7 +28,7 @@ class Candidates(eqx.Module):
     aimed: Array  # (batch, AIM_POINTS) target offset from the path of the lap with this error [m]
     widest: Array  # (batch,) largest bound on gamma, both signs [m/s]
     V: Array  # (batch, K, AIM_POINTS) generated curves [m/s]
-    V_ep: Array  # (batch, K) their means [m/s]
+    V_ep: Array  # (batch, K) cornering speeds: the planned one, changed by as much as the curves on average [m/s]
     visited: Array  # (batch, K) driven or excluded: a duplicate, or no equilibrium
 
 
@@ -156,7 +156,9 @@ def speed_sets_batch(
         bounds = widest * jnp.stack([-shares, shares], axis=1)
         sets = v_sets(origin, s, r_b, e, w1=weights[0], w2=weights[1], gamma_bounds=bounds, V_min=0.3 * V_b,
                       V_max=3 * V_b)  # fmt: skip
-        return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, sets.V_ep, ~sets.distinct)
+        # the planned cornering speed is a mean over part of the section: curves count by their change only
+        V_ep = V_b + sets.V_ep - jnp.mean(origin)
+        return Candidates(s, origin, r_b * e, e, aimed, widest, sets.V, V_ep, ~sets.distinct)
 
     return vmap_batch(one)(*batch)
 

@@ -71,6 +71,8 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     widest = np.asarray(found["uniform"].widest)[:, None]
     assert np.all(widest > 0) and np.all(widest <= most * (1 + 1e-12))
     assert np.all(at["planned"] == V_b)
+    change = found["sets"].V - found["sets"].origin[:, None]
+    np.testing.assert_allclose(at["sets"] - V_b, change.mean(axis=2), atol=1e-9)  # curves that change nothing: V_b
     np.testing.assert_allclose(at["uniform"], V_b + widest * [0, -1, 1], rtol=1e-12)
     assert np.all(np.abs(at["random"] - V_b) < widest) and len(np.unique(at["random"])) == 6
     assert np.all(np.diff(np.abs(at["random"] - V_b), axis=1) > 0)  # nearest first
