@@ -47,6 +47,19 @@ def reference(num: int, *shape: int) -> Reference:
 CASES = {"the paper's": (Weights(), None), "all": (WHOLE, residual(0))}
 
 
+@eqx.filter_jit
+def batched_values(batched, z, costate, p):
+    """Everything about one step at states and inputs `z`, in one program for all sampling times."""
+    x, u = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
+    around = batched.around(x, u, p)
+    return (
+        batched.linearise(x, u, p, around),
+        batched.step(x, u, p),
+        batched.cost(x, u, p),
+        batched.expand(x, u, [c[None] for c in costate], p, around),
+    )
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
@@ -72,19 +85,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
     costate = np.random.default_rng(1).normal(size=len(kept))
 
-    @jax.jit
-    def batched_values(z):
-        components = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
-        around = batched.around(*components, p)
-        expanded = batched.expand(*components, [c[None] for c in costate], p, around)
-        return (
-            batched.linearise(*components, p, around),
-            batched.step(*components, p),
-            batched.cost(*components, p),
-            expanded,
-        )
-
-    (y, M), after, cost, expanded = batched_values(z)
+    (y, M), after, cost, expanded = batched_values(batched, z, costate, p)
     dense = lambda rows: np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in rows])
     np.testing.assert_allclose(np.ravel(y), value(z)[0], rtol=1e-12)
     np.testing.assert_allclose(np.ravel(after), value(z)[0], rtol=1e-12)
@@ -98,21 +99,17 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
 @pytest.mark.parametrize("name", CASES)
 def test_second_derivatives_become_exact_with_short_steps(name):
     weights, learnt = CASES[name]
+    lanes = lambda dt: drift_lanes(replace(CONFIG, dt=dt), weights, CAR, learnt)
+    p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
+    z = np.array([*X[: len(lanes(CONFIG.dt).Q)], *([] if learnt is None else [-0.22, 6.3]), *U])
+    costate = np.random.default_rng(1).normal(size=len(z) - 2)
 
     def error(dt: float) -> float:
         """Largest, over the largest second derivative; of what is multiplied by dt."""
-        batched = drift_lanes(replace(CONFIG, dt=dt), weights, CAR, learnt)
-        reached = [-0.22, 6.3] if batched.lags is not None else []
-        z = np.array([*X[: len(batched.Q)], *reached, *U])
-        costate = np.random.default_rng(1).normal(size=len(z) - 2)
-        x, u, p = (
-            [e[None] for e in z[:-2]],
-            [e[None] for e in z[-2:]],
-            jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1)),
-        )
-        H = jax.jit(lambda x, u: batched.expand(x, u, [c[None] for c in costate], p, batched.around(x, u, p))[2])(x, u)
-        finite = jax.jit(lambda z: jnp.stack(pulled(batched, z, costate, p))[:, 0])
-        bend = np.array([(np.asarray(finite(z + e)) - finite(z - e)) / 2e-5 for e in 1e-5 * np.eye(len(z))])
+        batched, steps = lanes(dt), 1e-5 * np.eye(len(z))
+        slope = lambda z: pulled(batched_values(batched, z, costate, p)[0][1], costate)
+        bend = np.array([slope(z + step) - slope(z - step) for step in steps]) / 2e-5
+        H = batched_values(batched, z, costate, p)[3][2]
         found = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
         return np.abs(found - bend).max() / np.abs(bend).max()
 
@@ -120,12 +117,10 @@ def test_second_derivatives_become_exact_with_short_steps(name):
     assert error(0.005) < error(0.02) / 10
 
 
-def pulled(batched, z, costate, p):
-    """costate' M, entry by entry."""
-    x, u = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
-    M = batched.linearise(x, u, p, batched.around(x, u, p))[1]
-    return [sum(c * (0.0 if row[j] is None else row[j]) for c, row in zip(costate, M, strict=True)) + jnp.zeros(1)
-            for j in range(len(z))]  # fmt: skip
+def pulled(M, costate) -> np.ndarray:
+    """Return the entries of costate' M."""
+    product = lambda j: sum(c * np.ravel(row[j])[0] for c, row in zip(costate, M, strict=True) if row[j] is not None)
+    return np.array([product(j) for j in range(len(M[0]))])
 
 
 @pytest.mark.slow
