@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
@@ -43,8 +44,10 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
             raise BadInput(f"{path}: key 'nominal' holds '{key}'; move it out of 'nominal'.")
     vehicle = from_dict(VehicleConfig, nominal, str(path))
     where = f"{path}: key 'effects'"
-    found = _found(_mapping({} if effects is None else effects, where), vehicle, where)
-    matrix = () if covariance is None else _covariance(covariance, found, f"{path}: key 'covariance'")
+    effects = _mapping({} if effects is None else effects, where)
+    found = _found(effects, vehicle, where)
+    there = [one.parameter in effects[one.effect] for one in found]
+    matrix = () if covariance is None else _covariance(covariance, found, there, f"{path}: key 'covariance'")
     at = f"{path}: key 'noise'"
     told = None if noise is None else from_dict(FoundNoise, _mapping(noise, at), at)
     vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix, noise=told)
@@ -101,10 +104,10 @@ def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple
             if name not in names:
                 raise BadInput(f"{where}: {effect.name} has no parameter '{name}'; it has {', '.join(names)}.")
         for p in effect.parameters:
-            if p.name not in values:
+            if p.name not in values and not p.optional:
                 raise BadInput(f"{where}: {effect.name} lacks '{p.name}'; add it, 0 is neutral.")
-            at = f"{where}: {effect.name}.{p.name}"
-            found.append(EffectParameterValue(effect.name, p.name, *_value(values[p.name], p, vehicle, at)))
+            value = _value(values.get(p.name, 0.0), p, vehicle, f"{where}: {effect.name}.{p.name}")
+            found.append(EffectParameterValue(effect.name, p.name, *value))
     return tuple(found)
 
 
@@ -127,9 +130,11 @@ def _number(written: Any, where: str) -> float:
     return float(written)
 
 
-def _covariance(written: Any, found: tuple[EffectParameterValue, ...], where: str) -> tuple[tuple[float, ...], ...]:
-    """Return the matrix, checked against the parameters `found`."""
-    parts, names = _mapping(written, where), [one.name for one in found]
+def _covariance(
+    written: Any, found: tuple[EffectParameterValue, ...], there: list[bool], where: str
+) -> tuple[tuple[float, ...], ...]:
+    """Return the matrix of the parameters `found`, checked against those that are `there` in the file; 0 of others."""
+    parts, names = _mapping(written, where), [one.name for one, is_there in zip(found, there, strict=True) if is_there]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
     rows = parts["matrix"]
@@ -143,4 +148,6 @@ def _covariance(written: Any, found: tuple[EffectParameterValue, ...], where: st
             size = spread[i] * spread[j]
             if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
                 raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
-    return matrix
+    whole = np.zeros((len(found), len(found)))
+    whole[np.ix_(there, there)] = matrix
+    return tuple(map(tuple, whole.tolist()))

@@ -51,7 +51,7 @@ def size_of(vehicle: dj.VehicleConfig) -> Size:
 def draw_effect(name: str, vehicle: dj.VehicleConfig, rng: np.random.Generator) -> dict[str, float]:
     """Return the parameters of an effect, SI: 0.5 to 1.5 of their typical sizes, either sign where there are two."""
     values = {}
-    for parameter in EFFECTS[name].parameters:
+    for parameter in (p for p in EFFECTS[name].parameters if p.name in PARAMETERS[name]):  # others follow from these
         both = parameter.lower < 0 and name != "combined_slip"  # of which the published car has none to take away
         size = min(STRONGER.get(name, 1.0) * rng.uniform(0.5, 1.5), LARGEST) * (rng.choice([-1, 1]) if both else 1)
         values[parameter.name] = float(size * parameter.scale(vehicle))

@@ -225,7 +225,9 @@ def test_every_page_is_legible_safe_and_says_where_its_numbers_are_from(show, le
         page.emulate_media(color_scheme="dark")
         assert light[0] > 200 > 60 > shade(page)
         # The player redraws on the media query's event, which the browser delivers with its next frame.
-        page.wait_for_function("before => document.querySelector('#player canvas').toDataURL() !== before", arg=light[1])
+        page.wait_for_function(
+            "before => document.querySelector('#player canvas').toDataURL() !== before", arg=light[1]
+        )
 
 
 def shade(page: Page) -> float:

@@ -222,6 +222,20 @@ def test_downforce_loads_both_axles_as_the_weight_does():
     np.testing.assert_allclose([flow.Fzf, flow.Fzr], (1835 * G + 0.6 * 900) * np.array([1.65, 1.4]) / 3.05)
 
 
+@pytest.mark.parametrize("delta", [-0.4, 0.3])
+def test_the_outer_front_wheel_turns_a_steered_car(delta, height=0.25, track=1.5):
+    """As the forces of two front wheels do, whose loads differ by what a roll moment m a_y h_f moves."""
+    x, u = state(beta=-0.3, r=0.7), control(delta=delta)
+    model = car_with(load_transfer_lat=[0.0, 0.0, height])
+    flow = model.flow(x, u, STILL, NONE)
+    moved = flow.car.m * flow.ay * height / track  # onto the right wheel, where ay points to the left
+    right = np.array([0.5 - moved / flow.Fzf, 0.5 + moved / flow.Fzf]) * flow.Fyf
+    moment = -(track / 2 * np.array([1.0, -1.0])) @ (-right * np.sin(delta))
+    rise = gain(model, x, u)
+    np.testing.assert_allclose(rise[:2], 0.0, atol=1e-12)
+    assert rise[2] * flow.car.Iz == pytest.approx(float(moment), rel=1e-9) and abs(moment) > 100
+
+
 def test_roll_that_is_behind_takes_less_grip():
     model, x, u = car_with(roll_lag=0.1), state(10.0, -0.3, 0.7), control(0.1, 3000.0)
     assert float(model.car.roll_lag) == pytest.approx(0.1)

@@ -48,6 +48,8 @@ class Parameter:
     """Smallest value, in typical sizes; 0 for what cannot be negative, such as a lag."""
     upper: float = 4.0
     """Largest value, in typical sizes."""
+    optional: bool = False
+    """Whether files may leave it out, as those from before it was known do; it is neutral there."""
 
     @property
     def suffix(self) -> str:
