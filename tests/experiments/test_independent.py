@@ -12,7 +12,9 @@ import pytest
 
 import driftjax as dj
 from driftjax.core import Control, State, rk4_step
-from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.effect import EFFECTS, Place
+from driftjax.vehicle.effect.flow import Aux
+from driftjax.vehicle.universal import universal_car
 from experiments import independent_study
 from experiments.independent import car as plant_file
 from experiments.independent.car import PARAMETERS, VX, VY, Car, G, R, Strengths
@@ -53,6 +55,29 @@ def test_with_nothing_hidden_its_rates_are_those_of_the_nominal_car(name):
     own = np.stack([rates_of(car, *one) for one in zip(motion.T, command.T, strict=True)], 1)
     nominal = VEHICLE[name].build()(State(*map(jnp.asarray, motion)), Control(*map(jnp.asarray, command)))
     assert own == pytest.approx(np.stack(nominal), rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", VEHICLE)
+def test_its_track_width_does_what_the_effect_of_that_name_does(name):
+    """The lateral forces and the moment of four wheels in their own directions, at a track of half the wheelbase."""
+    car, motion, command = states(name)
+    wide = Car(car.size._replace(track=car.L / 2), {}, 1.0)
+    there = [one.forces(one.at(motion, command), *command) for one in (wide, car)]
+    model = universal_car(VEHICLE[name], (EFFECTS["track_width"],)).with_parameters(1 / jnp.asarray([0.5]))
+    still, at = (
+        [jnp.zeros(motion.shape[1])] * 4,
+        (State(*map(jnp.asarray, motion)), Control(*map(jnp.asarray, command))),
+    )
+    rise = np.stack(model.rates(*at, Place(*still), Aux(jnp.zeros((2, len(still[0]))), still[0]))) - np.stack(
+        VEHICLE[name].build()(*at)
+    )
+    (ax, ay, moment), (V, beta, _) = (
+        (getattr(there[0], of) - getattr(there[1], of) for of in ("ax", "ay", "moment")),
+        motion,
+    )
+    assert rise[2] == pytest.approx(moment / car.Iz, rel=1e-9, abs=1e-9) and np.abs(rise[2]).max() > 0.01
+    assert rise[0] == pytest.approx(ax * np.cos(beta) + ay * np.sin(beta), rel=1e-9, abs=1e-9)
+    assert V * rise[1] == pytest.approx(ay * np.cos(beta) - ax * np.sin(beta), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", VEHICLE)

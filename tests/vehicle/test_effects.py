@@ -23,7 +23,7 @@ NAMES = (
     "engine_drag drive_gain drive_lag power_limit wheel_spin differential_moment torque_vectoring mass yaw_inertia "
     "cog_shift roll_lag roll_steer steer_offset steer_gain steer_compliance steer_lag steer_delay steer_backlash "
     "road_bank road_grade side_wind friction_patch friction_fade gyro_bias gyro_scale sideslip_bias speed_scale "
-    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split"
+    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split track_width"
 ).split()
 OWNER = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
 BOUNDS = np.array([(p.lower, p.upper) for effect in EFFECTS.values() for p in effect.parameters])

@@ -54,6 +54,7 @@ _TABLE = {
     "drive_split": "Fxr ax delta",
     "brake_split": "Fxr ax delta",
     "yaw_moment": "1",
+    "track_width": "r delta beta alpha_f",
     "traction_limit": "Fxr ax alpha_r beta",
 }
 DRIVERS: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}

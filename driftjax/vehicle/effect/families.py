@@ -11,7 +11,7 @@ FAMILIES = {
                         "torque_vectoring", "drive_split", "brake_split", "engine_drag", "rolling_resistance",
                         "aero_drag"),
     "steering": ("steer_offset", "steer_gain", "steer_compliance", "steer_lag", "steer_delay", "steer_backlash"),
-    "chassis": ("mass", "yaw_inertia", "cog_shift", "yaw_moment"),
+    "chassis": ("mass", "yaw_inertia", "cog_shift", "yaw_moment", "track_width"),
     "road and weather": ("road_bank", "road_grade", "side_wind", "friction_patch"),
     "sensor": ("gyro_bias", "gyro_scale", "sideslip_bias", "speed_scale", "imu_lever_arm"),
     "time base": ("channel_delay",),
