@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import driftjax as dj
-from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.effect import EFFECTS, Parameter
 from driftjax.vehicle.effect.families import FAMILY_OF
 from experiments.independent.car import PARAMETERS, Car, Size
 from experiments.independent.driver import CAMPAIGN, Limits
@@ -48,10 +48,15 @@ def size_of(vehicle: dj.VehicleConfig) -> Size:
     return Size(v.m, v.Iz, v.a, v.b, v.mu, v.B, v.C, TRACK * v.width)
 
 
+def hidden_parameters(name: str) -> list[Parameter]:
+    """Return the parameters of the effect `name` that the plant hides; others of the catalogue follow from these."""
+    return [p for p in EFFECTS[name].parameters if p.name in PARAMETERS[name]]
+
+
 def draw_effect(name: str, vehicle: dj.VehicleConfig, rng: np.random.Generator) -> dict[str, float]:
     """Return the parameters of an effect, SI: 0.5 to 1.5 of their typical sizes, either sign where there are two."""
     values = {}
-    for parameter in (p for p in EFFECTS[name].parameters if p.name in PARAMETERS[name]):  # others follow from these
+    for parameter in hidden_parameters(name):
         both = parameter.lower < 0 and name != "combined_slip"  # of which the published car has none to take away
         size = min(STRONGER.get(name, 1.0) * rng.uniform(0.5, 1.5), LARGEST) * (rng.choice([-1, 1]) if both else 1)
         values[parameter.name] = float(size * parameter.scale(vehicle))
