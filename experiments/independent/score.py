@@ -10,6 +10,7 @@ from driftjax.vehicle.effect.families import FAMILY_OF
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 OTHERWISE_DEFINED = ("power_limit", "side_wind")  # whose parameters the plant defines otherwise than the catalogue
 OF_SENSORS = ("sensor", "time base")
+BODY = ("track_width",)  # what `body` brings along: not looked for, and not false where it is named
 Result = dict[str, Any]
 
 
@@ -37,9 +38,10 @@ def score(result: Result) -> Result:
     families = {FAMILY_OF[name] for name in [*named, *found.values()]}
     wanted = {FAMILY_OF[name] for name in hidden}
     tentative = {cause["effect"] for cause in causes if cause.get("exploratory")}
-    wrong = [name for name in named if name not in found]
+    there = BODY if result["case"]["body"] else ()
+    wrong = [name for name in named if name not in found and name not in there]
     false = [name for name in wrong if name not in tentative]
-    physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS]
+    physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS and name not in there]
     return {
         "first": bool(causes) and causes[0]["effect"] in found,
         "found": sorted(found.values()),

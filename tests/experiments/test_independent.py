@@ -256,8 +256,8 @@ def cause(effect: str, rivals: tuple[str, ...] = (), value: float = 0.0) -> dict
             "exploratory": False}  # fmt: skip
 
 
-def result(hidden: dict, causes: list, verdict: str = "NAMED", number: int = 0) -> dict:
-    case = {"number": number, "car": "rc", "hidden": hidden, "body": 1.0, "manoeuvres": ["drift"]}
+def result(hidden: dict, causes: list, verdict: str = "NAMED", number: int = 0, body: float = 1.0) -> dict:
+    case = {"number": number, "car": "rc", "hidden": hidden, "body": body, "manoeuvres": ["drift"]}
     return {"case": case, "causes": causes, "verdict": verdict, "seconds": 9.0, "explained": {"share": 0.9}}
 
 
@@ -270,6 +270,8 @@ def test_an_effect_is_found_by_name_or_in_a_small_set_once():
     assert both["false"] == ["drive_gain"] and both["missed"] == [] and both["first"]
     assert both["covered"] == {"mass.p": True, "steer_lag.tau": False}
     assert both["families_false"] == ["drive and brake"] and both["physics"] == ["mass", "drive_gain", "steer_lag"]
+    wide = [cause("track_width")]
+    assert score(result({}, wide))["false"] == [] and score(result({}, wide, body=0.0))["false"] == ["track_width"]
     tentative = score(result(hidden, [cause("steer_lag"), cause("drive_lag") | {"exploratory": True}]))
     assert tentative["false"] == [] and tentative["false_exploratory"] == ["drive_lag"]
     assert tentative["physics"] == ["steer_lag"] and tentative["physics_exploratory"] == ["drive_lag"]
