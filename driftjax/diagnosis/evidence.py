@@ -28,6 +28,7 @@ from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Claim, Selection
 from driftjax.diagnosis.worth import Worth, shapley_shares
 from driftjax.vehicle.effect.families import FAMILY_OF
 
+INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 DISCOVERY_RATE = 0.1  # share of exploratory effects that may be false
 CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
@@ -52,7 +53,12 @@ class Cause(NamedTuple):
     family_probability: float  # that it or another effect of its family acts
     worth: Worth  # its share in what all named effects explain
     at_bound: np.ndarray  # (k,) whether these data ask for more than the parameter may be
-    exploratory: bool = False  # whether it is not among those claimed at the family-wise rate of 5 %
+    exploratory: bool = False  # whether it is not claimed: by the test, or since it stands for something else
+
+    @property
+    def varies(self) -> bool:
+        """Whether its size differs from run to run, as that of no cause does."""
+        return self.invariance < INVARIANCE_LEVEL
 
 
 class NamedEffect(NamedTuple):
@@ -69,7 +75,7 @@ class NamedEffect(NamedTuple):
     family_probability: float  # that it or another effect of that family acts
     share: float  # of what all named effects explain together (Shapley 1953)
     share_ci95: list[float]
-    exploratory: bool  # named under a false discovery rate of 10 %, beside those claimed at a family-wise rate of 5 %
+    exploratory: bool  # not claimed: not at the family-wise rate of 5 %, or at its bound, or not the same in all runs
 
 
 def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
@@ -105,7 +111,10 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
 
 
 def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
-    """Return every named effect with its interval, probability and rivals, that of the largest share first."""
+    """Return every named effect with its interval, probability and rivals, that of the largest share first.
+
+    One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory.
+    """
     columns = problem.columns(selection.selected)
     if not len(columns):
         return []
@@ -114,6 +123,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     worth = shapley_shares(problem, selection)
     claim = selection.claims or claims(problem, selection, model, {i: one.share for i, one in worth.items()})
     each = []
+    ends = at_bound(problem, selection.fit.theta)
     for member in sorted(selection.selected, key=lambda i: -worth[i].share):
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
@@ -132,8 +142,8 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
                 claim[member].p_value,
                 family_probability(problem, share, member),
                 worth[member],
-                at_bound(problem, selection.fit.theta)[own],
-                claim[member].exploratory,
+                ends[own],
+                claim[member].exploratory or bool(ends[own].any()) or constant[member] < INVARIANCE_LEVEL,
             )  # fmt: skip
         )
     return each

@@ -17,7 +17,6 @@ MIN_DURATION = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 MIN_DETECTABLE_SHARE = 0.5  # share of effects that must be detectable before finding nothing means anything
 MOST = 0.5  # share of the excess error that what is named must explain beyond doubt
-INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 
 
 class Verdict(StrEnum):
@@ -93,10 +92,10 @@ def decide_verdict(
         if remaining.significant:
             text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
         return Judgement(Verdict.NOTHING, text + ".")
-    varying = [problem.effects[cause.effect].name for cause in named if cause.invariance < INVARIANCE_LEVEL]
+    varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
-    sure = all(cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() for cause in claimed)
-    certain = sure and not varying and not remaining.simpler
+    sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() and not cause.varies
+    certain = all(map(sure, claimed)) and not remaining.simpler
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")

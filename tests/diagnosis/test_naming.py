@@ -67,9 +67,8 @@ def test_a_cause_at_its_bound_is_marked(upper, ends):
     (named,) = named_effects(problem, [cause])
     assert named.parameters["tau"]["at_bound"] is ends
     assert ("at its bound" in describe_cause(problem, cause)) is ends
-    assert not named.exploratory and describe_cause(problem, cause._replace(exploratory=True)).startswith(
-        "Exploratory: "
-    )
+    assert named.exploratory is ends, "it stands for something else"
+    assert describe_cause(problem, cause).startswith("Exploratory: ") is ends
 
 
 def test_where_nothing_is_named_there_is_nothing_to_replace():

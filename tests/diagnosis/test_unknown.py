@@ -94,6 +94,9 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
     if verdict == Verdict.NAMED:
         told = decide_verdict(problem, found, [differing], remaining, 36.0, explained, 0.1)
         assert told.verdict == Verdict.SET and "differs from run to run" in told.sentence
+        beside = [cause, differing._replace(effect=ORDER.index("drive_gain"), exploratory=True)]
+        told = decide_verdict(problem, found, beside, remaining, 36.0, explained, 0.1)
+        assert told.verdict == Verdict.NAMED and "size of drive_gain differs from run to run" in told.sentence
         small = decide_verdict(problem, found, [], remaining, 36.0, explained, 0.1)
         assert small.verdict == Verdict.NOTHING and "too small" in small.sentence
         assumed = problem._replace(data=problem.data._replace(force_known=False))
