@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.lane_solve import MPCProblem, MPCResult, acceptable, solve_batch
-from driftjax.control.lqr import LQR
+from driftjax.control.lqr import ScheduledLQR, tracked_state
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
@@ -67,7 +67,7 @@ class Driver(eqx.Module):
     path: Track
     table: ReferenceTable
     pursuit: PurePursuit
-    lqr: LQR
+    lqr: ScheduledLQR | None  # of that kind only
     ocp: DriftOCP
     options: Options
     lead: Array = eqx.field(converter=as_float)
@@ -104,10 +104,16 @@ class Driver(eqx.Module):
         return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
 
     def stabilise(self, sensed: Sensed, memory: DriverState) -> Array:
-        """Return the command (2,) of the LQR around the tracked state at `s`, within the limits."""
-        x_ref, u_ref = self.table.state(sensed.s)
-        u = self.lqr(State(sensed.V, sensed.beta, sensed.r), x_ref, u_ref)
-        return within_limits(self.ocp, jnp.stack(u)[None], memory.command, share=0.0)[0]
+        """Return the command (2,) of the LQR around the reference at `s`, within the limits."""
+        assert self.lqr is not None, "a driver of this kind has gains"
+        motion, (u_ref,) = self.table.reference(sensed.s[None]).states()[0], self.table.inputs(sensed.s[None])
+        x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
+        x, x_ref = tracked_state(x, memory.command, memory.lagged_input), tracked_state(motion, u_ref, u_ref)
+        u = self.lqr(self.ocp, sensed.s, x, x_ref)
+        car = self.ocp.nominal  # beyond the peak of the front tyres more steering does less, which no gain knows
+        ahead = car.slip_angles(State(sensed.V, sensed.beta, sensed.r), Control(jnp.zeros(()), u[1]))[0]
+        u = u.at[0].set(jnp.clip(u[0], ahead - car.peaks[0], ahead + car.peaks[0]))
+        return within_limits(self.ocp, u[None], memory.command, share=0.0)[0]
 
     def mpc_problem(self, sensed: Sensed, memory: DriverState, needed: Array) -> MPCProblem:
         """Build the drift MPC problem of this step, with the reference as initial guess.

@@ -1,4 +1,4 @@
-"""LQR around a drift equilibrium: a controller that the paper compares with."""
+"""LQR around a drift equilibrium, and along a whole reference: a controller that the paper compares with."""
 
 from collections.abc import Callable
 
@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from driftjax.control.mpc import DriftOCP
+from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, rk4_step
 
 SWEEPS = 500  # Riccati iterations; drift equilibria converge in under 100
@@ -54,3 +56,52 @@ def lqr(
 
     P = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.diag(Q))
     return LQR(jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, B.T @ P @ A) / scale[:, None])
+
+
+class ScheduledLQR(eqx.Module):
+    """Gains along a reference, on the state of the drift MPC: motion, place, last command and actuator outputs."""
+
+    s: Float[Array, " N"]  # arc length of each gain [m]
+    K: Float[Array, "N 2 9"]  # over the scales of the MPC
+
+    def __call__(self, ocp: DriftOCP, s: Array, x: Float[Array, " 9"], x_ref: Float[Array, " 9"]) -> Float[Array, " 2"]:
+        """Return the command (delta [rad], Fxr [N]) at arc length `s`, without limits; states in SI."""
+        at = jnp.clip(jnp.interp(s, self.s, jnp.arange(len(self.s), dtype=float)), 0.0, len(self.s) - 1.0)
+        i = jnp.minimum(jnp.floor(at).astype(int), len(self.s) - 2)
+        K = self.K[i] + (at - i) * (self.K[i + 1] - self.K[i])
+        return x_ref[5:7] - (K @ ((x - x_ref) / ocp.x_scale)) * ocp.u_scale
+
+
+def tracked_state(motion: Float[Array, " 5"], command: Float[Array, " 2"], output: Float[Array, " 2"]) -> Array:
+    """Return the state (9,) of the drift MPC, SI: (V, beta, r, e, theta), last command, actuator outputs."""
+    return jnp.concatenate([motion, command, output])
+
+
+def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, price: Array) -> ScheduledLQR:
+    """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
+
+    Dynamics and cost are those of the drift MPC, to first and second order about the reference, without limits and
+    with `price` times the weight of input changes. The Riccati recursion runs backwards from the stationary solution of
+    the last step (Anderson and Moore 1990, Sec. 2.4).
+    """
+    ocp = eqx.tree_at(lambda o: o.R, ocp, price * ocp.R)
+    s = table.schedule(table.drift_start - lead, num, ocp.dt)[:-1]
+    reference, U = table.reference(s), table.inputs(s)
+
+    def local(p, u):
+        x = tracked_state(p.states(), u, u) / ocp.x_scale
+        A, B = jax.jacfwd(ocp.step, (0, 1))(x, u / ocp.u_scale, p)
+        w = jnp.concatenate([x, u / ocp.u_scale])
+        return A, B, jax.hessian(lambda w: ocp.cost(w[:9], w[9:], p))(w) / 2
+
+    def sweep(P, row):
+        A, B, H = row
+        S, R = H[9:, :9] + B.T @ P @ A, H[9:, 9:] + B.T @ P @ B
+        K = jnp.linalg.solve(R, S)
+        P = H[:9, :9] + A.T @ P @ A - S.T @ K
+        return (P + P.T) / 2, K
+
+    rows = jax.vmap(local)(reference, U)
+    last = jax.tree.map(lambda a: a[-1], rows)
+    P = jax.lax.fori_loop(0, SWEEPS, lambda _, P: sweep(P, last)[0], last[2][:9, :9])
+    return ScheduledLQR(s, jax.lax.scan(sweep, P, rows, reverse=True)[1])

@@ -138,6 +138,8 @@ class LearnConfig:
     mpc: MPCConfig = field(default_factory=MPCConfig)
     path: Weights = Weights((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
     paper: Weights = Weights()
+    lqr_price: float = 1000.0
+    """How many times more than in the MPC input changes weigh in the LQR, which knows no limits."""
     entry_error: float = 10.0
     """How many times more than in the MPC the lateral error weighs where the corner is planned on the corrected car:
     what cannot be had at once then gives way in speed, not in path."""

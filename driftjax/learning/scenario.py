@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.control.driver import Driver, SwitchConfig
-from driftjax.control.lqr import lqr
+from driftjax.control.lqr import ScheduledLQR, schedule_lqr
 from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
@@ -203,15 +203,20 @@ def _problems(
     return eqx.tree_at(lambda o: o.residual, stacked, residual)
 
 
+@eqx.filter_jit
+def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, price: float) -> ScheduledLQR:
+    """Compute the gains of every entry (leading axis)."""
+    return jax.lax.map(lambda of: schedule_lqr(*of, num, jnp.asarray(lead), jnp.asarray(price)), (ocp, table))
+
+
 def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
     """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)
-    gain = lqr(scenario.nominal, scenario.x_eq, scenario.u_eq, jnp.asarray(config.paper.Q), ocp.R[0], ocp.dt[0])
+    gains = _gains(ocp, table, scenario.horizon, config.switch.lead, config.lqr_price) if kind == "lqr" else None
     options = Options(config.mpc.tolerance, 1.0, config.mpc.max_steps)
     switch: SwitchConfig = config.switch
-    shared = (pure_pursuit(config.pursuit, vehicle), gain)
-    pursuit, gain = scenario.over_batch(shared)
+    pursuit = scenario.over_batch(pure_pursuit(config.pursuit, vehicle))
     limits = scenario.over_batch(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
     path, options = scenario.over_batch((scenario.plan.path, options))
-    return Driver(kind, path, table, pursuit, gain, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]
+    return Driver(kind, path, table, pursuit, gains, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]

@@ -83,7 +83,7 @@ def stage_values(scenario: Scenario, stage: StageResult, kind: str) -> dict[str,
     values |= {"t": stage.laps.dt * np.arange(trace.s.shape[1])}
     values |= {
         "plant": np.array([entry.plant for entry in scenario.batch], object),
-        "controller": np.array([kind if kind != "mpc" else entry.controller for entry in scenario.batch], object),
+        "controller": np.array([kind if kind == "pursuit" else entry.controller for entry in scenario.batch], object),
         "seed": np.array([entry.seed for entry in scenario.batch]),
     }
     return {name: np.asarray(value) for name, value in values.items()}

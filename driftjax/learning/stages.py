@@ -55,10 +55,13 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
     if kind == "gpr":
         return None if bool(progress.converged) else _gpr(scenario, progress, number)
     initial = _initial_residual(scenario)
-    plan = scenario.over_batch(scenario.table)
-    if kind in ("pursuit", "lqr"):
-        stage = run_stage(scenario, drivers(scenario, kind, plan, initial), number)
-        return progress, _data(scenario, stage, kind)
+    if kind == "pursuit":
+        plan = scenario.over_batch(scenario.table)
+        return progress, _data(scenario, run_stage(scenario, drivers(scenario, kind, plan, initial), number), kind)
+    if kind == "lqr":  # along the reference of the nominal MPC, with its weights
+        planned = _nominal_reference(scenario, initial)
+        stage = run_stage(scenario, drivers(scenario, kind, planned.table, initial), number)
+        return progress, _data(scenario, stage, kind, planned=planned)
     if kind == "paper":  # the paper's own cost, nominal car: how often it fails is part of the comparison
         batch = tuple(dataclasses.replace(entry, controller="paper") for entry in scenario.batch)
         other, planned = dataclasses.replace(scenario, batch=batch), _nominal_reference(scenario, initial)
@@ -181,7 +184,7 @@ def _data(
         widest = found.widest[:, None]
         values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}
         values |= {"vset_lower": found.origin - widest, "vset_upper": found.origin + widest}
-    if kind != "mpc":  # these drivers do not depend on the controller: one block of entries suffices
+    if kind == "pursuit":  # it does not depend on the controller: one block of entries suffices
         num = scenario.batch_size // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}
     return dataset({name: np.asarray(value) for name, value in values.items()}, {"codes": CODES})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from driftjax.control.lqr import lqr
+from driftjax.control.lqr import lqr, schedule_lqr
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.residual import nearby
@@ -50,6 +50,29 @@ def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
         driving, braking = float(at(0.0, 10.0, 50.0, r).Fxr), float(at(0.0, 10.0, -50.0, r).Fxr)
         assert np.hypot(driving, rear * 10.0 * r) == pytest.approx(rear * 9.81 * CAR.mu) and braking == -driving
     assert abs(float(at(0.0, 10.0, 50.0, 1.2).Fxr)) < 1e-2 * rear * 9.81  # no grip is left
+
+
+def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discrete_riccati_equation(price=7.0):
+    (x, u), weights = DRIFT, Weights((1.0, 700.0, 500.0), (30.0, 200.0))
+    residual = no_residual(zero_gp(1, 5, 3))
+    ocp = drift_ocp(MPCConfig(), weights, CAR, eqx.tree_at(lambda d: d.lags, residual, jnp.array([0.05, 0.1])))
+    values = (x.V, x.r / x.V, x.V, x.beta, x.r, 0.0, -x.beta, u.delta, u.Fxr)
+    table = ReferenceTable(0.0, 1.0, *(jnp.full(101, value) for value in values), drift_start=20.0, drift_end=40.0)
+    gains = jax.jit(schedule_lqr, static_argnums=2)(ocp, table, 30, jnp.asarray(5.0), jnp.asarray(price))
+    assert gains.s[0] == 15.0 and len(gains.s) == 30
+    p, at = jax.tree.map(lambda a: a[0], table.reference(gains.s[:1])), jnp.stack(u) / ocp.u_scale
+    z = jnp.concatenate([p.states(), jnp.stack(u), jnp.stack(u)]) / ocp.x_scale
+    A, B = (np.asarray(J) for J in jax.jit(jax.jacfwd(ocp.step, (0, 1)))(z, at, p))
+    weight, unit = np.diag(np.r_[ocp.Q, 0, 0, 0, 0]) * np.asarray(ocp.x_scale) ** 2, np.asarray(ocp.u_scale)
+    R = price * np.diag(np.asarray(ocp.R) * unit**2)
+    change = np.eye(9)[5:7]
+    P = solve_discrete_are(A, B, weight + change.T @ R @ change, R, s=-change.T @ R)
+    K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A - R @ change)
+    for gain in gains.K:
+        np.testing.assert_allclose(gain, K, rtol=1e-5, atol=1e-7 * np.abs(K).max())
+    assert np.max(np.abs(np.linalg.eigvals(A - B @ K))) < 1 < np.max(np.abs(np.linalg.eigvals(A)))
+    held = gains(ocp, jnp.asarray(22.3), z * ocp.x_scale, z * ocp.x_scale)
+    np.testing.assert_allclose(held, jnp.stack(u), rtol=1e-12)
 
 
 def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():

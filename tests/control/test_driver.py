@@ -8,7 +8,7 @@ import pytest
 
 from driftjax.control.driver import Driver, DriverState, decide
 from driftjax.control.lane_solve import solve_with_fallback
-from driftjax.control.lqr import LQR
+from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable
@@ -26,7 +26,8 @@ def driver(kind) -> Driver:
     columns = [jnp.asarray(np.full(11, value)) for value in (10.0, 0.0, 9.0, -0.5, 1.0, 0.0, 0.5, -0.3, 6000.0)]
     table = ReferenceTable(0.0, 10.0, *columns, drift_start=40.0, drift_end=60.0)
     ocp = drift_ocp(MPCConfig(horizon=3), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
-    return Driver(kind, path, table, pure_pursuit(PursuitConfig(), CAR), LQR(jnp.zeros((2, 3))), ocp, Options(),
+    gains = ScheduledLQR(jnp.array([30.0, 70.0]), jnp.zeros((2, 2, 9)))
+    return Driver(kind, path, table, pure_pursuit(PursuitConfig(), CAR), gains, ocp, Options(),
                   lead=6.0, trail=4.0, handover_beta=0.15)  # fmt: skip
 
 

@@ -153,7 +153,7 @@ def synthetic_run(path: Path, plants: int = 3, stages: tuple[str, ...] = tuple(E
     run, plan = RunFolder.create(path, config), synthetic_plan()
     run.write_dataset("plan.nc", plan)
     for number, name in enumerate(stages):
-        controllers = (name,) if name in ("pursuit", "lqr") else ("path", "paper")
+        controllers = (name,) if name == "pursuit" else ("path", "paper")
         run.write_stage(name, synthetic_stage(name, plan, controllers, plants, number), b"state")
     run.write_json("results", synthetic_results(run))
     return run

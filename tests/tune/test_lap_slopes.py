@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from driftjax.control.driver import Driver
-from driftjax.control.lqr import LQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable
@@ -45,8 +44,7 @@ def batch():
     )  # fmt: skip
     weights = Weights((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
     ocp = drift_ocp(MPCConfig(horizon=8, max_steps=60), weights, car, no_residual(zero_gp(1, 5, 3)))
-    gain = LQR(jnp.zeros((2, 3)))
-    driver = Driver("mpc", path, table, pure_pursuit(PursuitConfig(), car), gain, ocp, Options(1e-8, 1.0, 60),
+    driver = Driver("mpc", path, table, pure_pursuit(PursuitConfig(), car), None, ocp, Options(1e-8, 1.0, 60),
                     lead=2.7, trail=30.0, handover_beta=0.15)  # fmt: skip
     batched = jax.tree.map(lambda a: jnp.asarray(a)[None] if eqx.is_array(a) else a, driver)
     return batched, stack_plants([load_plant("sedan")]), jnp.array([10.0]), jax.random.key(0)[None]

@@ -18,7 +18,7 @@ METHODS = {
     "gpr-best": "GPR in reference and MPC, best setting again",
     "explore-best": "explored, best setting again",
 }
-ALONE = ("pursuit", "lqr")  # drivers of their own, whatever the controller
+ALONE = ("pursuit",)  # drivers of their own, whatever the controller
 CONTROLLERS = ("paper", "path")
 GAINS = {  # name: (before, after, figure)
     "gpr": ("nominal", "gpr-best", "lateral_error"),
@@ -38,9 +38,11 @@ def compare_methods(run: RunFolder, car: str) -> dict[str, Any]:
     """Return methods, gains, extrapolation and targets of one car."""
     section, stages = section_of(run), {name: run.read_stage(name) for name in run.finished()}
     found: dict[str, dict[str, dict[str, np.ndarray]]] = {
-        who: {name: per_plant(data, name if name in ALONE else who, section) for name, data in stages.items()}
+        who: {
+            name: per_plant(data, who if who in data["controller"] else name, section) for name, data in stages.items()
+        }
         for who in CONTROLLERS
-    }
+    }  # in older runs the LQR was a driver of its own
     gains = {who: {name: paired_gain(found[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}
     beyond = {who: extrapolated(run, who, section) for who in CONTROLLERS}
     return {
