@@ -206,7 +206,8 @@ def _problems(
 @eqx.filter_jit
 def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, price: float) -> ScheduledLQR:
     """Compute the gains of every entry (leading axis)."""
-    return jax.lax.map(lambda of: schedule_lqr(*of, num, jnp.asarray(lead), jnp.asarray(price)), (ocp, table))
+    one = lambda of: schedule_lqr(of[0], of[1], num, jnp.asarray(lead), jnp.asarray(price))
+    return jax.lax.map(one, (ocp, table))
 
 
 def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
