@@ -6,14 +6,12 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import default_out, parse, print_notes, run_in
-from driftjax.core import require
-from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, calibrate
+from driftjax.diagnosis.calibrate import calibrate, effects_to_fit
 from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.effect import effects_by_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,8 +34,13 @@ class Calibrate:
     left out."""
     cut: float | None = None
     """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
-    effects: tuple[str, ...] = DEFAULT_EFFECTS
-    """Effects of the catalogue to fit."""
+    effects: tuple[str, ...] | None = None
+    """Effects of the catalogue to fit; left out: friction, stiffness_front, stiffness_rear, drive_gain and
+    steer_offset, and with `--staged` also drive_lag, rolling_resistance, aero_drag, steer_gain, steer_lag, tyre_shape
+    and combined_slip."""
+    staged: bool = False
+    """Fit by stages: straight and coasting stretches of the log decide what they can first, then cornering with grip,
+    then the limit."""
     held_out: int = 3
     """Every so-many-th run is held out to measure the gain on, by a fit without them; 0: none."""
     out: Path | None = None
@@ -45,8 +48,7 @@ class Calibrate:
 
     def __post_init__(self) -> None:
         check_held_out(self.held_out)
-        require(bool(self.effects), "key 'effects' is empty; name the effects to fit.")
-        effects_by_name(self.effects)
+        effects_to_fit(self.effects, self.staged)
 
 
 def run(argv: list[str]) -> int:
@@ -55,14 +57,13 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
-    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut, "effects": list(flags.effects)}
-    folder = RunFolder.create(
-        flags.out or default_out("calibrate", vehicle.name), options | {"held_out": flags.held_out}, "calibrate"
-    )
+    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut, "staged": flags.staged}
+    options |= {"effects": list(effects_to_fit(flags.effects, flags.staged)), "held_out": flags.held_out}
+    folder = RunFolder.create(flags.out or default_out("calibrate", vehicle.name), options, "calibrate")
 
     def work() -> int:
         print_notes(log.notes)
-        calibration = calibrate(vehicle, log, flags.effects, held_out=flags.held_out)
+        calibration = calibrate(vehicle, log, flags.effects, staged=flags.staged, held_out=flags.held_out)
         calibration.save(folder.path)
         print(calibration)
         print(gain_table(folder.read_json("calibration")["gain"]))

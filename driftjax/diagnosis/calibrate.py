@@ -15,18 +15,23 @@ from driftjax.diagnosis.fit import (
     Problem,
     at_bound,
     evaluate,
+    information,
     initial_problem,
+    linearise,
     refit_to_convergence,
     with_estimated_noise,
     with_noise,
 )
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_runs
+from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
 from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 from driftjax.diagnosis.serialise import extended_car, gain_json
+from driftjax.diagnosis.stages import STAGES, fit_staged, least_samples
+from driftjax.diagnosis.stretches import Stretch, durations, find_stretches
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.store.files import write_json
@@ -34,6 +39,12 @@ from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, effects_by_name
 
 DEFAULT_EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
+STAGED_EFFECTS = (
+    "drive_gain", "drive_lag", "rolling_resistance", "aero_drag", "steer_offset", "steer_gain", "steer_lag",
+    "stiffness_front", "stiffness_rear", "friction", "tyre_shape", "combined_slip",
+)  # fmt: skip
+MENTIONED = 0.1  # share in an estimate from which a stretch is mentioned in the table
+DISAGREES = 2.0  # standard deviations by which later stretches move an estimate, from which they are said to disagree
 
 
 class FittedParameter(NamedTuple):
@@ -44,6 +55,23 @@ class FittedParameter(NamedTuple):
     ci95_half: float  # half-width of its 95 % interval
     unit: str
     at_bound: bool  # these data ask for more
+    decided_by: dict[str, float]  # kind of stretch, and prior: its share in the estimate
+    dead: bool  # these data say nothing of it
+    flat: bool  # its interval is wider than its typical size
+    trades_off_with: tuple[str, ...]  # parameters that these data hardly tell it apart from
+    moved: float  # by later stages, in standard deviations of the estimate of its own stage; 0 of a fit at once
+
+    @property
+    def remarks(self) -> str:
+        """Return what is to be said of it in the table."""
+        if self.dead:
+            return "dead: these data say nothing of it"
+        found = ["at its bound: these data ask for more"] if self.at_bound else []
+        found += ["flat: the interval is wider than the typical size"] if self.flat else []
+        found += [f"trades off with {', '.join(self.trades_off_with)}"] if self.trades_off_with else []
+        if abs(self.moved) > DISAGREES:
+            found.append(f"harder stretches disagree: they moved it by {self.moved:+.1f} standard deviations")
+        return "; ".join(found)
 
 
 @dataclass(frozen=True)
@@ -54,33 +82,59 @@ class Calibration:
     problem: Problem  # with noise and observer of the fitted car
     selected: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
     fit: Fit
-    scores: Scores
+    scores: Scores  # with the precision of the parameters for information
     half_width: np.ndarray  # (k,) of the 95 % intervals, in typical sizes
-    bound: tuple[str, ...]  # parameters that ended on a bound of theirs
+    identifiability: tuple[Identifiability, ...]  # of each parameter
+    moved: np.ndarray  # (k,) by later stages, in standard deviations
+    stretch: np.ndarray  # (P, T) kind of stretch of each sample
+    staged: bool
     gain: Gain | None  # on runs held out, of a car fitted without them; None where there are too few
 
     @property
     def vehicle(self) -> VehicleConfig:
-        """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`."""
-        return extended_car(self.nominal, self.problem, self.selected, self.fit.theta, self.scores)
+        """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`; without dead effects."""
+        alive = dict(zip(self.problem.columns(self.selected), self.identifiability, strict=True))
+        told = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
+        return extended_car(self.nominal, self.problem, told, self.fit.theta, self.scores)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
         """Return every fitted parameter, SI."""
         problem = self.problem
         columns, scale = problem.columns(self.selected), np.asarray(problem.model.scale)
-        names = [(problem.effects[i].name, p) for i in self.selected for p in problem.effects[i].parameters]
-        values, widths = self.fit.theta[columns] * scale[columns], self.half_width * scale[columns]
+        parameters = [(problem.effects[i], p) for i in self.selected for p in problem.effects[i].parameters]
+        names, bound = [f"{effect.name}.{p.name}" for effect, p in parameters], at_bound(problem, self.fit.theta)
         return tuple(
-            FittedParameter(f"{name}.{p.name}", float(value), float(half), p.unit, f"{name}.{p.name}" in self.bound)
-            for (name, p), value, half in zip(names, values, widths, strict=True)
-        )
+            FittedParameter(
+                name, float(self.fit.theta[k] * scale[k]), float(half * scale[k]), p.unit, bool(bound[k]),
+                dict(zip([kind.label for kind in Stretch] + ["prior"], map(float, one.shares), strict=True)),
+                one.dead, one.flat,
+                tuple(names[i] for i in one.trades_off_with), float(moved),
+            )
+            for name, (_, p), k, half, one, moved in zip(
+                names, parameters, columns, self.half_width, self.identifiability, self.moved, strict=True
+            )
+        )  # fmt: skip
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Return a sentence for each kind of stretch of which the runs have less than 10 sqrt(L/g)."""
+        least, names = least_samples(self.problem), []
+        missing = [kind for kind in Stretch if np.sum(self.stretch == kind) < least]
+        for kind in missing:
+            stage = next(stage for stage in STAGES if kind in stage.stretches)
+            own = [self.problem.effects[i].name for i in self.selected if self.problem.effects[i].name in stage.effects]
+            names.append(f"no {kind.label} stretch: {', '.join(own)} must be decided by others" if own else "")
+        return tuple(f"{sentence}." for sentence in names if sentence)
 
     def content(self) -> dict[str, Any]:
         """Return the content of calibration.json."""
         noise = self.problem.noise
         return {
             "parameters": [one._asdict() for one in self.parameters],
+            "staged": self.staged,
+            "stretches_s": durations(self.stretch, self.problem.data.dt),
+            "lacking": list(self.lacking),
             "gain": gain_json(self.gain),
             "noise": {"measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
                       "correlation_s": noise.correlation},
@@ -95,45 +149,64 @@ class Calibration:
         return folder
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}"]
+        times = durations(self.stretch, self.problem.data.dt).items()
+        lines = [f"stretches: {', '.join(f'{name} {time:.1f} s' for name, time in times)}", *self.lacking]
+        lines.append(f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}{'':11}{'decided by':38}remarks")
         for one in self.parameters:
-            end = "   on its bound: these data ask for more" if one.at_bound else ""
             unit = "" if one.unit == "1" else one.unit
-            lines.append(f"{one.parameter:28}{one.value:12.4g} ± {one.ci95_half:9.2g} {unit}{end}".rstrip())
+            shares = sorted(one.decided_by.items(), key=lambda pair: -pair[1])
+            by = ", ".join(f"{name} {share:.0%}" for name, share in shares if share >= MENTIONED)
+            number = f"{one.value:12.4g} ± {one.ci95_half:9.2g} {unit:10}"
+            lines.append(f"{one.parameter:28}{number}{by or 'nothing':38}{one.remarks}".rstrip())
         return "\n".join(lines) + "\n"
 
 
 def calibrate(
-    vehicle: VehicleConfig, log: Log, effects: Sequence[str] = DEFAULT_EFFECTS, *, held_out: int = 3, seed: int = 0,
-    catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    vehicle: VehicleConfig, log: Log, effects: Sequence[str] | None = None, *, staged: bool = False, held_out: int = 3,
+    seed: int = 0, catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
 ) -> Calibration:  # fmt: skip
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
-    Nothing is tested here: what `diagnose` should find later is to be left out. Every `held_out`-th run is held out
-    to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects that these runs cannot tell.
+    Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
+    decide first, see `stages`; the default effects are then `STAGED_EFFECTS` instead of `DEFAULT_EFFECTS`. Every
+    `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects
+    that these runs cannot tell.
     """
     require_float64()
     check_held_out(held_out)
-    require(bool(effects), "key 'effects' is empty; name the effects to fit.")
-    runs, names = log.runs, tuple(effects)
-    wanted = {effect.name for effect in effects_by_name(names)}
+    runs, wanted = log.runs, effects_to_fit(effects, staged)
     problem = initial_problem(vehicle, catalogue, runs)
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
     lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs or ("Fxr",))
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
-    problem, fit, at = fit_effects(with_nominal_noise(problem), selected)
-    last = scores(problem, at, fit.theta, selected, seed)
-    on = [f"{problem.effects[i].name}.{p.name}" for i in selected for p in problem.effects[i].parameters]
-    columns = problem.columns(selected)
-    bound = tuple(name for name, end in zip(on, at_bound(problem, fit.theta)[columns], strict=True) if end)
-    gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed)
-    return Calibration(vehicle, problem, selected, fit, last, half_widths(problem, last, selected), bound, gain)
+    loose, columns = with_nominal_noise(problem), problem.columns(selected)
+    if staged:
+        problem, fit, stages = fit_staged(loose, selected)
+        at = stages.weigh(linearise(problem, fit))
+        stretch, precision, prior, moved = stages.stretch, stages.precision, stages.prior, stages.moved
+    else:
+        problem, fit, at = fit_effects(loose, selected)
+        stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
+        precision = information(at.J) + DEAD * problem.prior
+    last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
+    half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
+    known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
+    told = identifiability(known, prior[columns], precision[square], half_width)
+    gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
+    return Calibration(vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain)
+
+
+def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:
+    """Return the names of the `effects`, or the default ones; raises `BadInput` for none and for unknown names."""
+    names = tuple((STAGED_EFFECTS if staged else DEFAULT_EFFECTS) if effects is None else effects)
+    require(bool(names), "key 'effects' is empty; name the effects to fit.")
+    return tuple(effect.name for effect in effects_by_name(names))
 
 
 def calibration_gain(
-    problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int
+    problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int, staged: bool
 ) -> Gain | None:
     """Return the gain on every `held_out`-th run of the effects `selected`, fitted without those runs.
 
@@ -143,7 +216,7 @@ def calibration_gain(
     if not len(held):
         return None
     loose, apart = with_nominal_noise(problem.subset(use)), problem.subset(held)
-    near, fit, _ = fit_effects(loose, selected)
+    near, fit, _ = (fit_staged if staged else fit_effects)(loose, selected)
     bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, fit.theta, near.noise)
     ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
     comparison = Comparison(test, ahead, noise_floor(test, fit.theta, ahead["fitted"], seed))

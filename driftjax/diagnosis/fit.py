@@ -57,6 +57,12 @@ class Problem(NamedTuple):
     noise: Noise
     gains: Gains
     motion: MotionNoise | None = None  # of pose and accelerations, where these count
+    precision: np.ndarray | None = None  # (K, K) of the Gaussian prior about `start`; None: of `PRIOR` alone
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Return the precision (K, K) of the Gaussian prior about `start`."""
+        return np.eye(len(self.owner)) / PRIOR**2 if self.precision is None else self.precision
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -218,7 +224,8 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     if problem.motion is not None:
         further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing
-    cost += float(np.sum((theta - problem.start) ** 2)) / PRIOR**2
+    moved = theta - problem.start
+    cost += float(moved @ problem.prior @ moved)
     return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
 
 
@@ -250,8 +257,8 @@ def refine(
         return fit
     last, J = np.inf, np.asarray(near.J)[..., columns]
     for _ in range(num):
-        H = information(J) + np.eye(len(columns)) / PRIOR**2
-        score = np.einsum("ptij,pti->j", J, fit.e) - (fit.theta - problem.start)[columns] / PRIOR**2
+        H = information(J) + problem.prior[np.ix_(columns, columns)]
+        score = np.einsum("ptij,pti->j", J, fit.e) - (problem.prior @ (fit.theta - problem.start))[columns]
         step = np.zeros_like(fit.theta)
         step[columns] = np.linalg.solve(H, score)
         if not score @ step[columns] > tolerance:  # what the step promises

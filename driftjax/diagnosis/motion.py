@@ -176,10 +176,15 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
     return jax.tree.map(lambda a: a[:, :n], found)
 
 
+def window_ends(model: Universal, data: Pieces) -> slice:
+    """Return the samples at which the windows of a piece end."""
+    W = window_size(model, data.dt)
+    return slice(W, W * ((data.size - 1) // W) + 1, W)
+
+
 def window_blocks(model: Universal, data: Pieces) -> np.ndarray:
     """Return the number (P, n) of the block in which each window ends."""
-    W = window_size(model, data.dt)
-    return data.block[:, W : W * ((data.size - 1) // W) + 1 : W]
+    return data.block[:, window_ends(model, data)]
 
 
 def estimate_motion_noise(
@@ -288,7 +293,6 @@ def _whitened(found: Residuals, noise: MotionNoise) -> tuple[np.ndarray, np.ndar
 
 def _at_ends(windows: np.ndarray, model: Universal, data: Pieces) -> np.ndarray:
     """Place values of windows (P, n, ...) at the samples (P, T, ...) at which these end, zero elsewhere."""
-    W, num = window_size(model, data.dt), windows.shape[1]
     whole = np.zeros((len(windows), data.size, *windows.shape[2:]))
-    whole[:, W : W * num + 1 : W] = windows
+    whole[:, window_ends(model, data)] = windows
     return whole

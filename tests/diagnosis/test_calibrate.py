@@ -24,10 +24,11 @@ def here(tmp_path, monkeypatch):
 TRUE = {"friction_rear": -1.0, "stiffness_front": 0.8, "steer_offset": -0.7}
 
 
-def test_sizes_are_those_hidden_and_gain_on_runs_held_out(monkeypatch, capsys):
+@pytest.mark.parametrize("by", [(), pytest.param(("--staged",), marks=pytest.mark.slow)])
+def test_sizes_are_those_hidden_and_gain_on_runs_held_out(by, monkeypatch, capsys):
     monkeypatch.setattr("driftjax.cli.calibrate.calibrate", functools.partial(calibrate, catalogue=KNOWN))
     write_log(Path("log.csv"), recorded(hidden(**TRUE), 5, 6))
-    assert main(["calibrate", "log.csv", "--combined-slip", "1", "--effects", *TRUE, "--out", "car"]) == 0
+    assert main(["calibrate", "log.csv", "--combined-slip", "1", "--effects", *TRUE, "--out", "car", *by]) == 0
     car = load_vehicle("car/calibrated.yaml")
     typical = {effect.name: effect.parameters[0].scale(car) for effect in KNOWN}
     assert [one.effect for one in car.effects] == [effect.name for effect in KNOWN if effect.name in TRUE]
@@ -35,7 +36,10 @@ def test_sizes_are_those_hidden_and_gain_on_runs_held_out(monkeypatch, capsys):
         assert one.ci95_half is not None
         assert abs(one.value - TRUE[one.effect] * typical[one.effect]) < 1.5 * one.ci95_half < 0.3 * typical[one.effect]
     told = json.loads(Path("car/calibration.json").read_text())
-    assert not any(row["at_bound"] for row in told["parameters"])
+    assert not any(row["at_bound"] or row["dead"] or row["flat"] for row in told["parameters"])
+    assert all(np.isclose(sum(row["decided_by"].values()), 1, atol=0.01) for row in told["parameters"])
+    decided = {row["parameter"]: max(row["decided_by"], key=row["decided_by"].get) for row in told["parameters"]}
+    assert decided["friction_rear.p"] == "limit" and told["staged"] == bool(by)
     assert told["gain"]["ci95"]["fitted"][0] > 0.5 and len(told["gain"]["held_out_runs"]) == 2
     words = capsys.readouterr().out
     assert "friction_rear.p" in words and "nominal" in words and "fitted" in words

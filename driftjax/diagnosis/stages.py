@@ -1,0 +1,163 @@
+"""Fit effects stage by stage: gentle stretches of a log decide what they can before harder ones are looked at.
+
+A stage frees the effects of its own kind and those of earlier stages, and counts only innovations of its own
+stretches. Effects of later stages are considered: they are not estimated, but what is estimated depends on them, and
+its covariance says how (consider filter; Schmidt 1966). The estimate and that covariance are the next stage's prior,
+so that harder stretches move an earlier estimate only by as much as both deserve.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from driftjax.diagnosis.fit import (
+    Fit,
+    Problem,
+    evaluate,
+    information,
+    refit_to_convergence,
+    with_estimated_noise,
+)
+from driftjax.diagnosis.identifiability import DEAD
+from driftjax.diagnosis.motion import window_ends
+from driftjax.diagnosis.multistart import require_finite
+from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.runs import Linearisation, take
+from driftjax.diagnosis.score import overdispersion, sums_by_block
+from driftjax.diagnosis.stretches import Stretch, find_stretches
+
+LEAST = 10.0  # time that all stretches of a stage last together, or else it is left out [sqrt(L/g)]
+PASSES = 3  # through all stages at most, once the noise of the fitted car is known
+SETTLED = 0.2  # largest change of a parameter in a pass, in its standard deviations, from which another is worthwhile
+
+
+class Stage(NamedTuple):
+    """One stage of a calibration."""
+
+    stretches: tuple[Stretch, ...]  # whose innovations count
+    effects: frozenset[str]  # freed from here on
+
+
+STAGES = (
+    Stage(
+        (Stretch.COASTING, Stretch.STRAIGHT),
+        frozenset({"drive_gain", "drive_lag", "power_limit", "engine_drag", "rolling_resistance", "aero_drag", "mass",
+                   "speed_scale", "gyro_bias", "sideslip_bias", "road_grade"}),
+    ),
+    Stage(
+        (Stretch.CORNERING,),
+        frozenset({"steer_offset", "steer_gain", "steer_lag", "steer_delay", "steer_backlash", "steer_compliance",
+                   "stiffness_front", "stiffness_rear", "relaxation_length", "roll_steer", "roll_lag", "yaw_inertia",
+                   "cog_shift", "yaw_moment", "torque_vectoring", "gyro_scale", "imu_lever_arm", "channel_delay",
+                   "road_bank", "side_wind"}),
+    ),
+    Stage(
+        (Stretch.LIMIT,),
+        frozenset({"friction", "friction_front", "friction_rear", "tyre_shape", "sliding_friction", "friction_fade",
+                   "friction_patch", "traction_limit", "combined_slip", "load_sensitivity", "load_transfer_long",
+                   "load_transfer_lat", "track_width", "downforce", "differential_moment", "drive_split", "brake_split",
+                   "wheel_spin"}),
+    ),
+)  # fmt: skip
+
+
+class StageResult(NamedTuple):
+    """Result of all stages."""
+
+    theta: np.ndarray  # (K,) in typical sizes
+    stretch: np.ndarray  # (P, T) kind of stretch of each sample
+    precision: np.ndarray  # (K, K) that the data give the parameters, and a tenth of the prior
+    prior: np.ndarray  # (K,) precision of the prior, as it counted
+    dispersion: np.ndarray  # (4,) of scores over their information, by kind of stretch; infinite where none counted
+    moved: np.ndarray  # (K,) change by later stages, in standard deviations of the estimate of the own stage
+
+    def weigh(self, at: Linearisation) -> Linearisation:
+        """Return innovations and derivatives weighted as in the fit: by the root of their dispersion."""
+        weight = np.append(1 / np.sqrt(self.dispersion), 0.0)[self.stretch]
+        return at._replace(e=at.e * weight[..., None], J=np.asarray(at.J) * weight[..., None, None])
+
+
+def fit_staged(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, StageResult]:
+    """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
+
+    `loose` has the noise of the nominal car, as for a fit at once.
+    """
+    stretch, columns = find_stretches(loose), loose.columns(selected)
+    last = run_stages(loose, stretch, columns, loose.start, np.ones(len(Stretch)))
+    near = with_estimated_noise(loose, last.theta, np.isin(np.arange(len(loose.owner)), columns))
+    for _ in range(PASSES):
+        before, last = last, run_stages(near, stretch, columns, last.theta, last.dispersion)
+        spread = np.sqrt(np.diag(np.linalg.inv(last.precision)))
+        if np.abs((last.theta - before.theta) / spread).max() < SETTLED:
+            break
+    return near, require_finite(evaluate(near, last.theta)), last
+
+
+def run_stages(
+    problem: Problem, stretch: np.ndarray, columns: np.ndarray, theta: np.ndarray, expected: np.ndarray
+) -> StageResult:
+    """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
+
+    Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
+    on each other, or that no car explains, are worth less than those of other stages.
+    """
+    K, names = len(problem.owner), np.array([problem.effects[i].name for i in problem.owner])
+    chosen, freed, dispersion = np.isin(np.arange(K), columns), np.zeros(K, bool), np.full(len(Stretch), np.inf)
+    own, spread, known, told = theta.copy(), np.ones(K), np.zeros((K, K)), np.zeros((K, K))
+    prior, weight = np.diag(problem.prior).copy(), np.diag(problem.prior).copy()
+    for stage in STAGES:
+        freed |= chosen & np.isin(names, list(stage.effects))
+        counts = np.isin(stretch, stage.stretches)
+        if not freed.any() or np.sum(counts) < least_samples(problem):
+            continue
+        excess = expected[stage.stretches[0]]
+        prior[freed] /= excess  # of those estimated first: it counts as in a fit at once
+        first = freed & (prior > 0)
+        weight[first] = prior[first]
+        precision = known + np.diag(prior)
+        centre = np.linalg.solve(precision, known @ theta + prior * problem.start)
+        part = count_only(problem, counts)._replace(start=centre, precision=excess * precision)
+        fit, at = refit_to_convergence(part, require_finite(evaluate(part, theta)), np.flatnonzero(freed))
+        theta, H = fit.theta, information(at.J) / excess
+        known, told = consider(precision + H, freed), consider(told + np.diag(DEAD * prior) + H, freed)
+        prior[freed] = 0.0  # contained in what is known
+        own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
+        dispersion[list(stage.stretches)] = score_dispersion(part, at, np.flatnonzero(freed))
+    precision = told + np.diag(DEAD * prior)
+    return StageResult(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
+
+
+def least_samples(problem: Problem) -> float:
+    """Return the samples below which the runs lack a kind of stretch."""
+    return LEAST * float(problem.model.base.unit_time) / problem.data.dt
+
+
+def score_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
+    """Return how many times their information the scores of the `columns` vary by, over blocks that have any."""
+    H, blocks = sums_by_block(part, at.e, at.J)
+    some = blocks[:, columns].any(axis=1)
+    return overdispersion(H + np.eye(len(H)) / PRIOR**2, blocks[some], columns)
+
+
+def count_only(problem: Problem, counts: np.ndarray) -> Problem:
+    """Return the problem in which only what is measured at the samples `counts` (P, T) counts.
+
+    All else is conditioned on as before: the observer is the same. Pieces without such samples are left out.
+    """
+    keep = np.flatnonzero(counts.any(axis=1))
+    counts, gains, motion = counts[keep], take(problem.gains, keep), problem.motion
+    gains = gains._replace(whitening=gains.whitening * counts[..., None, None])
+    if motion is not None:
+        used = motion.used[keep] & counts[:, window_ends(problem.model, problem.data)][..., None]
+        motion = motion._replace(used=used) if used.any() else None
+    return problem._replace(data=problem.data.subset(keep), gains=gains, motion=motion)
+
+
+def consider(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
+    """Return what is known (K, K) of all parameters after a stage that estimated those `freed` (K,).
+
+    `precision` (K, K) holds all that was known before, and the information of the stage. Whatever the other parameters
+    are, the freed ones lie about the minimum of the stage's cost at these; of the others nothing is learnt.
+    """
+    row = precision[freed]
+    return row.T @ np.linalg.solve(row[:, freed], row)
