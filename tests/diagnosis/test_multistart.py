@@ -1,11 +1,14 @@
 """A strong effect in data without disturbances, which throws the observer of the nominal car off."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import evaluate, initial_noise, with_noise
+from driftjax.diagnosis import multistart
+from driftjax.diagnosis.fit import Fit, evaluate, initial_noise, with_noise
 from driftjax.diagnosis.multistart import LOST_MISFIT, misfit, nominal_fit, search_from_far, search_multistart
 
 
@@ -40,3 +43,35 @@ def test_data_that_no_car_can_have_made_are_refused():
     broken = (run.__class__(run.name, run.t, 1e200 * run.V, run.beta, run.r, run.delta, run.Fxr, run.dt, {}),)
     with pytest.raises(BadInput, match="units"):
         search_multistart(build_problem(sedan(), EFFECTS, broken))
+
+
+@pytest.mark.parametrize(
+    ("true", "saved", "named", "begins"),
+    [(0.16, 0.3, (), 0.15), (0.21, 0.3, (), 0.2), (0.16, 0.04, (), None), (0.16, 0.3, (1,), None)],
+    ids=["the middle one", "the latest", "none saves enough", "named already"],
+)
+def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, true, saved, named, begins):
+    """On a made-up cost with its least value at a delay `true` [s], of a car whose unit of time is 0.2 s."""
+    effects = [SimpleNamespace(name="friction"), SimpleNamespace(name="steer_delay")]
+    model = SimpleNamespace(effects=effects, base=SimpleNamespace(unit_time=0.2), scale=np.array([0.1, 0.02]))
+    problem = SimpleNamespace(
+        model=model, effects=effects, start=np.zeros(2), active=np.ones(2, bool), owner=np.arange(2),
+        columns=lambda which: np.array(which, int),
+    )  # fmt: skip
+    cost = lambda theta: 100.0 * (1 - saved * np.exp(-(((theta[1] * 0.02 - true) / 0.05) ** 2)))
+    fit = lambda problem, theta: Fit(theta, cost(theta), np.zeros(1))
+    monkeypatch.setattr(multistart, "evaluate", fit)
+    monkeypatch.setattr(multistart, "linearise", lambda *_: None)
+    monkeypatch.setattr(multistart, "scores", lambda *_: None)
+    monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
+    searched = []
+
+    def search(problem, fit, seed, selected, most, report):
+        searched.append((fit.theta[1] * 0.02, selected))
+        return SimpleNamespace(_replace=lambda **changes: changes)
+
+    monkeypatch.setattr(multistart, "search", search)
+    start = fit(problem, problem.start)
+    found = multistart.search_from_late(problem, start, named, 0, 8, print)  # pyright: ignore[reportArgumentType]
+    assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])
+    assert found is None if begins is None else found["nominal"] is start
