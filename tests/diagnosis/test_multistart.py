@@ -1,6 +1,7 @@
 """A strong effect in data without disturbances, which throws the observer of the nominal car off."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,10 +69,10 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
 
     def search(problem, fit, seed, selected, most, report):
         searched.append((fit.theta[1] * 0.02, selected))
-        return SimpleNamespace(_replace=lambda **changes: changes)
+        return SimpleNamespace(_replace=lambda **changes: SimpleNamespace(**changes))
 
     monkeypatch.setattr(multistart, "search", search)
     start = fit(problem, problem.start)
-    found = multistart.search_from_late(problem, start, named, 0, 8, print)  # pyright: ignore[reportArgumentType]
+    found: Any = multistart.search_from_late(problem, start, named, 0, 8, print)  # pyright: ignore[reportArgumentType]
     assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])
-    assert found is None if begins is None else found["nominal"] is start
+    assert found is None if begins is None else found.nominal is start

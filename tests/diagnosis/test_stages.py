@@ -78,16 +78,16 @@ def test_stages_find_the_truth_and_say_where_harder_stretches_disagree(kinds, mo
     truth, stretch = np.array([1.0, -2.0, 0.5]), np.repeat(kinds, 20)[None]
     J[stretch == Stretch.STRAIGHT, :, 1:] = 0.0  # where steering and friction change nothing
     problem: Any = Linear(J, J @ truth, np.ones((1, 60), bool))
-    run = lambda problem: run_stages(problem, stretch, np.arange(3), np.zeros(3), np.ones(len(Stretch)))
-    theta = np.zeros(3)
-    for _ in range(6):
-        result = run_stages(problem, stretch, np.arange(3), theta, np.ones(len(Stretch)))
-        theta = result.theta
+    run = lambda problem, theta: run_stages(problem, stretch, np.arange(3), theta, np.ones(len(Stretch)))
+    result = run(problem, np.zeros(3))
+    for _ in range(5):
+        result = run(problem, result.theta)
+    theta = result.theta
     np.testing.assert_allclose(theta, truth, atol=0.02)
     assert np.abs(result.moved).max() < 2
     assert np.isfinite(result.dispersion[Stretch.CORNERING]) == (Stretch.CORNERING in kinds)
     problem.y = problem.y + np.where(stretch == Stretch.LIMIT, J[..., 0, 0], 0.0)[..., None]  # 1 more of drive gain
-    assert (abs(run(problem).moved[0]) > 2) == (Stretch.STRAIGHT in kinds)
+    assert (abs(run(problem, np.zeros(3)).moved[0]) > 2) == (Stretch.STRAIGHT in kinds)
 
 
 def test_what_data_tell_of_parameters():
