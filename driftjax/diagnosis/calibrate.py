@@ -36,7 +36,7 @@ from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig, write_vehicle
-from driftjax.vehicle.effect import EFFECTS, Effect, effects_by_name
+from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue, effects_by_name
 
 DEFAULT_EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "drive_gain", "steer_offset")
 STAGED_EFFECTS = (
@@ -163,7 +163,7 @@ class Calibration:
 
 def calibrate(
     vehicle: VehicleConfig, log: Log, effects: Sequence[str] | None = None, *, staged: bool = False, held_out: int = 3,
-    seed: int = 0, catalogue: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    seed: int = 0, catalogue: tuple[Effect, ...] | None = None,
 ) -> Calibration:  # fmt: skip
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
@@ -175,6 +175,8 @@ def calibrate(
     require_float64()
     check_held_out(held_out)
     runs, wanted = log.runs, effects_to_fit(effects, staged)
+    if catalogue is None:
+        catalogue = default_catalogue(*wanted, *(one.effect for one in vehicle.effects))
     problem = initial_problem(vehicle, catalogue, runs)
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
     lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]

@@ -43,7 +43,7 @@ from driftjax.logs import Log
 from driftjax.logs.checks import check_rates
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig
-from driftjax.vehicle.effect import EFFECTS, Effect
+from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 ROUNDS = 3  # of fitting both logs and searching for differences, at most
@@ -136,7 +136,7 @@ def compare(
     config: CompareConfig | None = None,
     *,
     report: Callable[[str], None] = lambda text: None,
-    effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    effects: tuple[Effect, ...] | None = None,
 ) -> LogComparison:
     """Name what differs between two logs of `vehicle` in like manoeuvres, from measurements in SI, left positive.
 
@@ -152,6 +152,7 @@ def compare(
         if duration < MIN_DURATION:
             text = f"Log {name} holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
             return LogComparison(vehicle, logs, config, Judgement(Verdict.DATA_INSUFFICIENT, text))
+    effects = default_catalogue(*(one.effect for one in vehicle.effects)) if effects is None else effects
     report("noise and naming: compile, or load from the cache")
     problems, found = _name_both(vehicle, logs, config, effects, report)
     report("differences")

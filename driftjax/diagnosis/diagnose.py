@@ -34,7 +34,7 @@ from driftjax.logs import Log
 from driftjax.parallel import process_executor
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
-from driftjax.vehicle.effect import EFFECTS, Effect
+from driftjax.vehicle.effect import Effect, default_catalogue
 
 ANSWERS = {
     "extended": "",
@@ -147,15 +147,16 @@ def diagnose(
     *,
     workers: int = 0,
     report: Callable[[str], None] = lambda text: None,
-    effects: tuple[Effect, ...] = tuple(EFFECTS.values()),
+    effects: tuple[Effect, ...] | None = None,
 ) -> Diagnosis:
     """Name what `log` says the model of `vehicle` gets wrong, from measurements in SI and radians, left positive.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
-    no part in the noise and the observer either. `effects` is the catalogue to choose from: another one is another
-    model to compile. The gain is measured meanwhile: with `workers` = 1 in a process of its own, which halves the time
-    where two cores are free (a script then needs `if __name__ == "__main__"`), with 0 in a thread. `report` hears of
-    every step. Raises `BadInput` for runs whose sample times differ.
+    no part in the noise and the observer either. `effects` is the catalogue to choose from: all but those on
+    request, and those of `config.beside`, if omitted. Another one is another model to compile. The gain is measured
+    meanwhile: with `workers` = 1 in a process of its own, which halves the time where two cores are free (a script then
+    needs `if __name__ == "__main__"`), with 0 in a thread. `report` hears of every step. Raises `BadInput` for runs
+    whose sample times differ.
     """
     require_float64()
     config = DiagnoseConfig() if config is None else config
@@ -166,6 +167,8 @@ def diagnose(
     if any(lost := count_outliers(log.runs, vehicle.a + vehicle.b).values()):
         report(f"noise and nominal car: {sum(lost)} outliers left out")
     report("noise and nominal car: compile roll-outs, predictions and derivatives, or load them from the cache")
+    if effects is None:
+        effects = default_catalogue(*config.beside, *(one.effect for one in vehicle.effects))
     initial = initial_problem(vehicle, effects, log.runs, config.without)
     names = tuple(run.name for run in log.runs)
     with process_executor(workers) as processes, ThreadPoolExecutor(2) as threads:

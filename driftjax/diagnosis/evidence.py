@@ -14,6 +14,7 @@ from driftjax.diagnosis.beam import (
     minimise_over,
     quadratic_cost,
 )
+from driftjax.diagnosis.curves import AxleCurve, axle_curve
 from driftjax.diagnosis.fit import Problem, at_bound, evaluate, information, refine
 from driftjax.diagnosis.score import (
     CONDITION,
@@ -54,6 +55,7 @@ class Cause(NamedTuple):
     worth: Worth  # its share in what all named effects explain
     at_bound: np.ndarray  # (k,) whether these data ask for more than the parameter may be
     exploratory: bool = False  # whether it is not claimed: by the test, or since it stands for something else
+    curve: AxleCurve | None = None  # of the axle whose side force it frees from the formula
 
     @property
     def varies(self) -> bool:
@@ -76,6 +78,7 @@ class NamedEffect(NamedTuple):
     share: float  # of what all named effects explain together (Shapley 1953)
     share_ci95: list[float]
     exploratory: bool  # not claimed: not at the family-wise rate of 5 %, or at its bound, or not the same in all runs
+    curve: dict[str, Any] | None  # side force over slip where it is of free form, as `AxleCurve`
 
 
 def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, ...]:
@@ -105,6 +108,7 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
                 cause.worth.share,
                 list(cause.worth.ci95),
                 cause.exploratory,
+                cause.curve.content() if cause.curve else None,
             )  # fmt: skip
         )
     return tuple(selection)
@@ -144,6 +148,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
                 worth[member],
                 ends[own],
                 claim[member].exploratory or bool(ends[own].any()) or constant[member] < INVARIANCE_LEVEL,
+                axle_curve(problem, selection, member),
             )  # fmt: skip
         )
     return each

@@ -14,7 +14,7 @@ from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
-from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.effect import EFFECTS, effects_by_name
 
 BETTER = 0.02  # share of the error by which another car must predict better than the extended one to be the answer
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
@@ -51,8 +51,11 @@ class DiagnoseConfig:
     """Whether the gain is also measured of a GP, alone and beside the named effects."""
     seed: int = 0
     """Of the random signs of the test and of the resampling."""
+    beside: tuple[str, ...] = ()
+    """Effects on request to look for too: tyre_curve_front, tyre_curve_rear. Takes many times as long."""
 
     def __post_init__(self) -> None:
+        effects_by_name(self.beside)  # raises for an unknown one
         check_held_out(self.held_out)
         check_naming(self.most, self.unexplained, self.seed, self.without)
 

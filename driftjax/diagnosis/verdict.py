@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from driftjax.diagnosis.curves import describe_curve
 from driftjax.diagnosis.evidence import Cause
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Share
@@ -120,6 +121,8 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     text = "Exploratory: " if cause.exploratory else ""
     text += f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({effect.name}: {', '.join(values)}; "
     text += f"P = {cause.probability:.2f})."
+    if cause.curve:
+        text += f" {describe_curve(cause.curve)}"
     if cause.at_bound.any():
         text += " More than its bound is not plausible: it stands for something else."
     if cause.probability < SURE_PROBABILITY <= cause.family_probability:

@@ -82,7 +82,8 @@ def write_gym(kept: Kept, folder: Path) -> tuple[str, ...]:
 
 
 ENVELOPE = ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "sliding_friction",
-            "drive_split", "brake_split", "drive_gain", "power_limit")  # fmt: skip
+            "tyre_curve_front", "tyre_curve_rear", "drive_split", "brake_split", "drive_gain",
+            "power_limit")  # fmt: skip
 
 RACE_STACK = Format(
     "race_stack and On-Track-SysID: tyres (YAML) and steering table (CSV)",

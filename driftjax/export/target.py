@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import yaml
 
@@ -13,9 +14,9 @@ from driftjax.core import write_atomically
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, effects_by_name, reference
 from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.linear import GRIP
 from driftjax.vehicle.universal import Universal, base_car, universal_car
 
-GRIP = ("friction", "friction_front", "friction_rear")  # gains of the fields muf and mur, which `Car` has too
 AXLES = (*GRIP, "stiffness_front", "stiffness_rear", "tyre_shape", "mass", "yaw_inertia", "cog_shift")
 WHEEL = 0.105  # rolling radius over the wheelbase, for targets whose wheels spin [-]
 TOP_SPEED = 9.0  # default top speed over sqrt(g L) [-]
@@ -85,8 +86,7 @@ class Format(NamedTuple):
 
 
 def _in_floats(car: Car) -> Any:
-    values: list[Any] = [float(value) for value in car]
-    return Car(*values)
+    return jax.tree.map(float, car)
 
 
 def keep(vehicle: VehicleConfig, holds: frozenset[str], options: Options) -> Kept:

@@ -11,6 +11,7 @@ from driftjax.report.evidence import plot_confusability, plot_posterior, plot_sc
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
 from driftjax.report.residuals import plot_residual_forces, plot_whiteness
 from driftjax.report.table import aligned, interval, number, with_interval
+from driftjax.report.tyre_curve import plot_tyre_curves
 from driftjax.report.worth import plot_worth
 from driftjax.store import RunFolder
 
@@ -27,6 +28,8 @@ TITLES = {
                "wrong many effects pass the test; the one that is named is worth most once refitted."),
     "worth": ("What each named effect is worth", "Shares of what all named effects explain of the squared error that a "
               "right model would not make; effects that explain the same share it alike (Shapley 1953)."),
+    "tyre_curves": ("Side force over slip", "At static load without drive, of the nominal car and with all named "
+                    "effects, over the slips that the log covers. The band is a 95 % interval."),
     "posterior": ("Named effects and their rivals", ""),
     "confusability": ("Which effects look alike in these data", "Labels of named effects are red."),
     "whiteness": ("Whiteness before and after", "Innovations of a right model are not correlated in time."),
@@ -51,6 +54,8 @@ def diagnosis_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
     content = run.read_json("diagnosis")
     if (figure := plot_worth(content)) is not None:
         yield "worth", figure
+    if (figure := plot_tyre_curves(content)) is not None:
+        yield "tyre_curves", figure
     if (figure := plot_posterior(content)) is not None:
         yield "posterior", figure
     yield "confusability", plot_confusability(data)

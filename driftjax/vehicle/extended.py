@@ -88,8 +88,7 @@ class Extended(eqx.Module):
     def peaks(self) -> tuple[Array, Array]:
         """Slip angle at which the front and the rear tyre reach their largest force [rad]."""
         car = self.universal.car
-        front, rear = SimplifiedPacejka(car.muf, car.Bf, car.Cf), SimplifiedPacejka(car.mur, car.Br, car.Cr)
-        return front.alpha_peak, rear.alpha_peak
+        return car.tyre_f.alpha_peak, car.tyre_r.alpha_peak
 
 
 AnyCar = SingleTrack | Extended

@@ -154,7 +154,8 @@ def same_as_casadi(car, folder) -> None:
 
 def test_casadi_steps_as_ours(tmp_path):
     same_as_casadi(with_effects(friction_front__p=-0.08, relaxation_length__sigma=0.4, steer_lag__tau=0.05,
-                                steer_delay__d=0.05), tmp_path)  # fmt: skip
+                                steer_delay__d=0.05, tyre_curve_rear__p_2=0.3, tyre_curve_rear__p_3=-0.4,
+                                tyre_curve_rear__p_4=0.5), tmp_path)  # fmt: skip
 
 
 @pytest.mark.slow

@@ -55,7 +55,9 @@ def told(named: tuple[str, ...]) -> dict:
     causes = [
         {"effect": name, "probability": 0.9, "p_value": 0.001, "confusable_with": ["stiffness_rear"],
          "family": "rear tyre", "family_probability": 0.98, "share": 1.0, "share_ci95": [0.9, 1.0],
-         "rivals": {"stiffness_rear": 0.08}, "parameters": {"p": {"value": -0.1, "ci95": [-0.12, -0.08], "unit": "1"}}}
+         "rivals": {"stiffness_rear": 0.08}, "parameters": {"p": {"value": -0.1, "ci95": [-0.12, -0.08], "unit": "1"}},
+         "curve": {"axle": "rear", "slip": [0.0, 0.2, 0.4], "nominal": [0.0, 1.0, 0.95], "fitted": [0.0, 0.95, 0.85],
+                   "band": [[0.0, 0.9, 0.8], [0.0, 1.0, 0.9]]}}
         for name in named
     ]  # fmt: skip
     return {

@@ -61,7 +61,9 @@ def test_what_is_stored_describes_itself(run):
 
 def test_a_diagnosis_that_names_nothing_shows_the_nominal_car_only(tmp_path):
     bare = diagnosed(tmp_path / "bare", named=(), drivers=False)
-    assert {name for name, _ in diagnosis_figures(bare)} == set(TITLES) - {"posterior", "residual_forces", "worth"}
+    assert {name for name, _ in diagnosis_figures(bare)} == set(TITLES) - {
+        "posterior", "residual_forces", "tyre_curves", "worth"
+    }  # fmt: skip
     data = bare.read_dataset("diagnosis.nc")
     colours = {to_hex(line.get_color()).upper() for axis in plot_predictions(data).axes for line in axis.lines}
     assert NOMINAL in colours and EXPLORED not in colours

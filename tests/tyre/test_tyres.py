@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from driftjax.tyre import MagicFormula, SimplifiedPacejka
+from driftjax.tyre import CurvedPacejka, MagicFormula, SimplifiedPacejka
 
 FZ, FZ0 = jnp.asarray(4500.0), jnp.asarray(4000.0)
 
@@ -82,3 +82,38 @@ def test_nominal_peak_is_where_the_force_is_largest(B, C):
     best: Any = minimize_scalar(lambda a: float(lateral(jnp.asarray(a), FZ)), bounds=(0.01, 0.6), method="bounded")
     np.testing.assert_allclose(law.alpha_peak, best.x, atol=1e-4)
     np.testing.assert_allclose(-best.fun, 4500.0)
+
+
+@eqx.filter_jit
+def curves(C, p, alpha):
+    """Forces over load (n, m) of free-form tyres of shape factors `C` (n,) at `p` (n, 3), and their peaks (n,)."""
+
+    def one(C, p):
+        law = CurvedPacejka(1.0, 10.0, C, tuple(jnp.expm1(p)))
+        return -law.lateral(alpha, jnp.ones(())), law.alpha_peak
+
+    return jax.vmap(one)(C, p)
+
+
+def test_a_free_form_keeps_stiffness_and_largest_force_and_has_one_peak_whatever_its_parameters():
+    rng, C = np.random.default_rng(0), np.repeat([1.05, 1.458, 1.95], 60)
+    p = rng.uniform(-1.6, 1.6, (180, 3)) * rng.choice([1, 4], (180, 1))  # as the effect's bounds, and far beyond them
+    alpha = np.tan(np.pi / 2 * np.linspace(0.0, 0.99, 3000)) / 10.0
+    force, peak = map(np.asarray, curves(C, p, alpha))
+    top, rise = force.argmax(axis=1), np.diff(force, axis=1)
+    before = np.arange(2999) < top[:, None]
+    assert (rise[before] > -1e-12).all() and (rise[~before] < 1e-12).all() and (force > -1e-12).all()
+    np.testing.assert_allclose(force[:, 1] / alpha[1], 10.0 * C, rtol=1e-3)
+    within = (top > 0) & (top < 2998)
+    np.testing.assert_allclose(force.max(axis=1)[within], 1.0, atol=1e-4)
+    assert within.sum() > 100 and (np.abs(peak - alpha[top]) <= 2 * np.gradient(alpha)[top])[within].all()
+
+
+def test_a_free_form_without_parameters_is_the_formula_to_the_bit_and_odd():
+    alpha = jnp.linspace(-1.0, 1.0, 401)
+    formula, law = SimplifiedPacejka(0.9, 18.1, 1.323), CurvedPacejka(0.9, 18.1, 1.323, (jnp.zeros(()),) * 3)
+    lateral = eqx.filter_jit(lambda law, alpha: law.lateral(alpha, FZ))
+    np.testing.assert_array_equal(lateral(law, alpha), lateral(formula, alpha))
+    np.testing.assert_allclose(law.alpha_peak, formula.alpha_peak, rtol=1e-9)
+    bent = CurvedPacejka(0.9, 18.1, 1.323, tuple(jnp.array([0.6, -0.7, 2.0])))
+    np.testing.assert_allclose(lateral(bent, alpha), -lateral(bent, -alpha), atol=1e-9)

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.core import Control, State
+from driftjax.core import BadInput, Control, State
 from driftjax.vehicle import load_vehicle
-from driftjax.vehicle.effect import EFFECTS, Place, reference
+from driftjax.vehicle.effect import EFFECTS, Place, default_catalogue, reference
 from driftjax.vehicle.effect.flow import ROLL_GRIP, Aux
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal_car
@@ -23,7 +23,8 @@ NAMES = (
     "engine_drag drive_gain drive_lag power_limit wheel_spin differential_moment torque_vectoring mass yaw_inertia "
     "cog_shift roll_lag roll_steer steer_offset steer_gain steer_compliance steer_lag steer_delay steer_backlash "
     "road_bank road_grade side_wind friction_patch friction_fade gyro_bias gyro_scale sideslip_bias speed_scale "
-    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split track_width"
+    "channel_delay imu_lever_arm drive_split yaw_moment traction_limit brake_split track_width tyre_curve_front "
+    "tyre_curve_rear"
 ).split()
 OWNER = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
 BOUNDS = np.array([(p.lower, p.upper) for effect in EFFECTS.values() for p in effect.parameters])
@@ -142,6 +143,14 @@ def acted(model, commands, V=10.0):
 def test_every_canonical_name_is_there_with_its_number():
     assert {name: effect.number for name, effect in EFFECTS.items()} == {n: i + 1 for i, n in enumerate(NAMES)}
     assert list(EFFECTS) == NAMES
+
+
+def test_a_diagnosis_looks_for_effects_on_request_where_they_are_named():
+    usual = [effect.name for effect in default_catalogue()]
+    assert [name for name in EFFECTS if name not in usual] == ["tyre_curve_front", "tyre_curve_rear"]
+    assert [effect.name for effect in default_catalogue("tyre_curve_rear")] == [*usual, "tyre_curve_rear"]
+    with pytest.raises(BadInput, match="'tyre_curve': no such effect"):
+        default_catalogue("tyre_curve")
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=list(EFFECTS))

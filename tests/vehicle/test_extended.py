@@ -90,7 +90,7 @@ def test_every_effect_of_the_catalogue_is_in_the_car_or_does_nothing_to_it_in_st
     of_the_place = {"road_bank", "road_grade", "side_wind", "friction_patch"}
     memory = {"drive_lag", "wheel_spin", "steer_lag", "steer_delay", "steer_backlash"}  # at rest these hold back all
     assert set(names[changed]) - of_the_place - memory == set(INSIDE)
-    assert len(INSIDE) == 31 and "traction_limit" in INSIDE
+    assert len(INSIDE) == 33 and "traction_limit" in INSIDE
     assert {"mass", "steer_gain", "power_limit", "steer_compliance"} <= set(INSIDE)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.core import require
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import POOR, Case, Hidden, draw_hidden, draw_names
-from driftjax.vehicle.effect import EFFECTS
+from driftjax.vehicle.effect import default_catalogue
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,12 @@ class CaseNumbers:
             require(value >= 0, f"key '{name}' is {value}; give 0 or more cases.")
 
 
+DEFAULT = tuple(effect.name for effect in default_catalogue())
 WEAK = 0.3  # of the typical size
 
 
 def draw_cases(
-    numbers: CaseNumbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = tuple(EFFECTS),
+    numbers: CaseNumbers, cars: tuple[str, ...], seed: int, choice: tuple[str, ...] = DEFAULT,
     manoeuvres: tuple[str, ...] = RICH,
 ) -> list[Case]:  # fmt: skip
     """Draw all cases of `seed`, with effects from `choice`."""

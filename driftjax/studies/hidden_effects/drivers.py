@@ -56,5 +56,7 @@ _TABLE = {
     "yaw_moment": "1",
     "track_width": "r delta beta alpha_f",
     "traction_limit": "Fxr ax alpha_r beta",
+    "tyre_curve_front": _FRONT,
+    "tyre_curve_rear": _REAR + " r",
 }
 DRIVERS: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}

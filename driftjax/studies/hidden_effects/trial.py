@@ -20,7 +20,7 @@ from driftjax.studies.hidden_effects.case import FOREIGN, Case
 from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle, height
 from driftjax.studies.hidden_effects.naive import naive_gains
 from driftjax.vehicle import VehicleConfig, load_vehicle
-from driftjax.vehicle.effect import EFFECTS, Effect
+from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue
 
 ATTEMPTS = 4  # at runs in which the car does not spin
 APART = 2**32  # between the seeds of attempts
@@ -54,7 +54,7 @@ def run_case(case: Case) -> dict[str, Any]:
     vehicle = nominal_vehicle(case)
     runs = measured_runs(case, vehicle)
     seconds = time.perf_counter() - start
-    effects, poor = tuple(EFFECTS.values()), case.condition == "poor"
+    effects, poor = default_catalogue(*case.names), case.condition == "poor"
     result = diagnose_case(case, vehicle, runs, effects, 0 if poor else 3) | {"seconds_drive": seconds}
     if poor and result["proposed"]:
         case = dataclasses.replace(case, manoeuvres=(result["proposed"],), seed=case.seed + LATER)

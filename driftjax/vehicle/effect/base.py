@@ -103,6 +103,8 @@ class Effect:
     """Memory of a command effect at rest."""
     sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
+    on_request: bool = False
+    """Whether a diagnosis looks for it only where it is asked for by name."""
     equation: str = ""
     """Equation and remarks; those of the module's docstring where left out."""
 

@@ -2,8 +2,8 @@
 
 DRIVE = "drive and brake"
 FAMILIES = {
-    "front tyre": ("friction_front", "stiffness_front"),
-    "rear tyre": ("friction_rear", "stiffness_rear", "sliding_friction"),
+    "front tyre": ("friction_front", "stiffness_front", "tyre_curve_front"),
+    "rear tyre": ("friction_rear", "stiffness_rear", "sliding_friction", "tyre_curve_rear"),
     "tyres": ("friction", "tyre_shape", "combined_slip", "relaxation_length", "friction_fade", "traction_limit"),
     "load transfer": ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "roll_lag",
                       "roll_steer"),

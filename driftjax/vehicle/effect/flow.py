@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State
-from driftjax.tyre import SimplifiedPacejka
+from driftjax.tyre import CurvedPacejka, SimplifiedPacejka
 from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_share
 
 ROLL_GRIP = 0.04  # grip lost to lateral load transfer at 1 g, which the nominal friction, steady, already holds [-]
@@ -29,6 +29,18 @@ class Car(NamedTuple):
     ellipse: Array  # square of the friction ellipse's share: 0 none, 1 a circle [-]
     relaxation: Array  # relaxation length of both axles [m]
     roll_lag: Array  # time constant of the lateral load transfer [s]
+    curve_f: tuple[Array, ...] = ()  # free form of the front tyres, as in `CurvedPacejka` [-]; empty: the formula's
+    curve_r: tuple[Array, ...] = ()
+
+    @property
+    def tyre_f(self) -> SimplifiedPacejka | CurvedPacejka:
+        """Tyre of the front axle."""
+        return tyre(self.muf, self.Bf, self.Cf, self.curve_f)
+
+    @property
+    def tyre_r(self) -> SimplifiedPacejka | CurvedPacejka:
+        """Tyre of the rear axle."""
+        return tyre(self.mur, self.Br, self.Cr, self.curve_r)
 
     @property
     def wheelbase(self) -> Array:
@@ -49,6 +61,11 @@ class Car(NamedTuple):
     def nominal(self) -> SingleTrack:
         """The single track with this car's size and mass; its tyre is the front one."""
         return SingleTrack(self.m, self.Iz, self.a, self.b, SimplifiedPacejka(self.muf, self.Bf, self.Cf))
+
+
+def tyre(mu: Array, B: Array, C: Array, curve: tuple[Array, ...]) -> SimplifiedPacejka | CurvedPacejka:
+    """Return the formula's tyre, or with the parameters `curve` one of free form."""
+    return CurvedPacejka(mu, B, C, curve) if curve else SimplifiedPacejka(mu, B, C)
 
 
 class Place(NamedTuple):
@@ -103,8 +120,8 @@ def heat_rate(nominal: SingleTrack, x: State) -> Array:
 def axle_forces(flow: Flow) -> Flow:
     """Return `flow` with the lateral tyre forces at its slip angles, loads and friction."""
     car = flow.car
-    front = SimplifiedPacejka(flow.muf, car.Bf, car.Cf).lateral(flow.alpha_f, flow.Fzf)
-    rear = SimplifiedPacejka(flow.mur, car.Br, car.Cr).lateral(flow.alpha_r, flow.Fzr)
+    front = tyre(flow.muf, car.Bf, car.Cf, car.curve_f).lateral(flow.alpha_f, flow.Fzf)
+    rear = tyre(flow.mur, car.Br, car.Cr, car.curve_r).lateral(flow.alpha_r, flow.Fzr)
     left = lambda Fx, mu, Fz: lateral_share(car.ellipse * (Fx / (mu * Fz)) ** 2)
     return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
 

@@ -7,17 +7,16 @@ Milliken 1995, Ch. 19).
 import jax
 import jax.numpy as jnp
 
-from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Flow
+from driftjax.vehicle.effect.flow import Flow, tyre
 
 STEPS = 3  # of Newton's method
 
 
 def apply(flow: Flow, p) -> Flow:
     """Turn the front wheels back by the side force that they then have."""
-    tyre = SimplifiedPacejka(flow.muf, flow.car.Bf, flow.car.Cf)
-    force = lambda alpha: tyre.lateral(alpha, flow.Fzf)
+    front = tyre(flow.muf, flow.car.Bf, flow.car.Cf, flow.car.curve_f)
+    force = lambda alpha: front.lateral(alpha, flow.Fzf)
     alpha = flow.alpha_f
     for _ in range(STEPS):
         Fyf, slope = jax.jvp(force, (alpha,), (jnp.ones_like(alpha),))

@@ -9,14 +9,14 @@ from driftjax.core import BadInput
 from driftjax.studies.hidden_effects import criteria, running
 from driftjax.studies.hidden_effects.bench import CASES, StudyConfig, run_study
 from driftjax.studies.hidden_effects.case import Case, Hidden, read_case
-from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
+from driftjax.studies.hidden_effects.draw import DEFAULT, CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.drivers import DRIVERS
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.foreign import follow_commands, foreign_vehicle
 from driftjax.studies.hidden_effects.score import rate_interval, score_results
 from driftjax.vehicle.effect import EFFECTS
 
-SOME = CaseNumbers(none=3, none_noise=2, quiet=4, single=len(EFFECTS), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
+SOME = CaseNumbers(none=3, none_noise=2, quiet=4, single=len(DEFAULT), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
 
 
 def result(truth=(), causes=(), verdict="NAMED", **more) -> criteria.Result:
@@ -44,10 +44,10 @@ NOTHING = result(verdict="NOTHING")
 def test_a_plan_is_drawn_anew_and_can_be_repeated():
     cases = draw_cases(SOME, ("sedan", "rc"), 5)
     assert cases == draw_cases(SOME, ("sedan", "rc"), 5) != draw_cases(SOME, ("sedan", "rc"), 6)
-    assert len(cases) == 2 * (25 + len(EFFECTS)) + 2 and len({case.seed for case in cases}) == len(cases)
+    assert len(cases) == 2 * (25 + len(DEFAULT)) + 2 and len({case.seed for case in cases}) == len(cases)
     assert [case for case in map(read_case, map(Case.line, cases))] == cases
     full = [c for c in cases if c.condition == "single" and c.scale == 1 and c.process_noise and c.car == "rc"]
-    assert sorted(name for case in full for name in case.names) == sorted(EFFECTS)
+    assert sorted(name for case in full for name in case.names) == sorted(DEFAULT)
     for case in cases:
         assert (case.without == case.names) == (case.condition in ("absent", "none", "foreign"))
         for one in case.effects:
