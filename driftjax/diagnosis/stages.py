@@ -54,6 +54,7 @@ STAGES = (
     Stage(
         (Stretch.LIMIT,),
         frozenset({"friction", "friction_front", "friction_rear", "tyre_shape", "sliding_friction", "friction_fade",
+                   "tyre_curve_front", "tyre_curve_rear",
                    "friction_patch", "traction_limit", "combined_slip", "load_sensitivity", "load_transfer_long",
                    "load_transfer_lat", "track_width", "downforce", "differential_moment", "drive_split", "brake_split",
                    "wheel_spin"}),
