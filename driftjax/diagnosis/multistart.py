@@ -5,8 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, linearise, refit_to_convergence, with_estimated_noise
-from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence, with_estimated_noise
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
 LOST_MISFIT = (
@@ -46,7 +45,7 @@ def search_multistart(
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
-        late = search_from_late(problem, start, close.selected, seed, most, report)
+        late = search_from_late(problem, close, seed, most, report)
         price = lambda one: penalised_cost(problem, one.fit, one.selected)
         return problem, close if late is None or price(close) <= price(late) else late
     anew, selection = search_from_far(problem, seed, most, report)
@@ -56,22 +55,23 @@ def search_multistart(
 
 
 def search_from_late(
-    problem: Problem, start: Fit, named: tuple[int, ...], seed: int, most: int, report: Callable[[str], None]
+    problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> Selection | None:
-    """Search from the best of `DELAYS`; None where none saves `LATE` of the cost or a delay is `named` already."""
-    delays = tuple(i for i, effect in enumerate(problem.effects) if effect.name == "steer_delay" and i not in named)
+    """Search from the best of `DELAYS`; None where none saves `LATE` of the cost, or `close` has a delay already."""
+    delays = tuple(
+        i for i, effect in enumerate(problem.effects) if effect.name == "steer_delay" and i not in close.selected
+    )
     columns = problem.columns(delays)
     if not len(columns) or not problem.active[columns].all():
         return None
     unit, scale = float(problem.model.base.unit_time), np.asarray(problem.model.scale)[columns]
     at = lambda delay: np.where(np.isin(np.arange(len(problem.start)), columns), delay * unit / scale, problem.start)
     best = min((evaluate(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
-    if best.cost > (1 - LATE) * start.cost:
+    if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     fit = refit_to_convergence(problem, best, columns)[0]
     found = search(problem, fit, seed, delays, most, report)
-    nominal = scores(problem, linearise(problem, start), start.theta, (), seed)
-    return found._replace(nominal=start, nominal_scores=nominal)
+    return found._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
 
 
 def with_nominal_noise(problem: Problem) -> Problem:

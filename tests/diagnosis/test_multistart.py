@@ -62,8 +62,6 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
     cost = lambda theta: 100.0 * (1 - saved * np.exp(-(((theta[1] * 0.02 - true) / 0.05) ** 2)))
     fit = lambda problem, theta: Fit(theta, cost(theta), np.zeros(1))
     monkeypatch.setattr(multistart, "evaluate", fit)
-    monkeypatch.setattr(multistart, "linearise", lambda *_: None)
-    monkeypatch.setattr(multistart, "scores", lambda *_: None)
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
     searched = []
 
@@ -72,7 +70,8 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
         return SimpleNamespace(_replace=lambda **changes: SimpleNamespace(**changes))
 
     monkeypatch.setattr(multistart, "search", search)
-    start = fit(problem, problem.start)
-    found: Any = multistart.search_from_late(problem, start, named, 0, 8, print)  # pyright: ignore[reportArgumentType]
+    start, scores = fit(problem, problem.start), object()
+    close: Any = SimpleNamespace(nominal=start, nominal_scores=scores, selected=named)
+    found: Any = multistart.search_from_late(problem, close, 0, 8, print)  # pyright: ignore[reportArgumentType]
     assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])
-    assert found is None if begins is None else found.nominal is start
+    assert found is None if begins is None else (found.nominal, found.nominal_scores) == (start, scores)
