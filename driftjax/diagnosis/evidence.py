@@ -62,6 +62,11 @@ class Cause(NamedTuple):
         """Whether its size differs from run to run, as that of no cause does."""
         return self.invariance < INVARIANCE_LEVEL
 
+    @property
+    def stands_in(self) -> bool:
+        """Whether it stands for something else: it ends at a bound of its own, or its size differs from run to run."""
+        return bool(self.at_bound.any()) or self.varies
+
 
 class NamedEffect(NamedTuple):
     """One named effect in SI, as diagnosis.json holds it."""
@@ -134,23 +139,22 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
         share = effect_probabilities(problem, selection, model, member)
         rivals = {int(i): float(share[i]) for i in np.argsort(-share) if i != member and share[i] > RIVAL_PROBABILITY}
         alike, theta = confusable_effects(problem, selection, member), selection.fit.theta[own]
-        each.append(
-            Cause(
-                member,
-                theta,
-                widths[at],
-                float(share[member]),
-                rivals,
-                alike,
-                constant[member],
-                claim[member].p_value,
-                family_probability(problem, share, member),
-                worth[member],
-                ends[own],
-                claim[member].exploratory or bool(ends[own].any()) or constant[member] < INVARIANCE_LEVEL,
-                axle_curve(problem, selection, member),
-            )  # fmt: skip
-        )
+        cause = Cause(
+            member,
+            theta,
+            widths[at],
+            float(share[member]),
+            rivals,
+            alike,
+            constant[member],
+            claim[member].p_value,
+            family_probability(problem, share, member),
+            worth[member],
+            ends[own],
+            claim[member].exploratory,
+            axle_curve(problem, selection, member),
+        )  # fmt: skip
+        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
     return each
 
 

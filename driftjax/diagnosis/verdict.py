@@ -95,7 +95,7 @@ def decide_verdict(
         return Judgement(Verdict.NOTHING, text + ".")
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
-    sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.at_bound.any() and not cause.varies
+    sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
     certain = all(map(sure, claimed)) and not remaining.simpler
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
