@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import samples_in_run
+from driftjax.diagnosis.residual import axle_forces as forces_causing
 from driftjax.diagnosis.runs import run_observer
 from driftjax.vehicle.effect.flow import Car
 from driftjax.vehicle.single_track import G
@@ -68,13 +70,10 @@ def axle_forces(car: Car, z: np.ndarray, rates: np.ndarray, u: np.ndarray) -> tu
 
     By Newton's law from augmented states `z` (P, T, 6), `rates` (P, T, 3) and inputs `u` (P, T, 4); front, rear.
     """
-    a, b, m, Iz = (float(value) for value in (car.a, car.b, car.m, car.Iz))
-    V, beta, r = np.moveaxis(z[..., :3], -1, 0)
-    ay = rates[..., 0] * np.sin(beta) + V * (rates[..., 1] + r) * np.cos(beta)
-    front, rear = (b * m * ay + Iz * rates[..., 2]) / (a + b), (a * m * ay - Iz * rates[..., 2]) / (a + b)
-    vx, vy = V * np.cos(beta), V * np.sin(beta)
-    slip = np.stack([np.arctan2(vy + a * r, vx) - u[..., 0], np.arctan2(vy - b * r, vx)], axis=2)
-    return np.stack([front, rear], axis=2) / largest_forces(car), slip, u[..., 1]
+    x, turning = z[..., :3], z[..., 2:3] * np.array([0.0, 1.0, 0.0])  # the velocity turns at beta' + r
+    forces = forces_causing(car, x, np.zeros_like(x[..., 0]), rates + turning)  # along and across the body
+    slip = car.nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
+    return forces[..., 1:] / largest_forces(car), np.stack(slip, axis=2), u[..., 1]
 
 
 def largest_forces(car: Car) -> np.ndarray:
