@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.lane_solve import MPCProblem, MPCResult, acceptable, solve_batch
-from driftjax.control.lqr import ScheduledLQR, tracked_state
+from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
@@ -108,8 +108,8 @@ class Driver(eqx.Module):
         assert self.lqr is not None, "a driver of this kind has gains"
         motion, (u_ref,) = self.table.reference(sensed.s[None]).states()[0], self.table.inputs(sensed.s[None])
         x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
-        x, x_ref = tracked_state(x, memory.command, memory.lagged_input), tracked_state(motion, u_ref, u_ref)
-        u = self.lqr(self.ocp, sensed.s, x, x_ref)
+        x = jnp.concatenate([x, memory.command, memory.lagged_input])
+        u = self.lqr(self.ocp, sensed.s, x, jnp.concatenate([motion, u_ref, u_ref]))
         car = self.ocp.nominal  # beyond the peak of the front tyres more steering does less, which no gain knows
         ahead = car.slip_angles(State(sensed.V, sensed.beta, sensed.r), Control(jnp.zeros(()), u[1]))[0]
         u = u.at[0].set(jnp.clip(u[0], ahead - car.peaks[0], ahead + car.peaks[0]))

@@ -66,15 +66,10 @@ class ScheduledLQR(eqx.Module):
 
     def __call__(self, ocp: DriftOCP, s: Array, x: Float[Array, " 9"], x_ref: Float[Array, " 9"]) -> Float[Array, " 2"]:
         """Return the command (delta [rad], Fxr [N]) at arc length `s`, without limits; states in SI."""
-        at = jnp.clip(jnp.interp(s, self.s, jnp.arange(len(self.s), dtype=float)), 0.0, len(self.s) - 1.0)
+        at = jnp.interp(s, self.s, jnp.arange(len(self.s), dtype=float))  # constant beyond the ends
         i = jnp.minimum(jnp.floor(at).astype(int), len(self.s) - 2)
         K = self.K[i] + (at - i) * (self.K[i + 1] - self.K[i])
         return x_ref[5:7] - (K @ ((x - x_ref) / ocp.x_scale)) * ocp.u_scale
-
-
-def tracked_state(motion: Float[Array, " 5"], command: Float[Array, " 2"], output: Float[Array, " 2"]) -> Array:
-    """Return the state (9,) of the drift MPC, SI: (V, beta, r, e, theta), last command, actuator outputs."""
-    return jnp.concatenate([motion, command, output])
 
 
 def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, price: Array) -> ScheduledLQR:
@@ -89,7 +84,7 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, pr
     reference, U = table.reference(s), table.inputs(s)
 
     def local(p, u):
-        x = tracked_state(p.states(), u, u) / ocp.x_scale
+        x = jnp.concatenate([p.states(), u, u]) / ocp.x_scale
         A, B = jax.jacfwd(ocp.step, (0, 1))(x, u / ocp.u_scale, p)
         w = jnp.concatenate([x, u / ocp.u_scale])
         return A, B, jax.hessian(lambda w: ocp.cost(w[:9], w[9:], p))(w) / 2
