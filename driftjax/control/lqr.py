@@ -15,18 +15,6 @@ from driftjax.core import Control, State, rk4_step
 SWEEPS = 500  # Riccati iterations; drift equilibria converge in under 100
 
 
-class LQR(eqx.Module):
-    """u = u_eq - K (x - x_eq) on (V, beta, r)."""
-
-    K: Float[Array, "2 3"]
-
-    def __call__(self, x: State, x_eq: State, u_eq: Control) -> Control:
-        """Return the command, without limits."""
-        error = jnp.stack([x.V - x_eq.V, x.beta - x_eq.beta, x.r - x_eq.r])
-        correction = self.K @ error
-        return Control(u_eq.delta - correction[0], u_eq.Fxr - correction[1])
-
-
 @eqx.filter_jit  # without it the loop would be compiled, and stored, in every call
 def lqr(
     model: Callable[[State, Control], State],
@@ -35,8 +23,8 @@ def lqr(
     Q: Float[Array, " 3"],
     R: Float[Array, " 2"],
     dt: Array,
-) -> LQR:
-    """Compute the infinite-horizon discrete LQR of `model` linearised at (x, u), weights as in the MPC (all SI).
+) -> Float[Array, "2 3"]:
+    """Compute the gain K, u = u_eq - K (x - x_eq), of the discrete LQR of `model` linearised at (x, u); all SI.
 
     The MPC penalises input changes; a static gain cannot, so `R` here penalises deviations from u_eq.
     """
@@ -55,7 +43,7 @@ def lqr(
         return (P + P.T) / 2  # an antisymmetric rounding error would grow with the unstable modes of A
 
     P = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.diag(Q))
-    return LQR(jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, B.T @ P @ A) / scale[:, None])
+    return jnp.linalg.solve(jnp.eye(2) + B.T @ P @ B, B.T @ P @ A) / scale[:, None]
 
 
 class ScheduledLQR(eqx.Module):

@@ -48,7 +48,7 @@ def _hold(nominal: SingleTrack, at: Array, Q: Array, R_u: Array, dt: Array) -> t
     """Return state and input of the drift with slip and radius `at`, the LQR's gain there, and whether there is one."""
     steady = solve_nominal(nominal, SlipRadius(at[0], at[1]), branch=Branch.COUNTERSTEER)
     gain = lqr(nominal, steady.x, steady.u, Q, R_u, dt)
-    return jnp.stack(steady.x), jnp.stack(steady.u), gain.K, steady.result == RESULTS.successful
+    return jnp.stack(steady.x), jnp.stack(steady.u), gain, steady.result == RESULTS.successful
 
 
 def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excited: bool = True) -> Manoeuvre:

@@ -88,13 +88,9 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
     scaled = B / np.sqrt(R)  # the same problem in inputs of unit cost, well conditioned
     P = solve_discrete_are(A, scaled, np.diag(Q), np.eye(2))
     K = np.linalg.solve(np.eye(2) + scaled.T @ P @ scaled, scaled.T @ P @ A) / np.sqrt(R)[:, None]
-    np.testing.assert_allclose(found.K, K, rtol=1e-6)
+    np.testing.assert_allclose(found, K, rtol=1e-6)
     assert np.max(np.abs(np.linalg.eigvals(A))) > 1  # the drift is unstable without it
-    assert np.max(np.abs(np.linalg.eigvals(A - B @ np.asarray(found.K)))) < 1
-    held = found(x, x, u)
-    assert held.delta == u.delta and held.Fxr == u.Fxr
-    moved = found(State(x.V + 0.1, x.beta, x.r), x, u)
-    np.testing.assert_allclose([moved.delta - u.delta, moved.Fxr - u.Fxr], -0.1 * K[:, 0], rtol=1e-6)
+    assert np.max(np.abs(np.linalg.eigvals(A - B @ np.asarray(found)))) < 1
 
 
 limited: Any = eqx.filter_jit(within_limits)

@@ -60,11 +60,11 @@ def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
 
 def test_the_lqr_of_the_extended_car_holds_its_drift():
     car, (x, u), dt = build_car(CAR), (steady().x, steady().u), jnp.asarray(0.05)
-    gain = eqx.filter_jit(lqr)(car, x, u, jnp.array([1.0, 700.0, 500.0]), jnp.array([10.0, 1e-9]), dt)
+    K = eqx.filter_jit(lqr)(car, x, u, jnp.array([1.0, 700.0, 500.0]), jnp.array([10.0, 1e-9]), dt)
 
     def step(y, _):
-        v = gain(State(*y), x, u)
-        return jnp.stack(rk4_step(lambda w: car(w, Control(v.delta, v.Fxr)), State(*y), dt)), None
+        delta, Fxr = jnp.stack(u) - K @ (y - jnp.stack(x))
+        return jnp.stack(rk4_step(lambda w: car(w, Control(delta, Fxr)), State(*y), dt)), None
 
     start = jnp.stack(x) + jnp.array([0.05, 0.01, -0.01])
     end = jax.jit(lambda y: jax.lax.scan(step, y, length=200)[0])(start)
