@@ -25,7 +25,7 @@ from driftjax.diagnosis.fit import evaluate, refit_to_convergence
 from driftjax.diagnosis.select import penalised_cost
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
-from experiments.independent.score import Result, alarm_table, line, right_verdict, score, table
+from experiments.independent.score import BODY, Result, alarm_table, line, right_verdict, score, table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,10 @@ def run_case(case: Case) -> Result:
 
 
 def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
-    """Return how hidden and named effects look at the nominal car, and the price of the truth beside what was named."""
+    """Return how hidden and named effects look at the nominal car, and the price of the truth beside what was named.
+
+    The truth is what is hidden and what the catalogue knows of `body`, which begins at a typical size; all are fitted.
+    """
     problem, last = evidence.problem, evidence.selection.nominal_scores
     names = [effect.name for effect in problem.effects]
     told = {}
@@ -74,8 +77,11 @@ def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
             "rank": int((last.gain > last.gain[i]).sum()), "deviations": float(np.sqrt(np.diag(last.H)[columns].max())),
         }  # fmt: skip
     theta = [case.hidden.get(effect.name, {}).get(p.name, 0.0) for effect in problem.effects for p in effect.parameters]
-    hidden = tuple(sorted(names.index(name) for name in case.hidden))
-    true = evaluate(problem, np.array(theta) / np.asarray(problem.model.scale))
+    body = [names.index(name) for name in (BODY if case.body else ())]
+    hidden = tuple(sorted([*(names.index(name) for name in case.hidden), *body]))
+    sizes = np.array(theta) / np.asarray(problem.model.scale)
+    sizes[problem.columns(tuple(body))] = 1.0
+    true = evaluate(problem, sizes)
     true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
     prices = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
               "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
