@@ -1,7 +1,6 @@
 """The plant with effects: the nominal car where it has none, the car that was recorded, a mirror, laps and sensors."""
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax
@@ -22,7 +21,6 @@ SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
 DT, SUBSTEPS, V0, LAP = 0.02, 20, 12.0, 50.0
 EACH = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in effect.parameters]
 LATE = {"steer_lag": 0.08, "steer_delay": 0.05, "drive_lag": 0.1, "load_transfer_long": 0.3, "roll_lag": 0.1}
-QUICK = {"xla_disable_hlo_passes": "fusion"}  # compiles several times faster
 
 
 def plant(**found: float) -> UniversalPlant:
@@ -31,7 +29,7 @@ def plant(**found: float) -> UniversalPlant:
     return plant_of(SEDAN, np.array(theta), LAP, DT / SUBSTEPS)
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@jax.jit
 def driven(car: UniversalPlant, commands):
     """States and motions after each command (T, 2)."""
 
@@ -80,7 +78,7 @@ def test_it_moves_as_the_car_that_is_recorded():
     def run(model, manoeuvre):
         return record(model, wide, manoeuvre, silent, jax.random.key(0), DT, SUBSTEPS)
 
-    log = jax.jit(run, compiler_options=QUICK)(car.universal, manoeuvre)
+    log = jax.jit(run)(car.universal, manoeuvre)
     np.testing.assert_array_equal(log.command, commands)
     np.testing.assert_allclose(jnp.stack(states.x, axis=1)[:-1], log.x[1:], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(states.position[:-1], log.position[1:], rtol=1e-9, atol=1e-9)
@@ -123,7 +121,7 @@ def test_a_spinning_entry_keeps_its_code_and_the_others_continue():
     keys = jax.vmap(jax.random.key)(jnp.arange(num))
     config = LapConfig(time_limit=4.0, substeps=25)
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @jax.jit
     def laps(cars, paths):
         speed = jnp.full(num, 10.0)
         return drive(cars, paths, speed, policy, fixed, SensorConfig(), config, dt=0.05, keys=keys)
