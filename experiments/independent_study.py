@@ -25,7 +25,7 @@ from driftjax.diagnosis.fit import evaluate, refit_to_convergence
 from driftjax.diagnosis.select import penalised_cost
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
-from experiments.independent.score import BODY, Result, alarm_table, line, right_verdict, score, table
+from experiments.independent.score import Result, alarm_table, effects_of_body, line, right_verdict, score, table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,10 +77,10 @@ def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
             "rank": int((last.gain > last.gain[i]).sum()), "deviations": float(np.sqrt(np.diag(last.H)[columns].max())),
         }  # fmt: skip
     theta = [case.hidden.get(effect.name, {}).get(p.name, 0.0) for effect in problem.effects for p in effect.parameters]
-    body = [names.index(name) for name in (BODY if case.body else ())]
-    hidden = tuple(sorted([*(names.index(name) for name in case.hidden), *body]))
+    body = tuple(map(names.index, effects_of_body(case.body)))
+    hidden = tuple(sorted((*map(names.index, case.hidden), *body)))
     sizes = np.array(theta) / np.asarray(problem.model.scale)
-    sizes[problem.columns(tuple(body))] = 1.0
+    sizes[problem.columns(body)] = 1.0
     true = evaluate(problem, sizes)
     true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
     prices = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),

@@ -14,6 +14,11 @@ BODY = ("track_width",)  # what `body` brings along: not looked for, and not fal
 Result = dict[str, Any]
 
 
+def effects_of_body(body: float) -> tuple[str, ...]:
+    """Return the effects that `body` brings along."""
+    return BODY if body else ()
+
+
 def reported_set(cause: dict[str, Any]) -> list[str]:
     """Return a named effect with its rivals."""
     return [cause["effect"], *cause["rivals"]]
@@ -38,7 +43,7 @@ def score(result: Result) -> Result:
     families = {FAMILY_OF[name] for name in [*named, *found.values()]}
     wanted = {FAMILY_OF[name] for name in hidden}
     tentative = {cause["effect"] for cause in causes if cause.get("exploratory")}
-    there = BODY if result["case"]["body"] else ()
+    there = effects_of_body(result["case"]["body"])
     wrong = [name for name in named if name not in found and name not in there]
     false = [name for name in wrong if name not in tentative]
     physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS and name not in there]

@@ -24,7 +24,6 @@ BENT = (  # every lag, and effects of every station that a step runs through
     "friction_rear sliding_friction load_sensitivity load_transfer_long combined_slip relaxation_length mass cog_shift "
     "roll_lag roll_steer side_wind drive_split"
 ).split()
-QUICK = {"xla_disable_hlo_passes": "fusion"}  # compiles several times faster
 PUSH = jnp.array([0.3, -0.1, 0.4])  # on the rates
 STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
 
@@ -212,7 +211,7 @@ def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
         by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2, 3))(z, u, PUSH, model.theta), axis=1)
         return f(z, u, PUSH, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT), PUSH)
 
-    value, exact, found = jax.jit(jax.vmap(both), compiler_options=QUICK)(z, u, place)
+    value, exact, found = jax.jit(jax.vmap(both))(z, u, place)
     np.testing.assert_allclose(found.value, value, rtol=1e-12, atol=1e-13)
     largest = np.abs(exact).max(axis=0)  # (6, 13 + K)
     assert (largest.max(axis=0) > 0).all()  # a column of zeros would tell nothing
