@@ -1,7 +1,7 @@
 """Fixed-step integration of pytrees."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,20 +19,22 @@ def axpy(a: ArrayLike, x: T, y: T) -> T:
 
 def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
     """Return the state after one step of the classical Runge-Kutta method of order 4, x_dot = f(x), step `dt` [s]."""
-    return rk4_ends(f, x, dt)[0]
-
-
-def rk4_ends(f: Callable[[T], T], x: T, dt: float | Array) -> tuple[T, T, T]:
-    """Return the state after the same step, and the slopes at its beginning and end."""
     k1 = f(x)
     k2 = f(axpy(dt / 2, k1, x))
     k3 = f(axpy(dt / 2, k2, x))
     k4 = f(axpy(dt, k3, x))
-    return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4), k1, k4
+    return jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), x, k1, k2, k3, k4)
 
 
-# of the four slopes: distance along the previous slope in steps, and weight in the step
-RK4_INTO, RK4_WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
+class Tableau(NamedTuple):
+    """Explicit Runge-Kutta method whose slopes each need the one before only."""
+
+    into: np.ndarray  # distance along the previous slope at which each is evaluated, in steps
+    weights: np.ndarray  # of the slopes in the step
+
+
+RK4 = Tableau(np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6)  # classical, order 4
+HEUN = Tableau(np.array([0.0, 1.0]), np.array([0.5, 0.5]))  # order 2
 
 
 def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, along: Any = None) -> Array:
@@ -41,7 +43,7 @@ def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, alon
     A quarter of the program, and so of what derivatives of it take to compile; XLA cannot then do the first slopes
     again for each use of the later ones either, which in second derivatives costs most of the time.
     """
-    stages = (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS), along)
+    stages = (*map(jnp.asarray, RK4), along)
 
     def stage(carry, now):
         k, end = carry
@@ -50,13 +52,6 @@ def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, alon
         return (k, end + dt * weight.astype(x.dtype) * k), None
 
     return jax.lax.scan(stage, (jnp.zeros_like(x), x), stages)[0][1]
-
-
-def heun_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
-    """Return the state after one step of Heun's method of order 2 for x_dot = f(x), step `dt` [s]."""
-    k1 = f(x)
-    k2 = f(axpy(dt, k1, x))
-    return axpy(dt / 2, axpy(1.0, k1, k2), x)
 
 
 def lag_decay(lag: Array, dt: Array) -> Array:

@@ -9,18 +9,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.core.integrate import rk4_ends
-from driftjax.sim.step import (
-    FirstOrderHold,
-    LaggedState,
-    begin_step,
-    hold_of,
-    hold_segment,
-    lagged_after,
-    midpoints,
-    rate_during,
-    steady_lagged_state,
-)
+from driftjax.sim.step import LaggedState, hold_of, hold_segment, lagged_step, midpoints, steady_lagged_state
 from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import Universal
 
@@ -52,22 +41,6 @@ def acting(model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"
     return jax.lax.scan(move, model.start(dt / FINE), (commands, V))[1]
 
 
-def advance(
-    model: Universal,
-    x: State,
-    lagged: LaggedState,
-    hold: FirstOrderHold,
-    place: Place,
-    dt: Array,
-    push: State | None = None,
-) -> tuple[State, LaggedState, State, State]:
-    """Return state and lagged state one step `dt` [s] later, and the rates of the state at its start and end."""
-    at_start = begin_step(model, x, lagged, hold, place, dt, push)
-    rate = rate_during(model, at_start, place, dt, push)
-    (x, _), (first, _), (last, _) = rk4_ends(rate, (x, jnp.zeros(())), dt)
-    return x, lagged_after(model, at_start, x, dt), first, last
-
-
 def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "4"], place: Place) -> Float[Array, "6"]:
     """Return state and lagged state as one vector, at a start `x0` = (V, beta, r) reached under the inputs `before`."""
     x = State(x0[0], x0[1], x0[2])
@@ -82,7 +55,7 @@ def move(
 
     def on(z, u):
         x, lagged = State(z[0], z[1], z[2]), LaggedState(z[3:5], z[5])
-        x, lagged, *ends = advance(model, x, lagged, hold_of(u), place, dt / model.substeps, push)
+        x, lagged, *ends = lagged_step(model, x, lagged, hold_of(u), place, dt / model.substeps, push)
         return jnp.concatenate([jnp.stack(x), lagged.slip, lagged.ay[None]]), jnp.stack(
             [jnp.stack(end) for end in ends]
         )

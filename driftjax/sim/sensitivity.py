@@ -12,18 +12,19 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import State
-from driftjax.core.integrate import RK4_INTO, RK4_WEIGHTS
+from driftjax.core.integrate import RK4
 from driftjax.sim.step import (
     LaggedState,
     StepStart,
-    begin_step,
+    evaluate,
+    evaluations,
+    first_slip_rate,
     hold_of,
     hold_segment,
-    lag_offsets,
     lagged_after,
     midpoints,
 )
-from driftjax.vehicle.effect.flow import Place, rates
+from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import Universal
 
 
@@ -41,8 +42,9 @@ def join(*parts: Dual) -> Dual:
 
 def through(f, x: Dual, theta: Array) -> Dual:
     """Apply f(x, theta): chain the derivatives of `x`; theta (K,) is the last K of the variables."""
-    by_x, by_theta = jax.jacrev(f, (0, 1))(x.value, theta)
-    return Dual(f(x.value, theta), (by_x @ x.by).at[:, x.by.shape[1] - len(theta) :].add(by_theta))
+    value, pull = jax.vjp(f, x.value, theta)
+    by_x, by_theta = jax.vmap(pull)(jnp.eye(len(value)))
+    return Dual(value, (by_x @ x.by).at[:, x.by.shape[1] - len(theta) :].add(by_theta))
 
 
 def move_with_derivatives(
@@ -68,34 +70,36 @@ def move_with_derivatives(
 def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, push: Dual) -> Dual:
     """Return state and lagged state (6,) one substep after `z`, under `inputs` (4,), rates `push` (3,) added."""
 
-    def at_start(v):
-        return StepStart(State(*v[:3]), LaggedState(v[3:5], v[5]), hold_of(v[6:10]), v[10:12], v[12])
+    def begun(v):
+        return StepStart(State(*v[:3]), LaggedState(v[3:5], v[5]), hold_of(v[6:10]), v[13:15], v[15])
 
-    def start(v, theta):
-        x, lagged, hold, *_ = at_start(v)
-        found = begin_step(model.with_parameters(theta), x, lagged, hold, place, dt, State(*v[10:13]))
-        return jnp.concatenate([found.slip_rate, found.ay[None]])
+    def rates(v, theta, share, first):
+        return evaluate(model.with_parameters(theta), begun(v), v[16:], share, first, place, dt, v[10:13])
 
-    def force(v, theta, share):
-        car, at, y = model.with_parameters(theta), at_start(v), State(*v[13:])
-        return jnp.stack(rates(car.flow(y, at.hold.at(share), place, lag_offsets(car, at, y, share, dt))))
+    def slip(v, theta):
+        return first_slip_rate(model.with_parameters(theta), begun(v), v[16:], dt)
 
     def reach(v, theta):
-        lagged = lagged_after(model.with_parameters(theta), at_start(v), State(*v[13:]), dt)
-        return jnp.concatenate([v[13:], lagged.slip, lagged.ay[None]])
+        lagged = lagged_after(model.with_parameters(theta), begun(v), State(*v[16:]), dt)
+        return jnp.concatenate([v[16:], lagged.slip, lagged.ay[None]])
 
-    began = join(z, inputs)
-    began = join(began, through(start, join(began, push), model.theta))
-    state = jax.tree.map(lambda a: a[:3], z)
+    began, start = join(z, inputs, push), _rows(z, slice(3))
+    nothing = jax.tree.map(jnp.zeros_like, start)
+    either = lambda first, a, b: jax.tree.map(lambda a, b: jnp.where(first, a, b), a, b)
 
-    def stage(carry, row):
-        k, total = carry
-        node, weight = row
-        y = jax.tree.map(lambda a, b: a + node * dt * b, state, k)
-        found = through(lambda v, theta: force(v, theta, node), join(began, y), model.theta)
-        k = jax.tree.map(jnp.add, found, push)
-        return (k, jax.tree.map(lambda a, b: a + weight * dt * b, total, k)), None
+    def on(carry, row):  # as in `lagged_step`
+        k, end, known = carry
+        first, into, weight = row
+        y = jax.tree.map(lambda a, b: a + into * dt * b, start, k)
+        found = through(lambda v, theta: rates(v, theta, into, first), join(began, known, y), model.theta)
+        dx, ay = _rows(found, slice(3)), _rows(found, slice(3, 4))
+        moving = through(slip, join(began, known, dx), model.theta)
+        k, known = either(first, k, dx), either(first, join(moving, ay), known)
+        return (k, jax.tree.map(lambda a, b: a + weight * dt * b, end, k), known), None
 
-    nothing = jax.tree.map(jnp.zeros_like, state)
-    (_, after), _ = jax.lax.scan(stage, (nothing, state), (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS)))
-    return through(reach, join(began, after), model.theta)
+    (_, end, known), _ = jax.lax.scan(on, (nothing, start, nothing), evaluations(RK4, start.value.dtype))
+    return through(reach, join(began, known, end), model.theta)
+
+
+def _rows(x: Dual, which: slice) -> Dual:
+    return jax.tree.map(lambda a: a[which], x)

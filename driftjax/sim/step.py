@@ -1,6 +1,5 @@
 """One step of the universal car: inputs over the step, lagged slip and roll, and the resulting rates."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -10,7 +9,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State, lag_step
-from driftjax.core.integrate import axpy, lag_slope
+from driftjax.core.integrate import RK4, Tableau, axpy, lag_slope
 from driftjax.vehicle.effect.flow import Aux, Place, rates
 from driftjax.vehicle.universal import Universal
 
@@ -108,11 +107,6 @@ def slip_parabola(model: Universal, at_start: StepStart, slip: Array, time: Arra
     )
 
 
-def add_push(dx: State, push: State | None) -> State:
-    """Add the rates of a `push`, if given, to the rates `dx`."""
-    return dx if push is None else axpy(1.0, push, dx)
-
-
 def slip_rate(model: Universal, x: State, dx: State, u: Control, du: Control) -> Float[Array, "2"]:
     """Return the rates of the geometric slip angles [rad/s] for rates `dx` of the state and `du` of the inputs."""
     return jax.jvp(lambda y, u: slip_of(model, y, u), (x, u), (dx, du))[1]
@@ -125,20 +119,11 @@ def steady_lagged_state(model: Universal, x: State, u: Control, place: Place) ->
     return LaggedState(slip_of(model, x, u) - relaxation_time(model, x) * moving, ay)
 
 
-def begin_step(
-    model: Universal,
-    x: State,
-    lagged: LaggedState,
-    hold: FirstOrderHold,
-    place: Place,
-    dt: Array,
-    push: State | None = None,
-) -> StepStart:
-    """Prepare a step at its start; `push` is added to the rates."""
-    u, rise = hold.at(0.0), Control(*(2 * slope / dt for slope in hold.slope))
-    behind = (lagged.slip - slip_of(model, x, u)) * lag_decay(relaxation_time(model, x), 0.0, dt)
-    dx, ay = motion(model, x, u, place, Aux(behind, jnp.zeros(())))
-    return StepStart(x, lagged, hold, slip_rate(model, x, add_push(dx, push), u, rise), ay)
+def first_offsets(model: Universal, at_start: StepStart, dt: Array) -> Aux:
+    """Return the lag offsets of slip and roll at the start of a step, before its rates are known."""
+    slip = slip_of(model, at_start.x, at_start.hold.at(0.0))
+    behind = (at_start.lagged.slip - slip) * lag_decay(relaxation_time(model, at_start.x), 0.0, dt)
+    return Aux(behind, jnp.zeros(()))
 
 
 def lag_offsets(model: Universal, at_start: StepStart, y: State, share: Array, dt: Array) -> Aux:
@@ -159,14 +144,67 @@ def lagged_after(model: Universal, at_start: StepStart, x: State, dt: Array) -> 
     return LaggedState(slip + end + at.behind, lag_step(at_start.lagged.ay, at_start.ay, model.car.roll_lag, dt)[1])
 
 
-def rate_during(
-    model: Universal, at_start: StepStart, place: Place, dt: Array, push: State | None
-) -> Callable[[tuple[State, Array]], tuple[State, Array]]:
-    """Return the rates of the state and of the elapsed fraction of the step; `push` is added to the former."""
+def evaluate(
+    model: Universal,
+    at_start: StepStart,
+    y: Float[Array, "3"],
+    share: Array,
+    first: Array,
+    place: Place,
+    dt: Array,
+    push: Float[Array, "3"],
+) -> Float[Array, "4"]:
+    """Return the rates of V, beta and r, `push` added, and the lateral acceleration at a fraction `share` of a step.
 
-    def rate(now: tuple[State, Array]) -> tuple[State, Array]:
-        y, share = now
-        dx = motion(model, y, at_start.hold.at(share), place, lag_offsets(model, at_start, y, share, dt))[0]
-        return add_push(dx, push), 1 / dt
+    The `first` time, at the start, what the lags during the step depend on is not known yet: those then follow from it.
+    """
+    x = State(y[0], y[1], y[2])
+    offsets = first_offsets(model, at_start, dt), lag_offsets(model, at_start, x, share, dt)
+    aux = jax.tree.map(lambda a, b: jnp.where(first, a, b), *offsets)
+    dx, ay = motion(model, x, at_start.hold.at(share), place, aux)
+    return jnp.concatenate([jnp.stack(dx) + push, ay[None]])
 
-    return rate
+
+def first_slip_rate(model: Universal, at_start: StepStart, dx: Float[Array, "3"], dt: Array) -> Float[Array, "2"]:
+    """Return the rates of the geometric slip angles at the start of a step, for rates `dx` of the state."""
+    rise = Control(*(2 * slope / dt for slope in at_start.hold.slope))
+    return slip_rate(model, at_start.x, State(dx[0], dx[1], dx[2]), at_start.hold.at(0.0), rise)
+
+
+def evaluations(method: Tableau, dtype: jnp.dtype) -> tuple[Array, Array, Array]:
+    """Return for each evaluation of a step whether it is the first, its node, and its weight in the step."""
+    into, weights = (jnp.asarray(np.concatenate([[0.0], row]), dtype) for row in method)
+    return jnp.arange(len(into)) == 0, into, weights
+
+
+def lagged_step(
+    model: Universal,
+    x: State,
+    lagged: LaggedState,
+    hold: FirstOrderHold,
+    place: Place,
+    dt: Array,
+    push: State | None = None,
+    method: Tableau = RK4,
+) -> tuple[State, LaggedState, State, State]:
+    """Return state and lagged state one step `dt` [s] later, and the rates of the state at its start and end.
+
+    `push` is added to the rates. The evaluations are a loop: a fifth of the program, and so of the time to compile it.
+    """
+    start = jnp.stack(x)
+    nothing = jnp.zeros_like(start)
+    added = nothing if push is None else jnp.stack(push)
+    begun = lambda known: StepStart(x, lagged, hold, known[:2], known[2])
+
+    def on(carry, row):
+        k, end, known = carry
+        first, into, weight = row
+        found = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
+        moving = first_slip_rate(model, begun(known), found[:3], dt)
+        k = jnp.where(first, k, found[:3])
+        known = jnp.where(first, jnp.concatenate([moving, found[3:]]), known)
+        return (k, end + weight * dt * k, known), k
+
+    (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), evaluations(method, start.dtype))
+    end = State(end[0], end[1], end[2])
+    return end, lagged_after(model, begun(known), end, dt), State(*slopes[1]), State(*slopes[-1])

@@ -9,8 +9,8 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.core.integrate import heun_step
-from driftjax.sim.step import LaggedState, begin_step, constant_hold, lagged_after, rate_during
+from driftjax.core.integrate import HEUN
+from driftjax.sim.step import LaggedState, constant_hold, lagged_step
 from driftjax.vehicle.effect.flow import Place, heat_rate
 from driftjax.vehicle.single_track import SingleTrack
 from driftjax.vehicle.universal import Universal
@@ -58,9 +58,7 @@ def travel(
     Tyre heat follows the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
     """
     memory, u = model.apply_actuators(now.memory, command, now.x.V, h)
-    at_start = begin_step(model, now.x, now.lagged, constant_hold(u), now.place, h, push)
-    x, _ = heun_step(rate_during(model, at_start, now.place, h, push), (now.x, jnp.zeros(())), h)
-    lagged = lagged_after(model, at_start, x, h)
+    x, lagged, *_ = lagged_step(model, now.x, now.lagged, constant_hold(u), now.place, h, push, HEUN)
     course = now.place.psi + now.x.beta
     distance = now.distance + h * now.x.V
     place = Place(

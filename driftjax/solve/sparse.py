@@ -13,7 +13,7 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.core.integrate import RK4_INTO, RK4_WEIGHTS
+from driftjax.core.integrate import RK4
 from driftjax.solve.materialise import bind, materialised
 
 Entry = Any  # an array, or None for zero
@@ -117,7 +117,7 @@ def runge_kutta(
 
     none = _filled([[None] * nz for _ in range(nx)], shape, zero)
     begin = [[total((none[i][j], zero + 1 if i == j else None)) for j in range(nz)] for i in range(nx)]
-    carry, tableau = ([zero] * nx, none, list(x), begin), (jnp.asarray(RK4_INTO), jnp.asarray(RK4_WEIGHTS))
+    carry, tableau = ([zero] * nx, none, list(x), begin), tuple(map(jnp.asarray, RK4))
     (_, _, ends, M), _ = jax.lax.scan(materialised(chained), carry, tableau)
     return ends, M
 

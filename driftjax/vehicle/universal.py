@@ -21,32 +21,40 @@ class Universal(eqx.Module):
     effects: tuple[Effect, ...] = eqx.field(static=True)
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
-    substeps: int = eqx.field(static=True, default=1)  # in which a step of the log is integrated
+    substeps: int = eqx.field(static=True)  # in which a step of the log is integrated
+    car: Car  # `base` after the effects of station `car`; here, since nearly everything else begins with it
 
-    def values(self) -> dict[str, tuple[Array, ...]]:
-        """Return the parameters of each effect, SI."""
+    def __init__(
+        self,
+        base: Car,
+        effects: tuple[Effect, ...],
+        scale: Float[Array, " K"],
+        theta: Float[Array, " K"],
+        substeps: int = 1,
+    ):
+        self.base, self.effects, self.scale, self.theta, self.substeps = base, effects, scale, theta, substeps
+        self.car = self._through("car", base)
+
+    def values(self, station: Station | None = None) -> dict[str, tuple[Array, ...]]:
+        """Return the parameters of each effect, or of those of one station, SI."""
         found, at, physical = {}, 0, self.theta * self.scale
         for effect in self.effects:
-            found[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
+            if station in (None, effect.station):
+                found[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
             at += len(effect.parameters)
         return found
 
     def with_parameters(self, theta: Float[Array, " K"]) -> "Universal":
         """Return the same car with other parameters, in typical sizes."""
-        return eqx.tree_at(lambda car: car.theta, self, theta)
+        return Universal(self.base, self.effects, self.scale, theta, self.substeps)
 
     def _through(self, station: Station, record, *context):
         """Apply all effects of a station; a barrier keeps XLA from computing it anew in every derivative it fuses."""
-        values = self.values()
+        values = self.values(station)
         for effect in self.effects:
             if effect.station == station:
                 record = effect.apply(record, *context, values[effect.name])
         return jax.lax.optimization_barrier(record)
-
-    @property
-    def car(self) -> Car:
-        """Parameters of the car, effects of station `car` included."""
-        return self._through("car", self.base)
 
     def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         """Return all intermediate quantities, from slip to forces."""
@@ -65,7 +73,7 @@ class Universal(eqx.Module):
 
     def apply_actuators(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
         """Return memory and actuator output for a constant command `u` over one step `dt` [s] at mean speed `V`."""
-        values, new = self.values(), []
+        values, new = self.values("command"), []
         commands = [effect for effect in self.effects if effect.station == "command"]
         for effect, held in zip(commands, memory, strict=True):
             after, u = effect.apply(held, u, V, dt, values[effect.name])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import lag_step, rk4_loop, rk4_step
-from driftjax.core.integrate import heun_step
+from driftjax.core.integrate import HEUN, RK4, axpy
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -20,7 +20,22 @@ def pendulum(step, num):
     return jnp.stack([x["angle"], x["rate"]])
 
 
-@pytest.mark.parametrize(("step", "order"), [(heun_step, 2), (rk4_step, 4)], ids=["heun", "rk4"])
+def explicit(method):
+    """The step of a tableau."""
+
+    def step(f, x, dt):
+        k, end = jax.tree.map(jnp.zeros_like, x), x
+        for into, weight in zip(*method, strict=True):
+            k = f(axpy(dt * into, k, x))
+            end = axpy(dt * weight, k, end)
+        return end
+
+    return step
+
+
+@pytest.mark.parametrize(
+    ("step", "order"), [(explicit(HEUN), 2), (explicit(RK4), 4), (rk4_step, 4)], ids=["heun", "rk4", "step"]
+)
 def test_order_of_convergence(step, order):
     exact = np.asarray(pendulum(rk4_step, 1000))
     errors = [np.abs(np.asarray(pendulum(step, num)) - exact).max() for num in (10, 20, 40)]

@@ -3,7 +3,6 @@
 import functools
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from driftjax.core import Control, State, rk4_step
-from driftjax.sim.rollout import SETTLE, acting, advance, begin, move, sensor_reading
+from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
-from driftjax.sim.step import LaggedState, constant_hold, steady_lagged_state
+from driftjax.sim.step import LaggedState, constant_hold, lagged_step, steady_lagged_state
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import Place, effects_by_name
 from driftjax.vehicle.effect.flow import Aux
@@ -37,7 +36,8 @@ def car_with(car="sedan", **found) -> Universal:
 
 def without_grip(model: Universal) -> Universal:
     """The car on ice so smooth that nothing pushes it: it goes on straight."""
-    return eqx.tree_at(lambda m: (m.base.muf, m.base.mur), model, (jnp.asarray(1e-13), jnp.asarray(1e-13)))
+    base = model.base._replace(muf=jnp.asarray(1e-13), mur=jnp.asarray(1e-13))
+    return Universal(base, model.effects, model.scale, model.theta)
 
 
 @functools.cache
@@ -66,7 +66,8 @@ def bent() -> Universal:
 def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
     vehicle = replace(load_vehicle("sedan"), combined_slip=combined_slip)
     model, nominal = bent().with_parameters(jnp.zeros_like(bent().theta)), vehicle.build()
-    model = eqx.tree_at(lambda m: m.base, model, universal_car(vehicle, ()).base)
+    base = universal_car(vehicle, ()).base
+    model = Universal(base, model.effects, model.scale, model.theta)
     z, u, place = rich()
     found = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT)).z))(z, u, place)
 
@@ -127,7 +128,7 @@ def test_what_is_felt_forgets_where_it_began():
 
     def on(lagged_states, _):
         states = [
-            advance(model, x, lagged, constant_hold(control), at, jnp.asarray(1e-4))[1] for lagged in lagged_states
+            lagged_step(model, x, lagged, constant_hold(control), at, jnp.asarray(1e-4))[1] for lagged in lagged_states
         ]
         return states, None
 
