@@ -7,7 +7,7 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL
 from driftjax.logs.raw import RawRun
-from driftjax.logs.sampling import JITTER, UNIFORM, jitter, sample_time
+from driftjax.logs.sampling import FEWER, JITTER, UNIFORM, even_rate, jitter, sample_time
 
 MAX_ANGLE = 1.6  # rad
 MAX_YAW_RATE = 20.0  # rad/s
@@ -16,20 +16,26 @@ STUCK_ROWS = 20
 SLOW = 0.1  # share of the run's top speed below which sideslip is noise
 
 
-def check_time(run: RawRun) -> float:
-    """Return the sample time [s] of a run of two rows or more; raises `BadInput` if time is not steadily increasing."""
+def check_time(run: RawRun, rate: float | None) -> float:
+    """Return the sample time [s] of a run of two rows or more: of uneven steps that which they are resampled to.
+
+    Raises `BadInput` if time does not increase, or if the steps are uneven and no `rate` [Hz], or too high a one, says
+    what to resample them to.
+    """
     t, label = run.values["t"], run.labels["t"]
     remedy = "time must increase within a run: sort the rows, or name each run in a column of its own"
     run.reject("t", np.append(False, np.diff(t) <= 0), "s, no more than in the row before", remedy)
     dt = sample_time(t)
     if dt > MAX_SAMPLE_TIME:
         raise BadInput(f"{run.where}: {label} steps by {dt:g}, which looks like milliseconds; write seconds.")
-    if (spread := jitter(t, dt)) > JITTER:
+    if (often := even_rate(t)) is None:
+        return dt
+    if rate is None or rate > often:
         raise BadInput(
-            f"{run.where}: the steps of {label} vary by {100 * spread:.0f} % around {dt:.4g} s, "
-            f"more than {100 * JITTER:.0f} %; resample the log evenly."
+            f"{run.where}: the steps of {label} vary by {100 * jitter(t, dt):.0f} % around {dt:.4g} s, more than "
+            f"{100 * JITTER:.0f} %; write 'rate: {FEWER * often:.2g}' in a column map to resample the log evenly."
         )
-    return dt
+    return 1 / rate
 
 
 def invalid_sideslip(run: RawRun) -> np.ndarray:

@@ -50,5 +50,10 @@ def _yaw(quaternion: Any) -> Any:
     if not all(map(is_number, parts)):
         return None if None in parts else ABSENT
     x, y, z, w = parts
-    unset = x == y == z == w == 0
-    return None if unset else float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    return None if x == y == z == w == 0 else float(heading(x, y, z, w))
+
+
+def heading(x: Any, y: Any, z: Any, w: Any) -> np.ndarray:
+    """Return the heading of a quaternion [rad], NaN where it is zero."""
+    psi = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return np.where(np.abs(x) + np.abs(y) + np.abs(z) + np.abs(w) == 0, np.nan, psi)

@@ -48,7 +48,7 @@ def _csv(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
         if len(cells) != len(names):
             raise BadInput(f"{path}, row {line}: has {len(cells)} cells for {len(names)} columns; correct the row.")
     units: list[str] = []
-    if len(rows) > 1 and not any(map(_is_number, rows[0])) and any(map(_is_number, rows[1])):
+    if len(rows) > 1 and not any(map(is_number, rows[0])) and any(map(is_number, rows[1])):
         units, *rows = rows
         lines = lines[1:]
     stripped = lambda cells: tuple(cell.strip() for cell in cells)
@@ -72,12 +72,13 @@ def _header_and_rows(path: Path, text: str, skip: Callable[[int], bool]) -> tupl
         raise BadInput(f"{path}, row {reader.line_num}: is no CSV ({error}); correct the row.") from None
     if not rows:
         raise BadInput(f"{path}: is empty; give a log with a row of names and rows of numbers.")
-    if len(comment) == len(rows[0]) and any(map(_is_number, rows[0])):
+    if len(comment) == len(rows[0]) and any(map(is_number, rows[0])):
         return [comment[0].lstrip().lstrip("#"), *comment[1:]], lines, rows
     return rows[0], lines[1:], rows[1:]
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a finite number."""
     try:
         return cell.strip().lower() not in MISSING and np.isfinite(float(cell))
     except ValueError:

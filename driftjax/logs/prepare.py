@@ -32,18 +32,22 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
     if len(run.lines) < 2:
         notes.append(f"{raw.where}: was left out, for it has fewer than two rows.")
         return []
-    dt = check_time(run)
+    dt = check_time(run, rate)
+    every = max(dt, sampling.spacing(run.values["t"]))
     run = _checked(run, notes)
     factor = 1 if rate is None else sampling.thinning_factor(dt, rate, run.where)
-    run = _hold_commands(run, dt, notes)
-    stretches = [run.select_rows(rows) for rows in sampling.split_at_gaps(run.values["t"], dt)]
+    run = _hold_commands(run, every, notes)
+    stretches = [run.select_rows(rows) for rows in sampling.split_at_gaps(run.values["t"], every)]
     long = [stretch for stretch in stretches if np.ptp(stretch.values["t"]) > (factor - sampling.SLACK) * dt]
     if short := sum(len(stretch.lines) for stretch in stretches) - sum(len(stretch.lines) for stretch in long):
         notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
     if len(long) > 1:
         notes.append(f"{raw.where}: was cut at gaps into {len(long)} parts.")
-    found = [_even(stretch, dt) for stretch in long]
-    _note_repairs(raw, long, dt, notes)
+    found = [_even(stretch, dt, every) for stretch in long]
+    if every > dt:
+        notes.append(f"{raw.where}: its uneven time steps, {every:.3g} s or less, were resampled to {1 / dt:.4g} Hz.")
+    else:
+        _note_repairs(raw, long, dt, notes)
     if factor == 1:
         return found
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
@@ -85,13 +89,13 @@ def _hold_commands(run: RawRun, dt: float, notes: list[str]) -> RawRun:
     return run.select_rows(known)
 
 
-def _even(run: RawRun, dt: float) -> Segment:
+def _even(run: RawRun, dt: float, every: float) -> Segment:
     values = dict(run.values)
     t = values.pop("t")
     if "psi" in values:
         values["psi"] = sampling.unwrap(values["psi"])
     if not sampling.is_uniform(t, dt):
-        t, values = sampling.resample(t, values, COMMANDS, dt)
+        t, values = sampling.resample(t, values, COMMANDS, dt, every)
     return Segment(t, values, dt)
 
 

@@ -1,4 +1,4 @@
-"""Recordings (ROS bags, MCAP, MDF, MoTeC, AiM, CarMaker), whose columns have their own clocks, as one table."""
+"""Recordings (ROS bags, MCAP, MDF, MoTeC, AiM, CarMaker, folders of CSV), whose columns have own clocks, as a table."""
 
 from collections.abc import Callable, Collection, Iterable
 from itertools import chain
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs import aim, carmaker, mcapfile, mdf, motec, rosbag, sampling
+from driftjax.logs import aim, carmaker, csvfolder, mcapfile, mdf, motec, rosbag, sampling
 from driftjax.logs.columns import COMMANDS, ColumnMap, Stamps
 from driftjax.logs.messages import Message, number_columns, read_series
 from driftjax.logs.series import Series, check_series, quote_names
@@ -28,6 +28,7 @@ CHANNELS: dict[str, tuple[Callable[[Path], dict[str, str]], Callable[[Path, list
     motec.KIND: (motec.motec_channels, motec.motec_series),
     aim.KIND: (aim.aim_channels, aim.aim_series),
     carmaker.KIND: (carmaker.carmaker_channels, carmaker.carmaker_series),
+    csvfolder.KIND: (csvfolder.csv_channels, csvfolder.csv_series),
 }  # of recordings without messages: units by channel, samples by channel
 
 
@@ -35,9 +36,12 @@ def recording_kind(path: Path) -> str | None:
     """Return the kind of recording of `path`, by its first bytes; None for any other file."""
     with file_errors(path):
         if path.is_dir():
-            if not (path / "metadata.yaml").is_file():
-                raise BadInput(f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; give a bag or a file.")
-            return rosbag.KIND
+            if (path / "metadata.yaml").is_file():
+                return rosbag.KIND
+            if csvfolder.csv_files(path):
+                return csvfolder.KIND
+            raise BadInput(f"{path}: is a folder without the metadata.yaml of a ROS 2 bag and without CSV files; "
+                           "give a bag or a file.")  # fmt: skip
         if not path.is_file():
             return None  # nothing there, or a pipe, whose first bytes would be lost
         with path.open("rb") as stream:
@@ -48,6 +52,8 @@ def recording_kind(path: Path) -> str | None:
 
 def recording_files(path: Path) -> list[Path]:
     """Return the files that a recording consists of: those of a folder by name, that beside a CarMaker file."""
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        return csvfolder.csv_files(path)
     if path.is_dir():
         return sorted(one for one in path.rglob("*") if one.is_file())
     return [path, *([info] if (info := carmaker.info_path(path)).is_file() else [])]
@@ -147,7 +153,7 @@ def _at(times: np.ndarray, series: Series, role: str, turning: float | None) -> 
     """Return the series at `times`; `turning` is the factor to radians if the values are a heading."""
     if role == "state":
         return sampling.sample_and_hold(times, series.t, series.y, sampling.sample_time(times))
-    dt = sampling.sample_time(series.t)
+    dt = sampling.spacing(series.t)
     if role == "command":
         return sampling.sample_and_hold(times, series.t, series.y, dt, lost=sampling.HOLD)
     y = series.y if turning is None else sampling.unwrap(turning * series.y) / turning

@@ -9,6 +9,8 @@ Channels = dict[str, np.ndarray]
 HOLD = 3  # samples for which a missing command is held, and sample times that t may jump within a run
 UNIFORM = 0.01  # deviation of the steps from the sample time up to which nothing is resampled
 JITTER = 0.20  # deviation up to which linear resampling is fair
+REGULAR = 0.95  # share of uneven steps that are no gap
+FEWER = 0.8  # rate that is proposed over that of uneven samples
 SLACK = 0.5  # sample times by which jitter may stretch a gap
 
 
@@ -19,10 +21,23 @@ def sample_time(t: np.ndarray) -> float:
     return float(f"{np.mean(steps[np.abs(steps - middle) <= SLACK * middle]):.9g}")
 
 
+def spacing(t: np.ndarray) -> float:
+    """Return the time in which a next sample comes as a rule [s]: longer than the mean step where steps are uneven."""
+    dt = sample_time(t)
+    return dt if jitter(t, dt) <= JITTER else max(float(np.quantile(np.diff(t), REGULAR)), dt)
+
+
 def jitter(t: np.ndarray, dt: float) -> float:
     """Return the 99 % quantile of the steps' deviation from whole multiples of the sample time [1]."""
     steps = np.diff(t) / dt
     return float(np.quantile(np.abs(steps - np.maximum(np.round(steps), 1)), 0.99))
+
+
+def even_rate(t: np.ndarray) -> float | None:
+    """Return the mean number of samples per second, gaps left out, if the steps of `t` are uneven; None if even."""
+    if jitter(t, sample_time(t)) <= JITTER:
+        return None
+    return float((len(t) - 1) / np.sum(np.minimum(np.diff(t), spacing(t))))
 
 
 def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -54,17 +69,23 @@ def is_uniform(t: np.ndarray, dt: float) -> bool:
     return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
 
 
-def resample(t: np.ndarray, values: Channels, held_names: tuple[str, ...], dt: float) -> tuple[np.ndarray, Channels]:
+def resample(
+    t: np.ndarray, values: Channels, held_names: tuple[str, ...], dt: float, every: float | None = None
+) -> tuple[np.ndarray, Channels]:
     """Return the channels at every `dt` from the start: samples on the grid unchanged, others interpolated.
 
-    Where samples are lost, the channels named in `held_names` keep their value and the others are missing.
+    Where samples, which come about `every` [s] (`dt` where left out), are lost, the channels named in `held_names` keep
+    their value and the others are missing.
     """
+    every = dt if every is None else every
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + SLACK) + 1)
     inside = np.minimum(grid, t[-1])  # the last point may lie half a sample time past the last sample
 
     def at_grid(name: str, y: np.ndarray) -> np.ndarray:
-        values = interpolate(inside, t, y, dt)
-        return np.where(np.isnan(values), sample_and_hold(inside, t, y, dt), values) if name in held_names else values
+        values = interpolate(inside, t, y, every)
+        return (
+            np.where(np.isnan(values), sample_and_hold(inside, t, y, every), values) if name in held_names else values
+        )
 
     return grid, {name: at_grid(name, y) for name, y in values.items()}
 

@@ -12,6 +12,8 @@ from driftjax.logs.fields import ABSENT, get_field, is_number
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # s per unit of time
+PLAUSIBLE = (5e-4, 0.5)  # sample times of cars' logs [s]
 APART = 1.0  # s by which header and receipt may differ from topic to topic on one clock
 REMEDY = "write 'stamps: receipt' in the column map"
 
@@ -50,3 +52,12 @@ def message_times(
         )
     start = min(own.min() for own in times.values())
     return {topic: (own - start) / 1e9 for topic, own in times.items()}
+
+
+def units_of_time(times: np.ndarray) -> list[float]:
+    """Return the units [s] in which the steps of `times` are as long as those of cars' logs, the longest first."""
+    steps = np.diff(times)
+    if not (steps > 0).any():
+        return []
+    middle = float(np.median(steps[steps > 0]))
+    return [unit for unit in UNITS if PLAUSIBLE[0] <= unit * middle <= PLAUSIBLE[1]]

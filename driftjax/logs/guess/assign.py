@@ -21,6 +21,7 @@ from driftjax.logs.guess.relations import (
     smoothed,
     turned,
 )
+from driftjax.logs.guess.sources import heading_beside, source_of, turned_axes
 from driftjax.logs.guess.units import best_factors
 
 ROUNDS = 4  # at most
@@ -68,7 +69,7 @@ def place(material: Material) -> dict[str, Placed]:
             role: (one.column.name, one.factor) for role, one in placed.items()
         }:
             break
-    return placed
+    return _turned(_one_pose(placed, known, material.dt), material.dt)
 
 
 def values(placed: dict[str, Placed], dt: float) -> dict[str, Signal]:
@@ -87,6 +88,38 @@ def plain_values(placed: dict[str, Placed], dt: float) -> dict[str, Signal]:
             metres = east_north(north, east, (float(north[there[0]]), float(east[there[0]])))
             found |= {role: smoothed(one, dt) for role, one in zip("xy", metres, strict=True)}
     return found
+
+
+def _one_pose(placed: dict[str, Placed], known: list[_Known], dt: float) -> dict[str, Placed]:
+    """Return the channels with the heading that comes with the position, where another one is hardly better."""
+    if "psi" not in placed or "x" not in placed:
+        return placed
+    best, x = placed["psi"], placed["x"]
+    v = values({role: one for role, one in placed.items() if role != "psi"}, dt)
+    mask, rules = fast(v, len(best.signal.y)), relations("psi", v, dt)
+    scored = {one.column.name: (one, *_scored("psi", one, [fit(rule, one.signal, mask) for rule in rules]))
+              for one in known if source_of(one.column.name) == source_of(x.column.name)}  # fmt: skip
+    name = heading_beside(x.column.name, [(name, one[1]) for name, one in scored.items()], best.score)
+    if name is None:
+        return placed
+    column, score, found, factor = scored[name]
+    return placed | {"psi": Placed("psi", column.column, column.signal, factor, score, found, None)}
+
+
+def _turned(placed: dict[str, Placed], dt: float) -> dict[str, Placed]:
+    """Return the channels with ax and ay from the axes that follow them, if the sensor is mounted a quarter turn."""
+    if not {"ax", "ay"} <= set(placed):
+        return placed
+    ahead, left = placed["ax"], placed["ay"]
+    found = turned_axes(ahead.signal, left.signal, values(placed, dt), dt)
+    if found is None:
+        return placed
+    units = FACTORS["acceleration"]
+    for role, one, follows in zip(("ax", "ay"), (left, ahead), found, strict=True):
+        unit = max(units, key=lambda factor: size_fits(found[1].factor, (factor,)))  # one sensor, one unit
+        factor = float(np.copysign(unit, follows.factor))
+        placed = placed | {role: Placed(role, one.column, one.signal, factor, abs(follows.correlation), follows, None)}
+    return placed
 
 
 def _assigned(known: list[_Known], placed: dict[str, Placed], dt: float) -> dict[str, Placed]:

@@ -11,6 +11,8 @@ from driftjax.logs.columns import Stamps
 from driftjax.logs.guess.names import meaning
 from driftjax.logs.parse import parse_table
 from driftjax.logs.recording import TIME, all_series, recording_kind
+from driftjax.logs.sampling import even_rate
+from driftjax.logs.stamps import units_of_time
 from driftjax.logs.table import MISSING, read_bytes
 
 FINEST = 0.02  # s, of the time base
@@ -19,8 +21,6 @@ GAP = 0.5  # s, over which values are interpolated
 FEW = 3  # different values up to which a column is a flag, unless its name says what it measures
 CLEAR = 0.9  # worth of such a name
 NUMERIC = 0.9  # share of cells that must be numbers
-STEPS = (1.0, 1e-3, 1e-6, 1e-9)  # s per unit of time
-PLAUSIBLE = (5e-4, 0.5)  # sample times of cars' logs [s]
 LEAST_TIME = 0.3  # worth of the name of a time
 JUMP = 0.9  # share of a turn that is a jump of an angle
 
@@ -52,6 +52,8 @@ class Material(NamedTuple):
     constant: list[str]
     """Columns of one value or none."""
     stamps: Stamps
+    rates: dict[str, float]
+    """Samples per second of columns with uneven time steps [Hz]."""
 
 
 def read_material(path: Path) -> Material:
@@ -91,7 +93,9 @@ def _of_table(path: Path) -> Material:
     run = _run(breaks, words, numbers)
     usable, flags, constant = _by_values([one for one in columns if one[0] != run])
     found = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
-    return Material(path, dt, time, factor, run, found, flags, constant, "header")
+    longest = t[max(parts, key=lambda part: part.stop - part.start)] if parts else t
+    rates = {name: rate for name in numbers for rate in _uneven(longest)}
+    return Material(path, dt, time, factor, run, found, flags, constant, "header", rates)
 
 
 def _of_recording(path: Path, kind: str) -> Material:
@@ -110,7 +114,14 @@ def _of_recording(path: Path, kind: str) -> Material:
     grid = np.arange(start, end, dt)[:MOST]
     usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in found.items()])
     columns = [Column(name, unit, _at(grid, found[name][1].t, y)) for name, unit, y in usable]
-    return Material(path, dt, TIME, 1.0, None, columns, flags, constant, stamps)
+    rates = {name: rate for name, _, _ in usable for rate in _uneven(found[name][1].t)}
+    return Material(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates)
+
+
+def _uneven(t: np.ndarray) -> list[float]:
+    """Return the samples per second of uneven time stamps, nothing of even ones."""
+    rate = even_rate(t) if len(t) > 2 else None
+    return [] if rate is None else [rate]
 
 
 def _by_values(columns: list[tuple[str, str, np.ndarray]]) -> tuple[list[tuple], list[str], list[str]]:
@@ -152,8 +163,7 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
         even = 1.0 - min(float(np.std(steps[steps > 0]) / np.mean(steps[steps > 0])), 1.0)
         score = said.worth["t"] * rising * (0.5 + 0.5 * even)
         if score > best:
-            middle = float(np.median(steps[steps > 0]))
-            fits = [one for one in STEPS if PLAUSIBLE[0] <= one * middle <= PLAUSIBLE[1]]
+            fits = units_of_time(y)
             factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)
             best, found = score, (name, factor)
     if found is None:

@@ -89,8 +89,11 @@ COMPILED = {role: [(re.compile(one), worth) for one, worth in found] for role, f
 DOUBTS = {"filt": 0.8, "filtered": 0.8, "raw": 0.9, "ref": 0.3, "reference": 0.3, "des": 0.3, "desired": 0.3,
           "target": 0.3, "sim": 0.6, "est": 0.9, "std": 0.2, "cov": 0.1, "covariance": 0.1, "sigma": 0.2, "error": 0.2,
           "err": 0.2, "status": 0.1, "imu": 0.9, "gps": 0.95, "fl": 0.7, "fr": 0.7, "max": 0.3, "min": 0.3,
-          "acc": 0.3, "feedforward": 0.4, "fb": 0.4, "ff": 0.4}  # fmt: skip
-NEVER_DOUBT = {"ax": {"acc", "raw"}, "ay": {"acc", "raw"}, "wfl": {"fl"}, "wfr": {"fr"}, "delta": {"des", "raw"}}
+          "acc": 0.3, "feedforward": 0.4, "fb": 0.4, "ff": 0.4, "cmd": 0.4, "command": 0.4, "commanded": 0.4,
+          "setpoint": 0.4}  # fmt: skip
+COMMANDED = {"cmd", "command", "commanded", "setpoint"}
+NEVER_DOUBT = {"ax": {"acc", "raw"}, "ay": {"acc", "raw"}, "wfl": {"fl"}, "wfr": {"fr"},
+               "delta": {"des", "raw", *COMMANDED}, "Fxr": COMMANDED}  # fmt: skip
 ASIDES = {"cmd", "command", "meas", "measured", "data", "filt", "filtered", "raw", "imu", "int", "map", "out", "value",
           "cg", "cog", "com"}  # fmt: skip
 OF_GPS = ("r", "ax", "ay")  # what a GPS computes from the course, and measures not at all

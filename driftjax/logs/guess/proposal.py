@@ -9,16 +9,28 @@ import numpy as np
 import yaml
 
 from driftjax.core import BadInput, write_atomically
-from driftjax.logs.agreement import time_shift
-from driftjax.logs.columns import CHANNELS, OPTIONAL, Channel, ColumnMap, Drive, Position, first_missing
-from driftjax.logs.guess.assign import SIGNED, Placed, place, plain_values, values
+from driftjax.logs.agreement import SLOW, time_shift
+from driftjax.logs.columns import (
+    CHANNELS,
+    COMMANDS,
+    OPTIONAL,
+    Channel,
+    ColumnMap,
+    Condition,
+    Drive,
+    Position,
+    first_missing,
+)
+from driftjax.logs.guess.assign import LEAST, SIGNED, Placed, place, plain_values, values
 from driftjax.logs.guess.material import Material, read_material
-from driftjax.logs.guess.names import DEG, words_of
+from driftjax.logs.guess.names import DEG, UNKNOWN, meaning, words_of
 from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
+from driftjax.logs.sampling import FEWER
 
 PEDALS = {"throttle", "gas", "accelerator", "pedal", "brake", "motor", "torque", "duty", "current", "power"}
 UNSURE = 0.8  # of the certainty that is left where a sign is only the file's, or another column fits as well
 RIGHT_ANGLE, NEAR_ANGLE = np.pi / 2, 0.1  # offsets of a heading that are meant to be whole right angles [rad]
+NEAR_ZERO = 0.1  # m/s; less is noise at a standstill
 ORDER = (*CHANNELS[:3], "vx", "vy", *CHANNELS[3:], "x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
 
 
@@ -54,6 +66,10 @@ class Guess:
     open: tuple[str, ...] = field(default=())
     """Sentences about what could not be placed or made sure."""
     Fxr_from: Drive | None = None
+    where: tuple[Condition, ...] = ()
+    """Rows that count: those driven forwards, where some are not."""
+    rate: float | None = None
+    """Even rate to resample to [Hz], where the time steps are uneven."""
 
     def column_map(self) -> ColumnMap:
         """Return the map; raises `BadInput` that names a needed channel which no column was recognised as."""
@@ -69,7 +85,8 @@ class Guess:
             position = Position(latitude.column, earth["longitude"].column, latitude.factor / DEG)
         run = () if self.run is None else (self.run,)
         stamps: Any = self.stamps
-        return ColumnMap(channels, run, Fxr_from=self.Fxr_from, position_from=position, stamps=stamps)
+        return ColumnMap(channels, run, self.where, Fxr_from=self.Fxr_from, position_from=position, rate=self.rate,
+                         stamps=stamps)  # fmt: skip
 
     def content(self) -> dict[str, Any]:
         """Return the guess as plain values, for JSON."""
@@ -93,6 +110,10 @@ class Guess:
             )
         if self.run is not None:
             lines.append(f"run: {_quoted(self.run)}")
+        for one in self.where:
+            lines.append(f"where: {{{_quoted(one.column)}: {{min: {one.min:g}}}}}")
+        if self.rate is not None:
+            lines.append(f"rate: {self.rate:g}  # Hz")
         if self.stamps != "header":
             lines.append(f"stamps: {self.stamps}")
         return "\n".join([*lines, *(f"# {sentence}" for sentence in self.open)]) + "\n"
@@ -134,15 +155,41 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: flo
     if {"latitude", "longitude"} <= set(placed):
         placed = {role: one for role, one in placed.items() if role not in ("x", "y")}
     placed = _one_pair_of_speeds(placed)
+    _note_turned(placed, left)
     placed = _steering_ratio(placed, wheelbase, left)
+    v = values(placed, material.dt)
     offset = heading_offset(plain_values(placed, material.dt))
     found = [Guessed("t", material.time, material.time_factor, 0.0, 1.0, "rises steadily", None)]
     for role in sorted(placed, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
         found.append(_guessed(placed[role], v, material.dt, offset if role == "psi" else None))
     drive = _drive(placed, mass)
     lacks = [name for name in CHANNELS if not _provided(name, placed, drive)]
+    where, rate = _forwards(placed, v, left), _even_rate(material, found, left)
     left += _open(material, placed, lacks, found)
-    return Guess(Path(path), tuple(found), material.run, material.stamps, tuple(left), drive)
+    return Guess(Path(path), tuple(found), material.run, material.stamps, tuple(left), drive, where, rate)
+
+
+def _forwards(placed: dict[str, Placed], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
+    """Return the condition that leaves out rows driven backwards, if there are any."""
+    role = next((role for role in ("V", "vx") if role in placed), None)
+    if role is None or not (back := np.nanmean(v[role].y < 0)) or np.nanmin(v[role].y) > -NEAR_ZERO:
+        return ()
+    one = placed[role]
+    least = float(f"{SLOW * np.nanpercentile(v[role].y, 99) / one.factor:.2g}")
+    left.append(f"'{one.column.name}' is negative in {100 * back:.2g} % of the samples, driven backwards: rows below "
+                f"{least:g} are left out.")  # fmt: skip
+    return (Condition(one.column.name, min=least),)
+
+
+def _even_rate(material: Material, found: list[Guessed], left: list[str]) -> float | None:
+    """Return the rate to resample uneven samples to; None where those of the fastest measured column are even."""
+    measured = [one.column for one in found if one.channel not in ("t", *COMMANDS)]
+    rates = [material.rates[name] for name in measured if name in material.rates]
+    if not rates:
+        return None
+    rate = float(f"{FEWER * max(rates):.2g}")
+    left.append(f"The time steps are uneven: the log is resampled to {rate:g} Hz.")
+    return rate
 
 
 def _without_course(placed: dict[str, Placed], v: dict[str, Signal], dt: float, left: list[str]) -> dict[str, Placed]:
@@ -160,15 +207,29 @@ def _without_course(placed: dict[str, Placed], v: dict[str, Signal], dt: float, 
     return {role: one for role, one in placed.items() if role != "psi"}
 
 
+def _note_turned(placed: dict[str, Placed], left: list[str]) -> None:
+    if {"ax", "ay"} <= set(placed) and meaning(placed["ay"].column.name).worth["ax"] > LEAST:
+        left.append(f"'{placed['ay'].column.name}' follows the acceleration to the left, '{placed['ax'].column.name}' "
+                    "that forwards or backwards: the sensor is mounted a quarter turn to the side.")  # fmt: skip
+
+
 def _one_pair_of_speeds(placed: dict[str, Placed]) -> dict[str, Placed]:
-    """Return the channels with vx and vy or V and beta, whichever pair is there and fits better."""
+    """Return the channels with vx and vy or V and beta, whichever pair is there and fits better.
+
+    Without vy a vx stands for V, unless another column is V by its name and fits better.
+    """
     pairs = {pair: min(placed[role].score for role in pair)
              for pair in (("vx", "vy"), ("V", "beta")) if set(pair) <= set(placed)}  # fmt: skip
     if pairs:
         best = max(pairs, key=pairs.__getitem__)
         drop = {"vx", "vy", "V", "beta"} - set(best)
+    elif "vx" in placed:
+        ahead, speed = placed["vx"]._replace(role="V"), placed.get("V")
+        named = speed is not None and meaning(speed.column.name, speed.column.unit).worth["V"] > UNKNOWN
+        placed = placed | {"V": max(speed, ahead, key=lambda one: one.score) if speed and named else ahead}
+        drop = {"vx"}
     else:
-        drop = {"vx"} if "V" in placed and "vx" in placed else set()
+        drop = set()
     return {role: one for role, one in placed.items() if role not in drop}
 
 
