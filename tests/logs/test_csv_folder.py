@@ -165,3 +165,25 @@ def test_a_wrong_column_and_an_empty_folder_are_named(tmp_path):
         read_log(tmp_path / "empty", ColumnMap(channels))
     with pytest.raises(BadInput, match=r"needs a column map.*'command.V'"):
         read_log(folder)
+
+
+def test_the_shipped_map_reads_the_files_of_its_logger(tmp_path):
+    """Names as that node writes them; what it calls an angular velocity of the odometry is a copy of the speed."""
+    folder = recorded(tmp_path / "drive", uneven=True)
+    for ours, theirs in (("odom", "odomData"), ("imu", "imuData"), ("pose", "pfPoseData"), ("command", "commandData")):
+        (folder / f"{ours}.csv").rename(folder / f"{theirs}.csv")
+    log = read_log(folder, "f1tenth_frictionmaps")
+    for run in log.runs:
+        true = signals(run.t)
+        assert run.dt == pytest.approx(1 / 16)
+        there = np.isfinite(run.extra["ay"]) & np.isfinite(run.r) & (run.t < 19.6)  # it rolls backwards soon after
+        np.testing.assert_allclose(run.extra["ay"][there], true["ay"][there], atol=0.05)
+        np.testing.assert_allclose(run.extra["ax"][there], true["ax"][there], atol=0.02)
+        np.testing.assert_allclose(run.r[there], true["r"][there], atol=0.01)
+
+
+def test_a_table_without_names_is_told(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("0.0,1.5,0.1\n0.1,1.6,0.2\n0.2,1.7,0.1\n")
+    with pytest.raises(BadInput, match=r"log.csv, row 1: holds numbers where the names of the columns should be"):
+        read_log(path)

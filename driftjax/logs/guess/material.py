@@ -68,6 +68,8 @@ def _of_table(path: Path) -> Material:
     numbers: dict[str, np.ndarray] = {}
     words: dict[str, Sequence[str]] = {}
     for name, column in zip(table.names, table.columns, strict=True):
+        if not name:  # of an empty last cell
+            continue
         values = column if isinstance(column, np.ndarray) else _numbers(column)
         if values is None:
             words[name] = [str(cell) for cell in column]

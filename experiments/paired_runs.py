@@ -1,0 +1,100 @@
+"""What differs between runs of a real 1:6 car and those of its simulation on the same paths?
+
+`python -m experiments.paired_runs --data FOLDER` with a copy of uwsbel/sbel-reproducibility compares real and simulated
+runs of each path, and writes a run folder with its report per path and `paired_runs.json`.
+
+The files have neither names of columns nor times, and nothing there describes them. Columns 1 to 4 fit each other as
+position, heading and speed, and the last is the steering, from -1 to 1. The sample time is the length of the path over
+the mean speed; the yaw rate is the derivative of the heading, as there is no other.
+"""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+import driftjax as dj
+from driftjax.core import write_atomically
+
+FOLDER = "2024/PathFollowingSim2real/TestingData"
+PATHS = ("rd_path", "syn_path", "lot17")
+REAL = {"rd_path": ("pid_1", "mpc_1", "nn_mc_1", "nn_mpc_1"), "syn_path": ("pid_1", "mpc_1", "nn_mc_1", "nn_mpc_1"),
+        "lot17": ("pid_1", "pid_2", "mpc_1", "mpc_2")}  # fmt: skip
+SIMULATED = ("sim_pid", "sim_mpc", "sim_nn_mc", "sim_nn_mpc")
+RATE = 10.0  # Hz, about that of the files
+SLOW = 0.4  # m/s: below it the car starts or stops
+# 2023/Unjhawala-IEEE-ExpressiveVM/VM/jsons/dART.json there: mass, inertia, axles, full steering; the tyre is chosen
+CAR = dj.VehicleConfig(name="dart_1_6", m=5.764, Iz=0.350, a=0.268, b=0.197, mu=0.9, B=8.0, C=1.3, width=0.32,
+                       length=0.6, delta_max=0.436, delta_rate_max=4.0, Fxr_min=-25.0, Fxr_max=25.0,
+                       Fxr_rate_max=250.0)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Compare real with simulated runs."""
+
+    data: Path = Path("sbel-reproducibility")
+    """Copy of the repository."""
+    only: tuple[str, ...] = PATHS
+    """Paths that were driven."""
+    cut: float = 15.0
+    """Length of the parts of a run [s]."""
+    out: Path = Path("runs/paired-runs")
+    """Folder for results; paths that it holds are not compared again."""
+
+
+def main(cfg: Config) -> dict[str, Any]:
+    """Compare the runs of each path and write the results after each."""
+    if unknown := sorted(set(cfg.only) - set(PATHS)):
+        raise dj.BadInput(f"path '{unknown[0]}': choose from {', '.join(PATHS)}.")
+    path, results = cfg.out / "paired_runs.json", {}
+    for name in cfg.only:
+        folder = cfg.out / name
+        if not (folder / "compare.json").is_file():
+            real, simulated = (
+                read_runs(cfg.data / FOLDER / name, files).split_runs(cfg.cut) for files in (REAL[name], SIMULATED)
+            )
+            found = dj.compare(CAR, real, simulated)
+            found.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
+        content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+        results[name] = {key: content[key] for key in ("verdict", "sentence", "differences")}
+        print(f"{name}: {content['sentence']}", flush=True)
+        text = json.dumps(results, indent=1)
+        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
+    return results
+
+
+def read_runs(folder: Path, names: tuple[str, ...]) -> dj.Log:
+    """Read the runs as a log."""
+    return dj.Log(tuple(read_run(folder / f"{name}.csv") for name in names))
+
+
+def read_run(path: Path) -> dj.Run:
+    """Read one run; raises `BadInput` if the file is not there."""
+    if not path.is_file():
+        raise dj.BadInput(f"{path}: no such file; give --data the folder of a copy of the repository.")
+    values = np.genfromtxt(path, delimiter=",")
+    x, y, psi, V, steering = values[:, [0, 1, 2, 3, 8]].T
+    moving = np.flatnonzero(V > SLOW)
+    rows = slice(moving[0], moving[-1] + 1)
+    length, duration = np.hypot(np.diff(x[rows]), np.diff(y[rows])).sum(), (rows.stop - rows.start - 1)
+    step = length / np.mean(V[rows]) / duration
+    measured = step * np.arange(duration + 1)
+    t = np.arange(0.0, measured[-1], 1 / RATE)
+    at = lambda series: np.interp(t, measured, series[rows])
+    heading = at(np.unwrap(psi))
+    delta = at(CAR.delta_max * np.clip(steering, -1, 1))
+    none = np.full_like(t, np.nan)
+    return dj.Run(path.stem, t, at(V), none, np.gradient(heading, 1 / RATE), delta, none, 1 / RATE,
+                  {"x": at(x), "y": at(y), "psi": heading})  # fmt: skip
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config, prog="python -m experiments.paired_runs"))
+    except dj.BadInput as error:
+        sys.exit(f"paired_runs: {error}")
