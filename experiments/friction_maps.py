@@ -16,10 +16,12 @@ import tyro
 
 import driftjax as dj
 from driftjax.core import write_atomically
+from driftjax.vehicle.parameters import EffectParameterValue
 
 RECORDINGS = ("DS1", "DS2", "DS3", "DS4", "DS5")
+DELAY = 0.12  # s of the steering, to start from: what `driftjax inspect` prints for DS5
 EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "steer_delay", "steer_lag", "steer_gain", "steer_offset")
-HEAD = """| recording | parts, s | 99 % of ay [m/s^2] | friction | it is | steering delay, lag [s] | verdict |
+HEAD = """| recording | parts, s, lost s | 99 % of ay [m/s^2] | friction | it is | steering delay, lag [s] | verdict |
 |---|---|---|---|---|---|---|
 """
 
@@ -61,13 +63,21 @@ def main(cfg: Config) -> dict[str, Any]:
     return results
 
 
+def nominal_car() -> dj.VehicleConfig:
+    """Return the shipped car with a steering delay, without which its observer loses the car."""
+    car = dj.load_vehicle("f1tenth")
+    delay = EffectParameterValue("steer_delay", "d", DELAY)
+    return dataclasses.replace(car, effects=(delay, *car.effects))
+
+
 def fitted(log: dj.Log) -> dict[str, Any]:
     """Return the content of the log and the parameters fitted to it, with the half-widths of their intervals."""
-    calibration = dj.calibrate(dj.load_vehicle("f1tenth"), log, EFFECTS, held_out=0)
+    calibration = dj.calibrate(nominal_car(), log, EFFECTS, held_out=0)
     lateral = np.concatenate([np.abs(run.extra["ay"]) for run in log.runs])
     return {
         "parts": len(log.runs),
         "seconds": sum(len(run.t) * run.dt for run in log.runs),
+        "lost_s": calibration.lost_s,
         "lateral_acceleration": float(np.nanquantile(lateral, 0.99)),
         "parameters": {one.parameter: one._asdict() for one in calibration.parameters},
     }
@@ -75,7 +85,7 @@ def fitted(log: dj.Log) -> dict[str, Any]:
 
 def diagnosed(log: dj.Log, folder: Path) -> dict[str, Any]:
     """Return the verdict on the log."""
-    found = dj.diagnose(dj.load_vehicle("f1tenth"), log, dj.DiagnoseConfig(gp=False))
+    found = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
     found.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
     return {"verdict": str(found.verdict), "sentence": found.sentence, "named": [one.effect for one in found.causes]}
 
@@ -90,7 +100,8 @@ def table(results: dict[str, Any]) -> str:
         value, half = mu * (1 + friction["value"]), mu * friction["ci95_half"]
         timing = ", ".join(f"{one['parameters'][key]['value']:.3f}" for key in names_of(one, ("delay", "lag")))
         verdict = f"{one['verdict']}: {', '.join(one['named']) or 'nothing'}" if "verdict" in one else "-"
-        cells = [name, f"{one['parts']}, {one['seconds']:.0f}", f"{one['lateral_acceleration']:.1f}",
+        cells = [name, f"{one['parts']}, {one['seconds']:.0f}, {one['lost_s']:.0f}",
+                 f"{one['lateral_acceleration']:.1f}",
                  f"{value:.2f} +- {half:.2f}", ", ".join(marks) or "decided", timing, verdict]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return HEAD + "\n".join(lines) + "\n"

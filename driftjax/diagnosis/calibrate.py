@@ -27,6 +27,7 @@ from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_run
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
 from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
+from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 from driftjax.diagnosis.serialise import extended_car, gain_json
@@ -43,6 +44,7 @@ STAGED_EFFECTS = (
     "drive_gain", "drive_lag", "rolling_resistance", "aero_drag", "steer_offset", "steer_gain", "steer_lag",
     "stiffness_front", "stiffness_rear", "friction", "tyre_shape", "combined_slip",
 )  # fmt: skip
+MOST_LOST = 0.5  # share of the time in which the observer may lose the car
 MENTIONED = 0.1  # share in an estimate from which a stretch is mentioned in the table
 DISAGREES = 2.0  # standard deviations by which later stretches move an estimate, from which they are said to disagree
 
@@ -89,6 +91,7 @@ class Calibration:
     stretch: np.ndarray  # (P, T) kind of stretch of each sample
     staged: bool
     gain: Gain | None  # on runs held out, of a car fitted without them; None where there are too few
+    lost_s: float  # of the runs, in which the observer loses the car [s]
 
     @property
     def vehicle(self) -> VehicleConfig:
@@ -118,13 +121,16 @@ class Calibration:
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """Return a sentence for each kind of stretch of which the runs have less than 10 sqrt(L/g)."""
+        """Return a sentence for each kind of stretch of less than 10 sqrt(L/g) in the runs, and for lost time."""
         least, names = least_samples(self.problem), []
         missing = [kind for kind in Stretch if np.sum(self.stretch == kind) < least]
         for kind in missing:
             stage = next(stage for stage in STAGES if kind in stage.stretches)
             own = [self.problem.effects[i].name for i in self.selected if self.problem.effects[i].name in stage.effects]
             names.append(f"no {kind.label} stretch: {', '.join(own)} must be decided by others" if own else "")
+        if self.lost_s:
+            names.append(f"{self.lost_s:.1f} s do not count, in which the observer loses the car: start from a car "
+                         "nearer to the real one, such as with the delay that `inspect` prints")  # fmt: skip
         return tuple(f"{sentence}." for sentence in names if sentence)
 
     def content(self) -> dict[str, Any]:
@@ -135,6 +141,7 @@ class Calibration:
             "staged": self.staged,
             "stretches_s": durations(self.stretch, self.problem.data.dt),
             "lacking": list(self.lacking),
+            "lost_s": self.lost_s,
             "gain": gain_json(self.gain),
             "noise": {"measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
                       "correlation_s": noise.correlation},
@@ -192,12 +199,25 @@ def calibrate(
         problem, fit, at = fit_effects(loose, selected)
         stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
         precision = information(at.J) + DEAD * problem.prior
+    lost = time_lost(problem, at)
     last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
     known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
     told = identifiability(known, prior[columns], precision[square], half_width)
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
-    return Calibration(vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain)
+    told = (told, moved[columns], stretch, staged, gain, lost)
+    return Calibration(vehicle, problem, selected, fit, last, half_width, *told)
+
+
+def time_lost(problem: Problem, at: Linearisation) -> float:
+    """Return the time in which the observer loses the car [s]; raises `BadInput` where it is most of the time."""
+    if at.lost is None:
+        return 0.0
+    there = samples_in_run(np.asarray(problem.data.padded.valid))
+    if (share := np.sum(at.lost & there) / np.sum(there)) > MOST_LOST:
+        raise BadInput(f"log: the observer loses the car in {100 * share:.0f} % of the time; check units, signs and "
+                       "the vehicle, and give it the steering delay that `driftjax inspect` prints.")  # fmt: skip
+    return float(np.sum(at.lost & there) * problem.data.dt)
 
 
 def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:

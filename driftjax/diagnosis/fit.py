@@ -40,6 +40,8 @@ TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a sta
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
 SIDESLIPS = 2  # times that a force is estimated anew for the sideslip which the observer infers with it
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
+LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
+LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
 REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
@@ -205,10 +207,24 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
     """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
     at = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    lost = lost_samples(np.asarray(at.J))
+    if lost.any():
+        at = at._replace(J=np.where(lost[..., None, None], 0.0, np.asarray(at.J)), lost=lost)
     if problem.motion is None:
         return at
     J = whitened_motion_derivatives(problem.model, problem.data, fit.theta, problem.motion, problem.active)
     return at._replace(e=fit.e, J=np.concatenate([np.asarray(at.J), J], axis=2))
+
+
+def lost_samples(J: np.ndarray) -> np.ndarray:
+    """Return the samples (P, T) from which on the observer has lost the car, by the derivatives `J` (P, T, c, K).
+
+    Without a sideslip sensor its car may spin where the real one does not. Its gains, which belong to another path,
+    then make derivatives grow from sample to sample without bound; a single one would outweigh the whole log.
+    """
+    size = np.nan_to_num(np.abs(J).max(axis=(2, 3)), nan=np.inf)
+    usual = np.median(size.max(axis=1))
+    return np.maximum.accumulate(size > np.clip(LOST * usual, *LOST_LIMITS), axis=1)
 
 
 def evaluate(problem: Problem, theta: np.ndarray) -> Fit:

@@ -219,6 +219,7 @@ class Linearisation(NamedTuple):
     J: Array  # (P, T, 3, K)
     path: Path  # what they come from
     steps: Steps
+    lost: np.ndarray | None = None  # (P, T) samples from which on the observer has lost the car; None: nowhere
 
 
 def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:

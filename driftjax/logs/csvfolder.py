@@ -86,7 +86,8 @@ def _nanoseconds(table: Table) -> np.ndarray:
     if not times:
         raise BadInput(f"{table.path}: has no column of time; call one 'time', or two 'sec' and 'nanosec'.")
     units = [1e9, 1.0] if len(times) == 2 else [1e9 * next(iter(units_of_time(times[0])), 1.0)]
-    return sum(np.round(values * unit).astype(np.int64) for values, unit in zip(times, units, strict=True))
+    whole = [np.round(values * unit).astype(np.int64) for values, unit in zip(times, units, strict=True)]
+    return np.sum(whole, axis=0)
 
 
 def _time_columns(table: Table) -> tuple[str, ...]:

@@ -75,8 +75,8 @@ def _header_and_rows(path: Path, text: str, skip: Callable[[int], bool]) -> tupl
     if len(comment) == len(rows[0]) and any(map(is_number, rows[0])):
         return [comment[0].lstrip().lstrip("#"), *comment[1:]], lines, rows
     if all(map(is_number, rows[0])):
-        raise BadInput(f"{path}, row {lines[0]}: holds numbers where the names of the columns should be; write a row of "
-                       "names above it.")  # fmt: skip
+        raise BadInput(f"{path}, row {lines[0]}: holds numbers where the names of the columns should be; write a row "
+                       "of names above it.")  # fmt: skip
     return rows[0], lines[1:], rows[1:]
 
 

@@ -37,13 +37,13 @@ def test_the_table_says_whether_the_data_decided_the_friction():
     def parameter(value, **marks):
         return {"value": value, "ci95_half": 0.1, "dead": False, "flat": False, "at_bound": False} | marks
 
-    one = {"parts": 3, "seconds": 20.4, "lateral_acceleration": 7.25,
-           "parameters": {"friction.p": parameter(-0.5), "steer_delay.T": parameter(0.08),
-                          "steer_lag.T": parameter(0.03)}}  # fmt: skip
+    one = {"parts": 3, "seconds": 20.4, "lost_s": 0.0, "lateral_acceleration": 7.25,
+           "parameters": {"friction.p": parameter(-0.5), "steer_delay.d": parameter(0.08),
+                          "steer_lag.tau": parameter(0.03)}}  # fmt: skip
     gentle = one | {"parameters": one["parameters"] | {"friction.p": parameter(0.0, flat=True)},
                     "verdict": "UNKNOWN", "named": []}  # fmt: skip
     text = friction_maps.table({"DS2": gentle, "DS1": one})
     mu = dj.load_vehicle("f1tenth").mu
     first, second = text.splitlines()[2:]
-    assert first == f"| DS1 | 3, 20 | 7.2 | {mu / 2:.2f} +- {0.1 * mu:.2f} | decided | 0.080, 0.030 | - |"
+    assert first == f"| DS1 | 3, 20, 0 | 7.2 | {mu / 2:.2f} +- {0.1 * mu:.2f} | decided | 0.080, 0.030 | - |"
     assert second.endswith("| flat | 0.080, 0.030 | UNKNOWN: nothing |")

@@ -1,0 +1,67 @@
+"""Where the observer loses the car, its derivatives grow without bound: they do not count from there on."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from driftjax.core import BadInput
+from driftjax.diagnosis import calibrate, fit
+from driftjax.diagnosis.runs import Linearisation
+
+P, T, K = 5, 40, 3
+
+
+def derivatives() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(P, T, 3, K))
+
+
+def spun() -> np.ndarray:
+    """Derivatives of which those of piece 2 grow tenfold with each sample from sample 20 on."""
+    J = derivatives()
+    J[2, 20:] *= 10.0 ** np.arange(1, 21)[:, None, None]
+    return J
+
+
+def test_from_where_derivatives_run_away_nothing_counts():
+    lost = fit.lost_samples(spun())
+    assert not lost[[0, 1, 3, 4]].any() and not lost[2, :20].any()
+    (first,) = np.flatnonzero(np.diff(lost[2].astype(int))) + 1
+    assert 21 <= first <= 25 and lost[2, first:].all()
+    broken = derivatives()
+    broken[1, 7, 0, 0] = np.nan
+    assert fit.lost_samples(broken)[1].tolist() == [False] * 7 + [True] * (T - 7)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e5])
+def test_derivatives_of_any_even_size_count(size):
+    """Of logs with little noise they are large; a piece that says ten times as much as others is none that is lost."""
+    J = size * derivatives()
+    J[3] *= 10
+    assert not fit.lost_samples(J).any()
+
+
+def test_information_is_that_of_the_other_samples(monkeypatch):
+    J = spun()
+    e = np.zeros((P, T, 3))
+    monkeypatch.setattr(fit, "differentiate", lambda *args: Linearisation(e, J, None, None))  # type: ignore[arg-type]
+    problem: Any = SimpleNamespace(model=None, data=None, gains=None, active=None, motion=None)
+    at = fit.linearise(problem, fit.Fit(np.zeros(K), 0.0, e))
+    assert at.lost is not None
+    expected = fit.information(np.where(at.lost[..., None, None], 0.0, J))
+    np.testing.assert_allclose(fit.information(at.J), expected)
+    assert np.trace(fit.information(J)) > 1e20 * np.trace(expected)
+
+
+def test_a_car_that_is_lost_most_of_the_time_is_told():
+    valid = np.ones((P, T, 3))
+    problem: Any = SimpleNamespace(data=SimpleNamespace(padded=SimpleNamespace(valid=valid), dt=0.1))
+    lost = np.zeros((P, T), bool)
+    at: Any = Linearisation(None, None, None, None, lost)  # type: ignore[arg-type]
+    lost[0, 30:] = True
+    assert calibrate.time_lost(problem, at) == pytest.approx(1.0)
+    assert calibrate.time_lost(problem, at._replace(lost=None)) == 0.0
+    lost[:] = True
+    with pytest.raises(BadInput, match="loses the car in 100 % of the time.*steering delay"):
+        calibrate.time_lost(problem, at)
