@@ -19,6 +19,7 @@ from driftjax.diagnosis.fit import (
     initial_problem,
     linearise,
     refit_to_convergence,
+    time_lost,
     with_estimated_noise,
     with_noise,
 )
@@ -27,7 +28,6 @@ from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_run
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
 from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
-from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
 from driftjax.diagnosis.serialise import extended_car, gain_json
@@ -44,7 +44,6 @@ STAGED_EFFECTS = (
     "drive_gain", "drive_lag", "rolling_resistance", "aero_drag", "steer_offset", "steer_gain", "steer_lag",
     "stiffness_front", "stiffness_rear", "friction", "tyre_shape", "combined_slip",
 )  # fmt: skip
-MOST_LOST = 0.5  # share of the time in which the observer may lose the car
 MENTIONED = 0.1  # share in an estimate from which a stretch is mentioned in the table
 DISAGREES = 2.0  # standard deviations by which later stretches move an estimate, from which they are said to disagree
 
@@ -207,17 +206,6 @@ def calibrate(
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
     told = (told, moved[columns], stretch, staged, gain, lost)
     return Calibration(vehicle, problem, selected, fit, last, half_width, *told)
-
-
-def time_lost(problem: Problem, at: Linearisation) -> float:
-    """Return the time in which the observer loses the car [s]; raises `BadInput` where it is most of the time."""
-    if at.lost is None:
-        return 0.0
-    there = samples_in_run(np.asarray(problem.data.padded.valid))
-    if (share := np.sum(at.lost & there) / np.sum(there)) > MOST_LOST:
-        raise BadInput(f"log: the observer loses the car in {100 * share:.0f} % of the time; check units, signs and "
-                       "the vehicle, and give it the steering delay that `driftjax inspect` prints.")  # fmt: skip
-    return float(np.sum(at.lost & there) * problem.data.dt)
 
 
 def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from driftjax.diagnosis.motion import (
     whitened_residuals,
 )
 from driftjax.diagnosis.noise import CORRELATION, FIRST_DISTURBANCE, PRIOR, Noise, estimate_noise, measurement_noise
-from driftjax.diagnosis.observer import Gains
+from driftjax.diagnosis.observer import Gains, samples_in_run
 from driftjax.diagnosis.runs import (
     Linearisation,
     Pieces,
@@ -42,6 +42,7 @@ SIDESLIPS = 2  # times that a force is estimated anew for the sideslip which the
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
+MOST_LOST = 0.5  # share of the time in which it may lose the car
 REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
@@ -225,6 +226,17 @@ def lost_samples(J: np.ndarray) -> np.ndarray:
     size = np.nan_to_num(np.abs(J).max(axis=(2, 3)), nan=np.inf)
     usual = np.median(size.max(axis=1))
     return np.maximum.accumulate(size > np.clip(LOST * usual, *LOST_LIMITS), axis=1)
+
+
+def time_lost(problem: Problem, at: Linearisation) -> float:
+    """Return the time in which the observer loses the car [s]; raises `BadInput` where it is most of the time."""
+    if at.lost is None:
+        return 0.0
+    there = samples_in_run(np.asarray(problem.data.padded.valid))
+    if (share := np.sum(at.lost & there) / np.sum(there)) > MOST_LOST:
+        raise BadInput(f"log: the observer loses the car in {100 * share:.0f} % of the time; check units, signs and "
+                       "the vehicle, and give it the steering delay that `driftjax inspect` prints.")  # fmt: skip
+    return float(np.sum(at.lost & there) * problem.data.dt)
 
 
 def evaluate(problem: Problem, theta: np.ndarray) -> Fit:

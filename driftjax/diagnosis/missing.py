@@ -1,11 +1,11 @@
-"""What a log cannot say for want of a sideslip sensor or of a drive channel."""
+"""What a log cannot say for want of a sideslip sensor or of a drive channel, or where the observer loses the car."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.diagnosis.fit import Problem, information
+from driftjax.diagnosis.fit import Problem, information, time_lost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
 from driftjax.diagnosis.select import Selection
@@ -22,6 +22,7 @@ class Lost(NamedTuple):
     wider: dict[str, float]  # named effect: its interval over that with a sideslip sensor
     apart: dict[str, tuple[str, ...]]  # named effect: rivals that such a sensor would rule out
     not_judged: tuple[str, ...]  # effects on the force, which was estimated
+    lost_s: float = 0.0  # in which the observer loses the car [s]
 
     @property
     def sentence(self) -> str:
@@ -38,6 +39,8 @@ class Lost(NamedTuple):
         if "Fxr" in self.channels:
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "
                          "drive, brakes and drag are not judged.")  # fmt: skip
+        if self.lost_s:
+            words.append(f"The observer loses the car in {self.lost_s:.1f} s of the log, which do not count.")
         return " ".join(words)
 
 
@@ -46,8 +49,9 @@ def lost_by_missing(problem: Problem, selection: Selection, rivals: dict[int, tu
     data, names = problem.data, [effect.name for effect in problem.effects]
     lacks = [name for name, there in (("beta", not data.skip), ("Fxr", data.force_known)) if not there]
     not_judged = () if data.force_known else tuple(names[i] for i in problem.not_judged)
+    lost_s = time_lost(problem, selection.linearisation)
     if not data.skip or not rivals:
-        return Lost(tuple(lacks), {}, {}, not_judged)
+        return Lost(tuple(lacks), {}, {}, not_judged, lost_s)
     H, better = information(selection.linearisation.J), information_with_sideslip(problem, selection)
     columns = problem.columns(tuple(rivals))
     deviation = lambda H: np.sqrt(np.diag(np.linalg.inv(H[np.ix_(columns, columns)] + np.eye(len(columns)) / PRIOR**2)))
@@ -62,7 +66,7 @@ def lost_by_missing(problem: Problem, selection: Selection, rivals: dict[int, tu
         for i, others in rivals.items()
     }  # fmt: skip
     return Lost(tuple(lacks), {name: one for name, one in wider.items() if one >= WORTHWHILE},
-                {name: one for name, one in apart.items() if one}, not_judged)  # fmt: skip
+                {name: one for name, one in apart.items() if one}, not_judged, lost_s)  # fmt: skip
 
 
 def separation(problem: Problem, theta: np.ndarray, H: np.ndarray, one: int, other: int) -> float:

@@ -149,7 +149,7 @@ class ColumnMap:
     position_from: Position | None = None
     """What x and y are computed from where the log has latitude and longitude."""
     rate: float | None = None
-    """Sample rate to thin the log to [Hz]; left out: that of the log."""
+    """Sample rate to thin the log to, or to resample uneven time steps to [Hz]; left out: that of the log."""
     base: str | None = None
     """Of a recording: the channel whose time stamps all get; left out: the fastest measured."""
     stamps: Stamps = "header"

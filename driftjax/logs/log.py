@@ -95,8 +95,8 @@ def read_log(
     `columns` is a column map, or its shipped name or file. `runs` selects by name (see `Log.select_runs`) after `cut`
     has split long runs into parts of so many seconds (see `Log.split_runs`).
 
-    A log is a CSV, Parquet, MATLAB or VBO file or, with `columns`, a ROS bag (the folder of one of ROS 2), an MCAP,
-    MDF, MoTeC, AiM or CarMaker file.
+    A log is a CSV, Parquet, MATLAB or VBO file or, with `columns`, a ROS bag (the folder of one of ROS 2), a folder of
+    CSV files, or an MCAP, MDF, MoTeC, AiM or CarMaker file.
     A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
     a command is missing for longer than that; the parts are called name, name+1, ...
     """

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.diagnosis import calibrate, fit
+from driftjax.diagnosis import fit
+from driftjax.diagnosis.missing import Lost
 from driftjax.diagnosis.runs import Linearisation
 
 P, T, K = 5, 40, 3
@@ -60,8 +61,13 @@ def test_a_car_that_is_lost_most_of_the_time_is_told():
     lost = np.zeros((P, T), bool)
     at: Any = Linearisation(None, None, None, None, lost)  # type: ignore[arg-type]
     lost[0, 30:] = True
-    assert calibrate.time_lost(problem, at) == pytest.approx(1.0)
-    assert calibrate.time_lost(problem, at._replace(lost=None)) == 0.0
+    assert fit.time_lost(problem, at) == pytest.approx(1.0)
+    assert fit.time_lost(problem, at._replace(lost=None)) == 0.0
     lost[:] = True
     with pytest.raises(BadInput, match="loses the car in 100 % of the time.*steering delay"):
-        calibrate.time_lost(problem, at)
+        fit.time_lost(problem, at)
+
+
+def test_the_sentence_says_how_long_the_car_was_lost():
+    assert "The observer loses the car in 12.5 s of the log, which do not count." in Lost((), {}, {}, (), 12.5).sentence
+    assert Lost((), {}, {}, ()).sentence == ""
