@@ -21,7 +21,7 @@ from driftjax.vehicle.parameters import EffectParameterValue
 RECORDINGS = ("DS1", "DS2", "DS3", "DS4", "DS5")
 DELAY = 0.12  # s of the steering, to start from: what `driftjax inspect` prints for DS5
 EFFECTS = ("friction", "stiffness_front", "stiffness_rear", "steer_delay", "steer_lag", "steer_gain", "steer_offset")
-HEAD = """| recording | parts, s, lost s | 99 % of ay [m/s^2] | friction | it is | steering delay, lag [s] | verdict |
+HEAD = """| recording | parts, s | 99 % of ay [m/s^2] | friction | it is | steering delay, lag [s] | verdict |
 |---|---|---|---|---|---|---|
 """
 
@@ -53,7 +53,7 @@ def main(cfg: Config) -> dict[str, Any]:
         log = dj.read_log(cfg.data / "DataSets" / name, "f1tenth_frictionmaps", cut=cfg.cut)
         if name not in results:
             results[name] = fitted(log)
-        if cfg.diagnose and "verdict" not in results[name]:
+        if cfg.diagnose and "refused" not in results[name] and "verdict" not in results[name]:
             results[name] |= diagnosed(log, cfg.out / name)
         text = json.dumps(results, indent=1)
         write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
@@ -71,16 +71,19 @@ def nominal_car() -> dj.VehicleConfig:
 
 
 def fitted(log: dj.Log) -> dict[str, Any]:
-    """Return the content of the log and the parameters fitted to it, with the half-widths of their intervals."""
-    calibration = dj.calibrate(nominal_car(), log, EFFECTS, held_out=0)
+    """Return the content of the log and the parameters fitted to it with their intervals, or why it was refused."""
     lateral = np.concatenate([np.abs(run.extra["ay"]) for run in log.runs])
-    return {
+    content = {
         "parts": len(log.runs),
         "seconds": sum(len(run.t) * run.dt for run in log.runs),
-        "lost_s": calibration.lost_s,
         "lateral_acceleration": float(np.nanquantile(lateral, 0.99)),
-        "parameters": {one.parameter: one._asdict() for one in calibration.parameters},
     }
+    try:
+        calibration = dj.calibrate(nominal_car(), log, EFFECTS, held_out=0)
+    except dj.BadInput as error:
+        return content | {"refused": str(error)}
+    parameters = {one.parameter: one._asdict() for one in calibration.parameters}
+    return content | {"lost_s": calibration.lost_s, "parameters": parameters}
 
 
 def diagnosed(log: dj.Log, folder: Path) -> dict[str, Any]:
@@ -95,14 +98,16 @@ def table(results: dict[str, Any]) -> str:
     mu = dj.load_vehicle("f1tenth").mu
     lines = []
     for name, one in sorted(results.items()):
+        content = [name, f"{one['parts']}, {one['seconds']:.0f}", f"{one['lateral_acceleration']:.1f}"]
+        if "refused" in one:
+            lines.append(f"| {' | '.join([*content, one['refused'], '-', '-', '-'])} |")
+            continue
         friction = one["parameters"]["friction.p"]
         marks = [word for word in ("dead", "flat", "at_bound") if friction[word]]
         value, half = mu * (1 + friction["value"]), mu * friction["ci95_half"]
         timing = ", ".join(f"{one['parameters'][key]['value']:.3f}" for key in names_of(one, ("delay", "lag")))
         verdict = f"{one['verdict']}: {', '.join(one['named']) or 'nothing'}" if "verdict" in one else "-"
-        cells = [name, f"{one['parts']}, {one['seconds']:.0f}, {one['lost_s']:.0f}",
-                 f"{one['lateral_acceleration']:.1f}",
-                 f"{value:.2f} +- {half:.2f}", ", ".join(marks) or "decided", timing, verdict]  # fmt: skip
+        cells = [*content, f"{value:.2f} +- {half:.2f}", ", ".join(marks) or "decided", timing, verdict]
         lines.append(f"| {' | '.join(cells)} |")
     return HEAD + "\n".join(lines) + "\n"
 

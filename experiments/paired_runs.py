@@ -26,6 +26,7 @@ REAL = {"rd_path": ("pid_1", "mpc_1", "nn_mc_1", "nn_mpc_1"), "syn_path": ("pid_
         "lot17": ("pid_1", "pid_2", "mpc_1", "mpc_2")}  # fmt: skip
 SIMULATED = ("sim_pid", "sim_mpc", "sim_nn_mc", "sim_nn_mpc")
 RATE = 10.0  # Hz, about that of the files
+STEERS = 0.1  # rad
 SLOW = 0.4  # m/s: below it the car starts or stops
 # 2023/Unjhawala-IEEE-ExpressiveVM/VM/jsons/dART.json there: mass, inertia, axles, full steering; the tyre is chosen
 CAR = dj.VehicleConfig(name="dart_1_6", m=5.764, Iz=0.350, a=0.268, b=0.197, mu=0.9, B=8.0, C=1.3, width=0.32,
@@ -41,6 +42,8 @@ class Config:
     """Copy of the repository."""
     only: tuple[str, ...] = PATHS
     """Paths that were driven."""
+    compare: bool = True
+    """Compare; otherwise only say how far the cars turn."""
     cut: float = 15.0
     """Length of the parts of a run [s]."""
     out: Path = Path("runs/paired-runs")
@@ -52,20 +55,34 @@ def main(cfg: Config) -> dict[str, Any]:
     if unknown := sorted(set(cfg.only) - set(PATHS)):
         raise dj.BadInput(f"path '{unknown[0]}': choose from {', '.join(PATHS)}.")
     path, results = cfg.out / "paired_runs.json", {}
+    path.parent.mkdir(parents=True, exist_ok=True)
     for name in cfg.only:
-        folder = cfg.out / name
-        if not (folder / "compare.json").is_file():
-            real, simulated = (
-                read_runs(cfg.data / FOLDER / name, files).split_runs(cfg.cut) for files in (REAL[name], SIMULATED)
-            )
-            found = dj.compare(CAR, real, simulated)
-            found.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
-        content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
-        results[name] = {key: content[key] for key in ("verdict", "sentence", "differences")}
-        print(f"{name}: {content['sentence']}", flush=True)
+        logs = [read_runs(cfg.data / FOLDER / name, files) for files in (REAL[name], SIMULATED)]
+        real, simulated = ([round(turning(run), 3) for run in log.runs] for log in logs)
+        results[name] = {"turning": {"real": real, "simulated": simulated}}
+        if cfg.compare:
+            results[name] |= compared(logs, cfg, name)
+        print(name, results[name], flush=True)
         text = json.dumps(results, indent=1)
         write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
     return results
+
+
+def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
+    """Return what differs between the runs of one path, or read it from the folder that holds it."""
+    folder = cfg.out / name
+    if not (folder / "compare.json").is_file():
+        real, simulated = (log.split_runs(cfg.cut) for log in logs)
+        found = dj.compare(CAR, real, simulated)
+        found.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
+    content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    return {key: content[key] for key in ("verdict", "sentence", "differences")}
+
+
+def turning(run: dj.Run) -> float:
+    """Return the median of the yaw rate over that of a car without slip, where it steers."""
+    steers = np.abs(run.delta) > STEERS
+    return float(np.median((run.r * (CAR.a + CAR.b) / (run.V * np.tan(run.delta)))[steers]))
 
 
 def read_runs(folder: Path, names: tuple[str, ...]) -> dj.Log:

@@ -19,6 +19,8 @@ def test_a_run_without_names_and_times_is_read_by_its_path(tmp_path):
     np.testing.assert_allclose(run.V, 1)
     np.testing.assert_allclose(run.r, 0.2, rtol=1e-3)
     np.testing.assert_allclose(run.delta, 0.25 * paired_runs.CAR.delta_max)
+    geometric = np.tan(0.25 * paired_runs.CAR.delta_max) / (paired_runs.CAR.a + paired_runs.CAR.b)
+    assert paired_runs.turning(run) == pytest.approx(0.2 / geometric, rel=1e-3)
     assert np.isnan(run.beta).all() and np.isnan(run.Fxr).all() and {"x", "y", "psi"} == set(run.extra)
 
 
@@ -42,8 +44,10 @@ def test_the_table_says_whether_the_data_decided_the_friction():
                           "steer_lag.tau": parameter(0.03)}}  # fmt: skip
     gentle = one | {"parameters": one["parameters"] | {"friction.p": parameter(0.0, flat=True)},
                     "verdict": "UNKNOWN", "named": []}  # fmt: skip
-    text = friction_maps.table({"DS2": gentle, "DS1": one})
+    refused = {key: one[key] for key in ("parts", "seconds", "lateral_acceleration")} | {"refused": "lost."}
+    text = friction_maps.table({"DS2": gentle, "DS1": one, "DS3": refused})
     mu = dj.load_vehicle("f1tenth").mu
-    first, second = text.splitlines()[2:]
-    assert first == f"| DS1 | 3, 20, 0 | 7.2 | {mu / 2:.2f} +- {0.1 * mu:.2f} | decided | 0.080, 0.030 | - |"
+    first, second, third = text.splitlines()[2:]
+    assert first == f"| DS1 | 3, 20 | 7.2 | {mu / 2:.2f} +- {0.1 * mu:.2f} | decided | 0.080, 0.030 | - |"
     assert second.endswith("| flat | 0.080, 0.030 | UNKNOWN: nothing |")
+    assert third == "| DS3 | 3, 20 | 7.2 | lost. | - | - | - |"
