@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
 from driftjax.control.residual import Learnt, learnt
@@ -78,23 +79,21 @@ class DriftLanes(AbstractLanes):
         held = [] if around is None else around.d
         return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
 
-    def around(self, X: Components, U: Components, p: Reference) -> Learnt | None:
+    def around(self, x: Components, u: Components, p: Reference) -> Learnt | None:
         """Return the residual at all stages."""
         if self.residual is None:
             return None
-        acting = self._actuated(X, U)[0]
-        return learnt(self.residual, [*X[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
-
-    def _moved(self, x: Components, u: Components, p: Reference, around: Learnt | None):
-        """Return the tracked state one step later, and its derivatives by (tracked, input, residual's rates)."""
         acting = self._actuated(x, u)[0]
-        held = [] if around is None else around.d
-        return runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
+        return learnt(self.residual, [*x[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
-    def linearise(self, x: Components, u: Components, p: Reference, around: Learnt | None) -> tuple[Components, Matrix]:
+    def linearise(
+        self, x: Components, u: Components, p: Reference, around: Learnt | None
+    ) -> tuple[Components, Matrix, PyTree]:
         """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
-        y, M = self._moved(x, u, p, around)
-        return [*y, *self._actuated(x, u)[1]], self._by_state_and_input(M, x, around)
+        acting, end = self._actuated(x, u)
+        held = [] if around is None else around.d
+        y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
+        return [*y, *end], self._by_state_and_input(M, x, around), (y, M, around)
 
     def _by_state_and_input(self, M: Matrix, x: Components, around: Learnt | None) -> Matrix:
         """Derivatives of the next state from those of what is tracked by (tracked, acting, residual's rates)."""
@@ -113,20 +112,17 @@ class DriftLanes(AbstractLanes):
         """Derivatives by (V, beta, r, acting) as those by (tracked, acting)."""
         return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
 
-    def expand(
-        self, x: Components, u: Components, costate: Components, p: Reference, around: Learnt | None
-    ) -> tuple[Components, Matrix, Matrix]:
-        """As `linearise`, and second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
-        n, (acting, end) = len(self.Q), self._actuated(x, u)
-        y, M = self._moved(x, u, p, around)
+    def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
+        """Second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
+        (y, M, around), n = more, len(self.Q)
         held = [] if around is None else around.d
+        acting = self._actuated(x, u)[0]
         H = midpoint_curvature(self._rates(p.kappa), x[:n], [*acting, *held], (y, M), self.dt, costate[:n])
         if around is not None:
             weight = [dot(costate[:n], column(M, n + len(self.R) + k)) for k in range(3)]
             H = self._with_residual(H, around, weight)
         columns = self._columns()
-        H = [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
-        return [*y, *end], self._by_state_and_input(M, x, around), H
+        return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
 
     def _with_residual(self, H: Matrix, around: Learnt, weight: Components) -> Matrix:
         """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""

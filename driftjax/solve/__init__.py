@@ -9,4 +9,3 @@ from driftjax.solve.ocp import AbstractOCP as AbstractOCP
 from driftjax.solve.ocp import Linear as Linear
 from driftjax.solve.ocp import Options as Options
 from driftjax.solve.ocp import Plan as Plan
-from driftjax.solve.real_time import real_time_iteration as real_time_iteration

@@ -60,22 +60,20 @@ class AbstractLanes(eqx.Module):
         """Return the limits of each state of stages 1 to N; none by default."""
         return ()
 
-    def around(self, X: Components, U: Components, p: PyTree) -> PyTree:
-        """Return the local expansion that `linearise` and `expand` read; None by default."""
+    def around(self, x: Components, u: Components, p: PyTree) -> PyTree:
+        """Return what `linearise` reads of matrix products, which must not be mixed with elementwise work; or None."""
 
-    def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix]:
-        """Return the next state and its derivatives [state][state and input]; override for a cheaper computation."""
-        return jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u)
+    def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix, PyTree]:
+        """Return the next state, its derivatives [state][state and input], and what `curvature` reads.
 
-    def expand(
-        self, x: Components, u: Components, costate: Components, p: PyTree, around: PyTree
-    ) -> tuple[Components, Matrix, Matrix]:
-        """Return the result of `linearise`, and second derivatives of `costate @ step` in (x, u).
+        Override for a cheaper computation.
+        """
+        return *jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u), None
+
+    def curvature(self, x: Components, u: Components, costate: Components, p: PyTree, more: PyTree) -> Matrix:
+        """Return the second derivatives of `costate @ step` in (x, u).
 
         Cheaper second derivatives change the speed of the solver, never the solution.
         """
-
-        def weighed(*z: Array) -> Array:
-            return dot(costate, self.step(list(z[: len(x)]), list(z[len(x) :]), p))
-
-        return *self.linearise(x, u, p, around), hessian(weighed, *x, *u)[1]
+        weighed = lambda *z: dot(costate, self.step(list(z[: len(x)]), list(z[len(x) :]), p))
+        return hessian(weighed, *x, *u)[1]

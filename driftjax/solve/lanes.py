@@ -1,11 +1,12 @@
-"""Optimal control problems in batches: a primal-dual interior point with the batch on the last axis.
+"""Optimal control problems in batches: sequential quadratic programming with the batch on the last axis.
 
-Every iteration linearises the dynamics anew with second derivatives of the Lagrangian, solves the barrier problem's
-Newton system by one Riccati sweep and goes to the boundary by a fraction. There is no line search: nearly all lanes of
-a tracking problem converge from a fair guess in ten to twenty iterations, the others say so in `result`, and the
-safeguarded `solve` takes them. Everything is elementwise along the batch, so that a CPU fills its vector registers with
-lanes. Sources: Waechter and Biegler 2006 (barrier, fraction to the boundary, error scaling, Eq. 16: duals kept near the
-barrier).
+Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
+a few interior-point iterations on the quadratic program, which touch the matrices only (`lane_qp`); primal and dual
+variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
+al. 2005), whose program is solved to the tolerance. Full steps are taken: nearly all lanes of a tracking problem
+converge from a fair guess, the others say so in `result`, and the safeguarded `solve` takes them. An l1 merit function
+with backtracking rejected good steps of a Gaussian process's dynamics and doubled their iterations. Everything is
+elementwise along the batch, so that a CPU fills its vector registers with lanes.
 """
 
 from typing import NamedTuple
@@ -19,22 +20,25 @@ from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.solve.interior_point import SLACK_FLOOR, split
-from driftjax.solve.lane_newton import (
+from driftjax.solve.lane_ocp import AbstractLanes, Components
+from driftjax.solve.lane_qp import (
     Error,
     Lanes,
+    Model,
+    changes,
     gaps_of,
-    inputs_before,
-    longest,
     measured,
-    newton_step,
-    newton_system,
+    next_barrier,
+    program_step,
+    residual,
 )
-from driftjax.solve.lane_ocp import AbstractLanes, Components
 from driftjax.solve.materialise import materialised
 from driftjax.solve.ocp import Options
+from driftjax.solve.sparse import Entry, hessian, total
 
 MANY, SHARE = 64, 8  # of so many lanes the last eighth goes on by itself
-CENTRALITY = 10.0  # factor by which a product of slack and dual may differ from the barrier
+PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
+FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
 class LanePlans(eqx.Module):
@@ -45,17 +49,20 @@ class LanePlans(eqx.Module):
     costates: Float[Array, "nx N batch"]
     dual: Float[Array, "ng N batch"]
     cost: Float[Array, " batch"]  # objective at (X, U)
-    kkt: Float[Array, " batch"]  # scaled stationarity and complementarity [-]
+    kkt: Float[Array, " batch"]  # scaled stationarity and complementarity of the problem, not of a program [-]
     violation: Float[Array, " batch"]  # worst defect or violation of a limit
-    num_steps: Array  # iterations of the slowest lane
+    program: Float[Array, " batch"]  # both, of the last quadratic program
+    num_steps: Array  # SQP iterations (batch,)
     result: RESULTS
 
 
 class _Loop(NamedTuple):
     lanes: Lanes
     barrier: Array
-    error: Error
+    error: Error  # of the problem
+    program: Array  # error of the last program
     num_steps: Array
+    open: Array  # whether the iterate is still to be judged
 
 
 class _Batch(NamedTuple):
@@ -65,21 +72,14 @@ class _Batch(NamedTuple):
     stages: PyTree  # parameters (N, batch) or (N, 1)
     last: PyTree  # those of the end (batch,) or (1,)
     u_before: Components
-    needed: Array  # lanes to be solved
     tolerance: Array  # of each lane
     max_steps: Array
 
     def of(self, lanes: Array) -> "_Batch":
         """Return the data of some batch entries."""
-        num = len(self.needed)
+        num = len(self.tolerance)
         wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
         return _Batch(self.ocp.of(lanes), *_of_lanes(wide, lanes))
-
-
-def _open(batch: _Batch, error: Error, num_steps: Array) -> Array:
-    """Return the mask of unsolved entries; non-finite ones count as finished."""
-    worst = jnp.maximum(error.kkt, error.violation)
-    return batch.needed & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (num_steps < batch.max_steps)
 
 
 def _rows(tree: PyTree) -> Array:
@@ -103,62 +103,97 @@ def _of_lanes(tree: PyTree, lanes: Array) -> PyTree:
 
 def _solved(batch: _Batch, loop: _Loop) -> _Loop:
     """Iterate until all entries are solved; the last unsolved ones are gathered into a smaller batch."""
-    num = len(batch.needed)
+    num = len(batch.tolerance)
     few = num // SHARE if num >= MANY else 0
-    still = lambda s: _open(batch, s.error, s.num_steps)
-    loop = jax.lax.while_loop(lambda s: jnp.sum(still(s)) > few, lambda s: _iterate(batch, s), loop)
+    loop = jax.lax.while_loop(lambda s: jnp.sum(s.open) > few, lambda s: _iterate(batch, s), loop)
     if not few:
         return loop
-    lanes = jnp.argsort(~still(loop))[:few]
-    state = loop[:-1]
-    it, barrier, error = _of_lanes(state, lanes)
-    rest = _solved(batch.of(lanes), _Loop(it, barrier, error, loop.num_steps))
-    it, barrier, error = _unrowed(_rows(state).at[:, lanes].set(_rows(rest[:-1])), state)
-    return _Loop(it, barrier, error, rest.num_steps)
+    lanes = jnp.argsort(~loop.open)[:few]
+    rest = _solved(batch.of(lanes), _of_lanes(loop, lanes))
+    return _unrowed(_rows(loop).at[:, lanes].set(_rows(rest)), loop)
+
+
+def _linearised(batch: _Batch, it: Lanes, around: PyTree) -> tuple[Model, PyTree, Error]:
+    """Return the model at an iterate, without second derivatives of the dynamics, what these need, and the error."""
+    ocp, nx = batch.ocp, len(it.X)
+    x, xN = [x[:-1] for x in it.X], [x[-1] for x in it.X]
+    y, M, more = ocp.linearise(x, it.U, batch.stages, around)
+    h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U)
+    hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN)
+    model = Model(M, H, HN, [a - b[1:] for a, b in zip(y, it.X, strict=True)], _full(h, it.U[0]), _full(hN, xN[0]))
+    return model, more, residual(ocp, batch.u_before, model, it)
+
+
+def _full(entries: list[Entry], like: Array) -> list[Array]:
+    return [jnp.zeros_like(like) if e is None else jnp.broadcast_to(e, like.shape) for e in entries]
+
+
+def _objective(batch: _Batch, it: Lanes) -> Array:
+    ocp = batch.ocp
+    cost = jnp.sum(ocp.cost([x[:-1] for x in it.X], it.U, batch.stages), axis=0)
+    cost = cost + ocp.terminal([x[-1] for x in it.X], batch.last)
+    for change, weight in zip(changes(it.U, batch.u_before), ocp.rate_weight(), strict=False):
+        cost = cost + weight * jnp.sum(change**2, axis=0)
+    return cost
+
+
+def _bent(batch: _Batch, it: Lanes, model: Model, more: PyTree) -> Model:
+    """Return the model with second derivatives of the dynamics."""
+    bend = batch.ocp.curvature([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
+    return model._replace(
+        H=[[total(pair) for pair in zip(*rows, strict=True)] for rows in zip(model.H, bend, strict=True)]
+    )
+
+
+def _worst(error: Error) -> Array:
+    return jnp.maximum(error.kkt, error.violation)
 
 
 def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
-    it, barrier = loop.lanes, loop.barrier
-    newton, error = materialised(lambda it, barrier: newton_system(*batch[:4], it, barrier))(it, barrier)
-    d = materialised(lambda it, newton, barrier: newton_step(batch.ocp, it, newton, barrier))(it, newton, barrier)
-    open_ = _open(batch, error, loop.num_steps)
-    step, dual = longest(it.slack, d.d_slack, open_), longest(it.dual, d.d_dual, open_)
-    move = lambda values, steps, length: [v + length * d for v, d in zip(values, steps, strict=True)]
-    slack = move(it.slack, d.d_slack, step)
-    new = Lanes(
-        [x.at[1:].add(step * dx) for x, dx in zip(it.X, d.dX, strict=True)],
-        move(it.U, d.dU, step),
-        [c + step * (n - c) for c, n in zip(it.costates, d.costates, strict=True)],
-        slack,
-        [_central(z, s, barrier, open_) for z, s in zip(move(it.dual, d.d_dual, dual), slack, strict=True)],
-    )
-    return _Loop(new, _next_barrier(new, barrier, jnp.minimum(step, dual), batch.tolerance), error, loop.num_steps + 1)
+    """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
+    it = loop.lanes
+    around = batch.ocp.around([x[:-1] for x in it.X], it.U, batch.stages)
+    model, more, error = materialised(lambda *args: _linearised(batch, *args))(it, around)
+    error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
+    worst = _worst(error)
+    open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (loop.num_steps < batch.max_steps)
+    loop = loop._replace(error=error, open=open_)
+    return jax.lax.cond(jnp.any(open_), lambda: _stepped(batch, loop, model, more), lambda: loop)
 
 
-def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:
-    """Return duals with slack products near the barrier: an entry at a limit without its dual cannot move."""
-    return jnp.where(open_, jnp.clip(dual, barrier / (CENTRALITY * slack), CENTRALITY * barrier / slack), dual)
+def _stepped(batch: _Batch, loop: _Loop, model: Model, more: PyTree) -> _Loop:
+    """Move the open lanes towards the solutions of their programs, of the last one allowed to the tolerance."""
+    last, worst = loop.num_steps + 1 >= batch.max_steps, _worst(loop.error)
+    share = jnp.maximum(jnp.minimum(FORCING * worst, COARSE), FINE * batch.tolerance)
+    accuracy = jnp.where(last, batch.tolerance, share)
 
+    def step(model: Model, it: Lanes, barrier: Array, open_: Array) -> tuple[Model, Lanes, Array, Error]:
+        model, it, length = program_step(batch.ocp, batch.u_before, model, it, barrier, open_)
+        lower = jnp.where(open_, next_barrier(it, barrier, length, batch.tolerance), barrier)
+        return model, it, lower, residual(batch.ocp, batch.u_before, model, it)
 
-def _next_barrier(new: Lanes, barrier: Array, length: Array, tolerance: Array) -> Array:
-    """Return the next barrier parameter: it follows the mean product of slack and dual, faster after long steps."""
-    if not new.slack:
-        return barrier
-    products = sum(jnp.sum(s * z, axis=0) for s, z in zip(new.slack, new.dual, strict=True))
-    gap = products / (len(new.slack) * new.slack[0].shape[0])
-    return jnp.maximum(jnp.clip((1 - length) ** 2, 0.1, 0.8) * gap, 0.1 * tolerance)
+    def improve(state: tuple) -> tuple:
+        *now, program, open_, count = state
+        *now, error = materialised(step)(*now, open_)
+        program = jnp.where(open_, _worst(error), program)
+        more_steps = count + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
+        return *now, program, open_ & ~(program <= accuracy) & jnp.isfinite(program) & more_steps, count + 1
+
+    bent = materialised(lambda *args: _bent(batch, *args))(loop.lanes, model, more)
+    start = (bent, loop.lanes, loop.barrier, loop.program, loop.open, 0)
+    _, it, barrier, program, *_ = jax.lax.while_loop(lambda state: jnp.any(state[4]), improve, start)
+    return loop._replace(lanes=it, barrier=barrier, program=program, num_steps=loop.num_steps + loop.open)
 
 
 def _start(ocp: AbstractLanes, x0: Components, u_before: Components, X: Components, U: Components, barrier) -> Lanes:
     X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
-    change = [u - b for u, b in zip(U, inputs_before(U, u_before), strict=True)]
-    slack = [jnp.maximum(g, SLACK_FLOOR) for g in measured(gaps_of(ocp), U, change, [x[1:] for x in X])]
+    slack = [jnp.maximum(g, SLACK_FLOOR) for g in measured(gaps_of(ocp), U, changes(U, u_before), [x[1:] for x in X])]
     return Lanes(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
 
-def _result(done: Array, finite: Array) -> RESULTS:
-    failed = RESULTS.where(finite, RESULTS.not_converged, RESULTS.non_finite)  # pyright: ignore[reportArgumentType]
-    return RESULTS.where(done, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
+def _result(worst: Array, tolerance: Array) -> RESULTS:
+    failed = RESULTS.where(jnp.isfinite(worst), RESULTS.not_converged, RESULTS.non_finite)  # pyright: ignore[reportArgumentType]
+    return RESULTS.where(worst <= tolerance, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
 
 
 def solve_lanes(
@@ -173,30 +208,22 @@ def solve_lanes(
 ) -> LanePlans:
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
-    A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance. Lanes that are
-    not `needed` stay at their guess and hold up none; all options may be of each lane (batch,).
+    `options.max_steps` is the number of SQP iterations: 1 for a real-time iteration, whose program is solved to the
+    tolerance. A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance.
+    Lanes that are not `needed` stay at their guess and hold up none; all options may be of each lane (batch,).
     """
     dtype = U[0].dtype
-    tolerance, barrier = options.tolerance.astype(dtype), options.barrier.astype(dtype)
-    stages, last = split(params)
-    lanes, before = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier), list(u_before)
     large = jnp.full_like(U[0][0], jnp.inf)
-    loop = _Loop(lanes, jnp.full_like(large, barrier), Error(large, large), jnp.zeros((), jnp.int32))
-    needed = jnp.full_like(large, True, bool) if needed is None else needed
-    tolerance, max_steps = (jnp.broadcast_to(a, large.shape) for a in (tolerance, options.max_steps))
-    end = _solved(_Batch(ocp, stages, last, before, needed, tolerance, max_steps), loop)
-    done = jnp.maximum(end.error.kkt, end.error.violation) <= tolerance
-    finite = jnp.isfinite(end.error.kkt) & jnp.isfinite(end.error.violation)
-    result = jax.vmap(_result)(done, finite)
+    wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), large.shape)
+    tolerance, barrier = wide(options.tolerance, dtype), wide(options.barrier, dtype)
+    stages, last = split(params)
+    batch = _Batch(ocp, stages, last, list(u_before), tolerance, wide(options.max_steps, jnp.int32))
+    start = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier)
+    open_ = wide(True, bool) if needed is None else needed
+    loop = _Loop(start, barrier, Error(large, large), large, wide(0, jnp.int32), open_)
+    end = _solved(batch, loop)
     it = end.lanes
-    cost = _objective(ocp, it, inputs_before(it.U, before), stages, last)
+    result = jax.vmap(_result)(_worst(end.error), tolerance)
     dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), dtype)
     X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
-    return LanePlans(X, U, costates, dual, cost, end.error.kkt, end.error.violation, end.num_steps, result)
-
-
-def _objective(ocp: AbstractLanes, it: Lanes, before: Components, stages: PyTree, last: PyTree) -> Array:
-    cost = jnp.sum(ocp.cost([x[:-1] for x in it.X], it.U, stages), axis=0) + ocp.terminal([x[-1] for x in it.X], last)
-    for u, b, weight in zip(it.U, before, ocp.rate_weight() or [0.0] * len(it.U), strict=True):
-        cost = cost + weight * jnp.sum((u - b) ** 2, axis=0)
-    return cost
+    return LanePlans(X, U, costates, dual, _objective(batch, it), *end.error, end.program, end.num_steps, result)

@@ -76,7 +76,7 @@ class Options(eqx.Module):
 
     tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
     barrier: Array = eqx.field(converter=as_float, default=1.0)  # first barrier parameter; small for warm starts
-    max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # interior-point iterations
+    max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # iterations: interior-point, or SQP of a batch
     implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which there are derivatives
 
 
