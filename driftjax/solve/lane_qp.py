@@ -141,13 +141,14 @@ def program_step(
 ) -> tuple[Model, Lanes, Array]:
     """Return gradients and defects, iterate and length of the step after one iteration of the `open_` lanes."""
     newton = _newton_step(ocp, u_before, model, it, barrier)
-    step = longest(it.slack, newton.slack, open_)
-    length = Lanes(step, step, step, step, longest(it.dual, newton.dual, open_))
-    move = lambda values, length, steps: [
-        jnp.where(open_, v + length * d, v) for v, d in zip(values, steps, strict=True)
-    ]
-    new = Lanes(*map(move, it, length, newton))
-    dual = [_central(z, s, barrier, open_) for z, s in zip(new.dual, new.slack, strict=True)]
+    step, dual_step = longest(it.slack, newton.slack, open_), longest(it.dual, newton.dual, open_)
+
+    def move(values: Components, length: Array, steps: Components) -> Components:
+        return [jnp.where(open_, v + length * d, v) for v, d in zip(values, steps, strict=True)]
+
+    X, U, costates, slack = (move(v, step, d) for v, d in zip(it[:4], newton[:4], strict=True))
+    dual = move(it.dual, dual_step, newton.dual)
+    new = Lanes(X, U, costates, slack, [_central(z, s, barrier, open_) for z, s in zip(dual, slack, strict=True)])
     z = [a - b for a, b in zip((*(x[:-1] for x in new.X), *new.U), (*(x[:-1] for x in it.X), *it.U), strict=True)]
     dN = [a[-1] - b[-1] for a, b in zip(new.X, it.X, strict=True)]
     # all of this is affine in the step
@@ -156,7 +157,7 @@ def program_step(
         h=[total((h, dot(row, z))) for h, row in zip(model.h, model.H, strict=True)],
         hN=[total((h, dot(row, dN))) for h, row in zip(model.hN, model.HN, strict=True)],
     )
-    return moved, new._replace(dual=dual), jnp.minimum(step, length.dual)
+    return moved, new, jnp.minimum(step, dual_step)
 
 
 def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:

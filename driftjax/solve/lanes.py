@@ -153,7 +153,7 @@ def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
     it = loop.lanes
     around = batch.ocp.around([x[:-1] for x in it.X], it.U, batch.stages)
-    model, more, error = materialised(lambda *args: _linearised(batch, *args))(it, around)
+    model, more, error = materialised(lambda it, around: _linearised(batch, it, around))(it, around)
     error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
     worst = _worst(error)
     open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (loop.num_steps < batch.max_steps)
@@ -173,13 +173,14 @@ def _stepped(batch: _Batch, loop: _Loop, model: Model, more: PyTree) -> _Loop:
         return model, it, lower, residual(batch.ocp, batch.u_before, model, it)
 
     def improve(state: tuple) -> tuple:
-        *now, program, open_, count = state
-        *now, error = materialised(step)(*now, open_)
+        model, it, barrier, program, open_, count = state
+        model, it, barrier, error = materialised(step)(model, it, barrier, open_)
         program = jnp.where(open_, _worst(error), program)
         more_steps = count + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
-        return *now, program, open_ & ~(program <= accuracy) & jnp.isfinite(program) & more_steps, count + 1
+        open_ = open_ & ~(program <= accuracy) & jnp.isfinite(program) & more_steps
+        return model, it, barrier, program, open_, count + 1
 
-    bent = materialised(lambda *args: _bent(batch, *args))(loop.lanes, model, more)
+    bent = materialised(lambda it, model, more: _bent(batch, it, model, more))(loop.lanes, model, more)
     start = (bent, loop.lanes, loop.barrier, loop.program, loop.open, 0)
     _, it, barrier, program, *_ = jax.lax.while_loop(lambda state: jnp.any(state[4]), improve, start)
     return loop._replace(lanes=it, barrier=barrier, program=program, num_steps=loop.num_steps + loop.open)
