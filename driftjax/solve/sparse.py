@@ -117,7 +117,7 @@ def runge_kutta(
 
     none = _filled([[None] * nz for _ in range(nx)], shape, zero)
     begin = [[total((none[i][j], zero + 1 if i == j else None)) for j in range(nz)] for i in range(nx)]
-    carry, tableau = ([zero] * nx, none, list(x), begin), tuple(map(jnp.asarray, RK4))
+    carry, tableau = ([zero] * nx, none, list(x), begin), (jnp.asarray(RK4.into), jnp.asarray(RK4.weights))
     (_, _, ends, M), _ = jax.lax.scan(materialised(chained), carry, tableau)
     return ends, M
 

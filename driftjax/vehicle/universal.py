@@ -22,7 +22,7 @@ class Universal(eqx.Module):
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
     substeps: int = eqx.field(static=True)  # in which a step of the log is integrated
-    car: Car  # `base` after the effects of station `car`; here, since nearly everything else begins with it
+    car: Car  # `base` after the effects of station `car`; follows from the others, set by `with_parameters`
 
     def __init__(
         self,

@@ -48,12 +48,16 @@ def test_information_is_that_of_the_other_samples(monkeypatch):
     J = spun()
     e = np.zeros((P, T, 3))
     monkeypatch.setattr(fit, "differentiate", lambda *args: Linearisation(e, J, None, None))  # type: ignore[arg-type]
-    problem: Any = SimpleNamespace(model=None, data=None, gains=None, active=None, motion=None)
+    data = SimpleNamespace(skip=5)  # the sideslip is inferred
+    problem: Any = SimpleNamespace(model=None, data=data, gains=None, active=None, motion=None)
     at = fit.linearise(problem, fit.Fit(np.zeros(K), 0.0, e))
     assert at.lost is not None
     expected = fit.information(np.where(at.lost[..., None, None], 0.0, J))
     np.testing.assert_allclose(fit.information(at.J), expected)
     assert np.trace(fit.information(J)) > 1e20 * np.trace(expected)
+    data.skip = 0  # it is measured, and holds the observer
+    whole = fit.linearise(problem, fit.Fit(np.zeros(K), 0.0, e))
+    assert whole.lost is None and whole.J is J
 
 
 def test_a_car_that_is_lost_most_of_the_time_is_told():

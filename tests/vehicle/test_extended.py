@@ -62,7 +62,7 @@ def rates_of_all(model, thetas, x, u):
     """Rates (K, NUM, 3) of the car with the whole catalogue at each row of `thetas`, its actuators at rest."""
 
     def one(theta, x, u):
-        at = eqx.tree_at(lambda m: m.theta, model, theta)
+        at = model.with_parameters(theta)
         return jnp.stack(at.rates(x, at.apply_actuators(at.start(0.01), u, x.V, 0.01)[1], STILL, NONE))
 
     return jax.vmap(lambda theta: jax.vmap(lambda x, u: one(theta, x, u))(x, u))(thetas)
