@@ -1,4 +1,4 @@
-"""Batched sequential quadratic programming whose quadratic programs are interior-point Newton systems.
+"""Sequential quadratic programming for one problem: each program is one interior-point Newton system, with line search.
 
 Every iteration linearises the dynamics anew, takes the Hessian of the Lagrangian, solves the primal-dual barrier
 system by one Riccati sweep and searches along the policy that comes out of it: trial points are roll-outs of the
