@@ -198,14 +198,15 @@ def calibrate(
         problem, fit, at = fit_effects(loose, selected)
         stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
         precision = information(at.J) + DEAD * problem.prior
-    lost = time_lost(problem, at)
+    lost_s = time_lost(problem, at)
     last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
     known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
     told = identifiability(known, prior[columns], precision[square], half_width)
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
-    told = (told, moved[columns], stretch, staged, gain, lost)
-    return Calibration(vehicle, problem, selected, fit, last, half_width, *told)
+    return Calibration(
+        vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain, lost_s
+    )
 
 
 def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:

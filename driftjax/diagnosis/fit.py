@@ -216,8 +216,7 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
     """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
     at = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
-    lost = lost_samples(np.asarray(at.J))
-    if problem.data.skip and lost.any():  # a measured sideslip holds the observer
+    if problem.data.skip and (lost := lost_samples(np.asarray(at.J))).any():  # a measured sideslip holds the observer
         at = at._replace(J=np.where(lost[..., None, None], 0.0, np.asarray(at.J)), lost=lost)
     if problem.motion is None:
         return at

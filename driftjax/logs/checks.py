@@ -7,7 +7,7 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL
 from driftjax.logs.raw import RawRun
-from driftjax.logs.sampling import FEWER, JITTER, UNIFORM, even_rate, jitter, sample_time
+from driftjax.logs.sampling import JITTER, UNIFORM, even_rate, jitter, proposed_rate, sample_time
 
 MAX_ANGLE = 1.6  # rad
 MAX_YAW_RATE = 20.0  # rad/s
@@ -33,7 +33,7 @@ def check_time(run: RawRun, rate: float | None) -> float:
     if rate is None or rate > often:
         raise BadInput(
             f"{run.where}: the steps of {label} vary by {100 * jitter(t, dt):.0f} % around {dt:.4g} s, more than "
-            f"{100 * JITTER:.0f} %; write 'rate: {FEWER * often:.2g}' in a column map to resample the log evenly."
+            f"{100 * JITTER:.0f} %; write 'rate: {proposed_rate(often):g}' in a column map to resample the log evenly."
         )
     return 1 / rate
 

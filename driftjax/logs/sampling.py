@@ -40,6 +40,11 @@ def even_rate(t: np.ndarray) -> float | None:
     return float((len(t) - 1) / np.sum(np.minimum(np.diff(t), spacing(t))))
 
 
+def proposed_rate(rate: float) -> float:
+    """Return the rate to resample to of uneven samples that come with this mean `rate` [Hz], to two digits."""
+    return float(f"{FEWER * rate:.2g}")
+
+
 def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `command` held over up to 3 missing samples in a row, and the mask of rows with a value."""
     there = np.isfinite(command)

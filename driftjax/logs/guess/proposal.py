@@ -25,7 +25,7 @@ from driftjax.logs.guess.assign import LEAST, SIGNED, Placed, place, plain_value
 from driftjax.logs.guess.material import Material, read_material
 from driftjax.logs.guess.names import DEG, UNKNOWN, meaning, words_of
 from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
-from driftjax.logs.sampling import FEWER
+from driftjax.logs.sampling import proposed_rate
 
 PEDALS = {"throttle", "gas", "accelerator", "pedal", "brake", "motor", "torque", "duty", "current", "power"}
 UNSURE = 0.8  # of the certainty that is left where a sign is only the file's, or another column fits as well
@@ -187,7 +187,7 @@ def _even_rate(material: Material, found: list[Guessed], left: list[str]) -> flo
     rates = [material.rates[name] for name in measured if name in material.rates]
     if not rates:
         return None
-    rate = float(f"{FEWER * max(rates):.2g}")
+    rate = proposed_rate(max(rates))
     left.append(f"The time steps are uneven: the log is resampled to {rate:g} Hz.")
     return rate
 
