@@ -18,13 +18,13 @@ def write_netcdf(path: Path, data: xr.Dataset) -> None:
         for name, variable in data.variables.items()
         if variable.ndim > 0 and variable.dtype.kind in "fib"
     }
-    write_atomically(path, lambda p: data.to_netcdf(p, engine="h5netcdf", encoding=packed))
+    write_atomically(path, lambda p: data.to_netcdf(p, engine="netcdf4", encoding=packed))
 
 
 def read_netcdf(path: Path) -> xr.Dataset:
     """Read the whole dataset into memory; raises `BadInput` that names the file."""
     try:
-        with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as data:
+        with xr.open_dataset(path, engine="netcdf4", decode_timedelta=False) as data:
             return data.load()
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file; the run has not got that far.") from None
