@@ -1,21 +1,23 @@
 """Shared settings of the tests: those of the package, and a compilation cache of their own."""
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 
+import pytest
+
+# Settings come first: the workers of the tests and the processes that tests start inherit them.
+SCRATCH = Path(tempfile.gettempdir())
+if sys.dont_write_bytecode:  # else each of these processes compiles 1700 modules, jax's among them
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(SCRATCH / "driftjax-pycache")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 # XLA's older emitters of fused loops compile in two thirds of the time; their loops run a fifth slower.
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "driftjax-jax-cache"))
-
-
-import jax
-import pytest
-
-from driftjax.parallel import clear_program_cache
-
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(SCRATCH / "driftjax-jax-cache"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 
 # Files that compile what others load: begun first, one on each worker, and the others that share their programs last.
@@ -40,4 +42,6 @@ MAPS = 40000  # memory maps above which programs are forgotten
 def program_cache_cleared():
     """Forget the programs of earlier modules where they have become many."""
     yield
+    from driftjax.parallel import clear_program_cache  # not above: the process that starts the workers needs no jax
+
     clear_program_cache(MAPS)

@@ -1,4 +1,6 @@
-"""The drift MPC as one object: a batch, a guess and a warm start are solved by one program."""
+"""The drift MPC as one object: one program for batch, guess and warm start; limits and costs against IPOPT's."""
+
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -8,9 +10,10 @@ import pytest
 
 import driftjax.control.drift_mpc as module
 from driftjax.control.drift_mpc import DriftMPC, mpc_state, steady_reference
-from driftjax.control.mpc import MPCConfig, solve_mpc
+from driftjax.control.mpc import MPCConfig, MPCSolution, Reference, solve_mpc
 from driftjax.core import RESULTS
-from driftjax.studies.bench.drift import U_REF, X_REF, car
+from driftjax.studies.bench.casadi_mpc import CasadiMPC
+from driftjax.studies.bench.drift import U_REF, WEIGHTS, X_REF, car, config, starts
 
 # horizon and batch of experiments/examples/mpc.py, whose programs these are
 N, BATCH = MPCConfig().horizon, 4
@@ -62,6 +65,7 @@ def test_a_warm_start_takes_fewer_iterations(solutions):
     assert np.all(warm.plan.num_steps < first.plan.num_steps)
 
 
+@pytest.mark.slow
 def test_the_derivative_by_the_state_equals_central_differences(h=1e-5):
     mpc = tight(1e-9)
     slope = jax.jacfwd(lambda x: mpc.solve(mpc_state(x, U_REF), REFERENCE, GUESS).u.delta)(START)
@@ -70,3 +74,47 @@ def test_the_derivative_by_the_state_equals_central_differences(h=1e-5):
     assert all(np.all(one.plan.result == RESULTS.successful) for one in solutions)
     delta = np.concatenate([one.u.delta for one in solutions])
     np.testing.assert_allclose(slope, (delta[:5] - delta[5:10]) / (2 * h), rtol=1e-4, atol=1e-6)
+
+
+NUM = 32  # starts around the drift of the bench
+
+
+@cache
+def solved() -> MPCSolution:
+    """The bench's problem from all starts, in batches that the program of this file takes."""
+    mpc = DriftMPC(car(), config(N), WEIGHTS)
+    x, before = starts(NUM)
+    states = mpc_state(np.concatenate([x, np.zeros((NUM, 2))], axis=1), before)
+    reference = Reference(*(jnp.full(N + 1, value, float) for value in (*X_REF, 0.0, 0.0, 0.0)))
+    guess = jnp.tile(jnp.asarray(before)[:, None], (1, N, 1))
+    block = lambda tree, i: jax.tree.map(lambda a: a[i : i + BATCH], tree)
+    found = [mpc.solve(block(states, i), reference, block(guess, i)) for i in range(0, NUM, BATCH)]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
+
+
+def test_every_start_converges_in_few_iterations():
+    plan = solved().plan
+    assert bool(jnp.all(plan.result == RESULTS.successful))
+    assert float(jnp.max(jnp.maximum(plan.kkt, plan.violation))) <= 1e-6
+    assert int(jnp.median(plan.num_steps)) <= 15
+    assert int(jnp.max(plan.num_steps)) <= 30
+
+
+def test_input_and_rate_limits_hold_to_rounding():
+    U = np.asarray(solved().U)
+    v = car()
+    before = np.concatenate([starts(NUM).previous[:, None], U[:, :-1]], axis=1)
+    scale = np.array([1.0, 1e4])  # newtons have 1e4 times the rounding of radians
+    assert np.all((U - [v.delta_max, v.Fxr_max]) / scale <= 1e-12)
+    assert np.all(([-v.delta_max, v.Fxr_min] - U) / scale <= 1e-12)
+    rate = config().dt * np.array([v.delta_rate_max, v.Fxr_rate_max])
+    assert np.all((np.abs(U - before) - rate) / scale <= 1e-12)
+    assert np.any(np.abs(U - before) > 0.99 * rate)  # else the limits would not have been tested
+
+
+def test_ipopt_finds_the_same_cost():
+    peer = CasadiMPC("ipopt", car(), config(N), WEIGHTS, X_REF, 1e-8, compiled=False)
+    found = [peer.solve(x, before) for x, before in zip(*starts(NUM), strict=True)]
+    assert all(one.success for one in found)
+    ours, theirs = np.asarray(solved().plan.cost), np.array([one.cost for one in found])
+    assert np.mean(np.abs(ours - theirs) <= 1e-3 * theirs) >= 0.99

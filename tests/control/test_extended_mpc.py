@@ -58,6 +58,7 @@ def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
     np.testing.assert_allclose(found.U[0] / unit, before * jnp.ones((N, 1)) / unit, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_lqr_of_the_extended_car_holds_its_drift():
     car, (x, u), dt = build_car(CAR), (steady().x, steady().u), jnp.asarray(0.05)
     K = eqx.filter_jit(lqr)(car, x, u, jnp.array([1.0, 700.0, 500.0]), jnp.array([10.0, 1e-9]), dt)

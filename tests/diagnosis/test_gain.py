@@ -100,6 +100,7 @@ def test_runs_held_out_have_no_part_in_the_noise():
     np.testing.assert_array_equal(test.noise.as_vector(), train.noise.as_vector())
 
 
+@pytest.mark.slow
 def test_the_floor_is_what_the_true_car_gets_wrong():
     """Predictions by the car that was driven, with its own noise: their errors are as large as the floor says."""
     runs = [run for seed in (1, 2) for run in recorded(hidden(), seed=seed, noise_seed=seed + 10)]

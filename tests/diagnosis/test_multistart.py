@@ -13,6 +13,7 @@ from driftjax.diagnosis.fit import Fit, evaluate, initial_noise, with_noise
 from driftjax.diagnosis.multistart import LOST_MISFIT, misfit, nominal_fit, search_from_far, search_multistart
 
 
+@pytest.mark.slow
 def test_what_is_found_round_about_is_what_was_hidden():
     truth = hidden(friction_rear=1.4, load_transfer_long=1.4)
     problem = build_problem(sedan(), EFFECTS, recorded(truth, 5, 6, disturbed=0.0))

@@ -24,9 +24,9 @@ def selection_of(problem, names) -> Selection:
 @pytest.mark.parametrize(
     ("truth", "named"),
     [
-        ({"steer_lag": 1.0}, ["yaw_inertia"]),
+        pytest.param({"steer_lag": 1.0}, ["yaw_inertia"], marks=pytest.mark.slow),
         ({"steer_lag": 1.0, "drive_gain": 1.2}, ["drive_gain", "yaw_inertia"]),
-        ({"steer_lag": 1.0, "drive_gain": 1.2}, ["stiffness_front", "aero_drag"]),
+        pytest.param({"steer_lag": 1.0, "drive_gain": 1.2}, ["stiffness_front", "aero_drag"], marks=pytest.mark.slow),
     ],
     ids=lambda names: "-".join(names),
 )

@@ -27,6 +27,7 @@ def diagnosed(seed, **truth):
     return problem, search(problem, evaluate(problem, np.zeros(len(ORDER))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size", "seed"), [("stiffness_front", -0.8, 1), ("steer_offset", 1.3, 2)])
 def test_a_hidden_effect_is_named_and_measured(name, size, seed):
     problem, found = diagnosed(seed, **{name: size})
@@ -44,7 +45,7 @@ def test_a_hidden_effect_is_named_and_measured(name, size, seed):
     assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_nothing_is_named_where_nothing_is_hidden(seed):
     assert diagnosed(seed)[1].selected == ()
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from driftjax.core import RESULTS, features
 from driftjax.equilibrium import Branch, SlipRadius, continuation, solve_nominal
@@ -76,6 +77,7 @@ def test_no_nominal_drift_is_not_a_success():
     assert out.result != RESULTS.successful
 
 
+@pytest.mark.slow
 def test_gradient_through_the_continuation_equals_central_differences():
     def steer(size):
         return follow(Missing(size), FIXED).u.delta

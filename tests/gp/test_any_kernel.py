@@ -80,7 +80,10 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
-@pytest.mark.parametrize(("kernel", "theirs"), [(squared_exponential, RBF), (matern32, partial(Matern, nu=1.5))])
+@pytest.mark.parametrize(
+    ("kernel", "theirs"),
+    [(squared_exponential, RBF), pytest.param(matern32, partial(Matern, nu=1.5), marks=pytest.mark.slow)],
+)
 def test_the_optimum_is_that_of_scikit_learn(kernel, theirs):
     Z, y = scaled(1, 0.2)
     ours = fitted(kernel, Z, y)

@@ -13,7 +13,11 @@ from driftjax.gp.orthogonal import orthonormal_basis
 
 M = 30
 POINT = np.log([0.7, 1.1, 1.6, 0.8, 0.05])  # not at an optimum: no gradient is near 0
-CASES = [(kernel, held) for kernel in KERNELS for held in (False, True)]
+CASES = [
+    pytest.param(kernel, held, marks=() if held == (kernel == "se") else pytest.mark.slow)
+    for kernel in KERNELS
+    for held in (False, True)
+]
 
 
 def hyper(x):

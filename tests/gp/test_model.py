@@ -17,6 +17,7 @@ from driftjax.gp.model import squared_differences
 
 LENGTH = np.array([[0.7, 1.1, 1.6], [1.3, 0.6, 0.9]])
 AMPLITUDE, NOISE = np.array([0.8, 1.7]), np.array([0.05, 0.2])
+KERNELS = ("se", pytest.param("matern52", marks=pytest.mark.slow))  # values of both are compared by default
 HYPER = Hyper(*(jnp.asarray(np.log(value)) for value in (LENGTH, AMPLITUDE, NOISE)))
 
 
@@ -68,7 +69,7 @@ def test_mean_variance_and_likelihood_equal_scikit_learn(kernel):
         np.testing.assert_allclose(ours, other.log_marginal_likelihood_value_, rtol=1e-8)
 
 
-@pytest.mark.parametrize("kernel", ["se", "matern52"])
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_padding_changes_nothing(kernel):
     Z, Y = smooth(25)
     plain = build(Z, Y, kernel)
@@ -89,7 +90,7 @@ def test_padding_changes_nothing(kernel):
     np.testing.assert_allclose(our_slope, their_slope, rtol=1e-8, atol=1e-12)
 
 
-@pytest.mark.parametrize("kernel", ["se", "matern52"])
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_derivatives_equal_central_differences(kernel):
     Z, Y = smooth(30)
     gp, gradient = build(Z, Y, kernel), eqx.filter_jit(lambda f, z: jax.jacrev(f)(z))
@@ -102,7 +103,7 @@ def test_derivatives_equal_central_differences(kernel):
             np.testing.assert_allclose(gradient(f, point), difference.T, rtol=2e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("kernel", ["se", "matern52"])
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_likelihood_gradient_equals_central_differences(kernel):
     Z, Y = smooth(30)
     gp = build(Z, Y, kernel, mask=np.arange(30) < 22)

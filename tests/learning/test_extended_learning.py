@@ -92,6 +92,7 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
         assert np.linalg.norm(mean[mask, d] - truth) < 0.2 * np.linalg.norm(truth)
 
 
+@pytest.mark.slow
 def test_where_tyres_have_no_peak_the_corner_is_slid_through_within_it():
     car: Any = build_car(load_vehicle("dart").with_combined_slip(1.0))
     config = load_learn_config("dart")

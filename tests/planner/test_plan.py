@@ -51,6 +51,7 @@ def test_ipopt_finds_the_same_time_and_the_plan_keeps_its_limits(car, drift):
     compare_with_ipopt(solved(car, drift), *setup(car, drift))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("car", ["sedan", "rc"])
 def test_ipopt_finds_the_same_time_with_the_shipped_options(car):
     """Friction circle, fair speed, price on the course: the oracle has its own copy of each."""

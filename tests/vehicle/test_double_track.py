@@ -242,6 +242,7 @@ def test_steady_drift_holds_in_the_simulation():
     np.testing.assert_allclose(motion.V, motion.V[0], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_gradients_through_a_rollout_match_central_differences():
     car = load_plant("sedan").build()
     state, _ = drift_state(car, np.deg2rad(-25.0), 15.0)

@@ -94,15 +94,15 @@ def derivatives(name):
 
 
 @functools.cache
-def extremes(name, standing):
-    """Whether outputs and gradients are finite (K,) at plus and minus one typical size."""
+def extremes(name, standing, differentiate):
+    """Whether outputs and derivatives are finite (K,) at plus and minus one typical size."""
     model, data = all_effects(name, CASES[name]), batch(name)
     if standing:
         data = jax.tree.map(jnp.zeros_like, data)
     good = np.ones(len(OWNER), bool)
     for sign in (1, -1):
         thetas = jnp.asarray(np.clip(sign * np.eye(len(OWNER)), BOUNDS[:, 0], BOUNDS[:, 1]))
-        for leaf in jax.tree.leaves((along(model, thetas, data), backward(model, thetas, data))):
+        for leaf in jax.tree.leaves(differentiate(model, thetas, data)):
             good &= np.isfinite(leaf).reshape(len(OWNER), -1).all(axis=1)
     return good
 
@@ -187,8 +187,11 @@ def test_derivatives_at_neutral_are_alive_and_match_forward_differences(effect, 
 
 @pytest.mark.parametrize("standing", [False, True], ids=["moving", "standing"])
 @pytest.mark.parametrize("name", CASES)
-def test_nothing_is_nan_at_typical_sizes(name, standing):
-    assert [OWNER[i] for i in np.flatnonzero(~extremes(name, standing))] == []
+@pytest.mark.parametrize(
+    "differentiate", [along, pytest.param(backward, marks=pytest.mark.slow)], ids=["forward", "reverse"]
+)
+def test_nothing_is_nan_at_typical_sizes(name, standing, differentiate):
+    assert [OWNER[i] for i in np.flatnonzero(~extremes(name, standing, differentiate))] == []
 
 
 def test_drag_pulls_against_the_velocity():

@@ -129,7 +129,7 @@ def test_the_transcription_is_of_the_config_given(two_solvers):
     assert first.success and first.cost > two_solvers["ipopt"][0].cost * 1.001
 
 
-@pytest.mark.parametrize("dtype, within", [("float64", 1e-12), ("float32", 1e-5)])
+@pytest.mark.parametrize("dtype, within", [("float64", 1e-12), pytest.param("float32", 1e-5, marks=pytest.mark.slow)])
 def test_peers_of_the_simulator_make_the_same_step(dtype, within):
     cfg = dataclasses.replace(QUICK, dtype=(dtype,))
     facts = [row.facts for row in simulator_rows.measure(cfg).rows if "difference" in row.facts]
@@ -159,7 +159,7 @@ def test_bad_options_are_refused():
 @pytest.mark.parametrize(
     "parts",
     [
-        ("simulator", "gp"),
+        ("simulator",),
         pytest.param(("mpc", "simulator", "gp", "plan", "laps"), marks=pytest.mark.slow),  # minutes of compiling
     ],
 )
