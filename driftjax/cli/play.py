@@ -8,14 +8,14 @@ import tyro
 
 from driftjax.cli.console import parse
 from driftjax.core import BadInput, require
-from driftjax.report import write_diagnosis, write_report
+from driftjax.report import write_comparison, write_diagnosis, write_report
 from driftjax.report.drives import film_pairs, run_drives, shown_together, shown_vehicle
 from driftjax.store import RunFolder
 
 
 @dataclasses.dataclass(frozen=True)
 class Play:
-    """Open the report of a run of `learn` or `diagnose` in the browser; with a file below, write that instead."""
+    """Open the report of a run of `learn`, `diagnose` or `compare` in the browser; with a file below, write that."""
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
@@ -61,10 +61,11 @@ def open_report(folder: RunFolder) -> int:
     """Open report.html, written first where it is missing."""
     page = folder.path / "report.html"
     if not page.is_file():
-        writers = {"learn": write_report, "diagnose": write_diagnosis}
+        writers = {"learn": write_report, "diagnose": write_diagnosis, "compare": write_comparison}
         if folder.verb not in writers:
             raise BadInput(
-                f"{folder.path}: a run of `driftjax {folder.verb}` has no report.html; take learn or diagnose."
+                f"{folder.path}: a run of `driftjax {folder.verb}` has no report.html; "
+                "take one of learn, diagnose or compare."
             )
         page = writers[folder.verb](folder)
     opened = webbrowser.open(page.resolve().as_uri())

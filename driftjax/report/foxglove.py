@@ -50,10 +50,11 @@ class Recorder:
         self.state = state_class(get, states)
 
     def write(self, topic: str, t: float, message: Any) -> None:
-        """Write a message at time `t` [s]."""
+        """Write a message at time `t` [s], which also stands in its time stamps."""
         time = round(t * 1e9)
-        if "timestamp" in message.DESCRIPTOR.fields_by_name:
-            message.timestamp.FromNanoseconds(time)
+        for stamped in (message, *getattr(message, "entities", ())):
+            if "timestamp" in stamped.DESCRIPTOR.fields_by_name:
+                stamped.timestamp.FromNanoseconds(time)
         self.writer.write_message(topic, message, log_time=time, publish_time=time)
         self.counts[topic] += 1
 
@@ -66,7 +67,7 @@ class Recorder:
 
     def road(self, plan: xr.Dataset) -> None:
         """Write borders and planned path as lines, and the plan as poses."""
-        entity = self.types["SceneEntity"](id="track", frame_id=FRAME)
+        entity = self.types["SceneEntity"](id="track", frame_id=FRAME, frame_locked=True)
         for side, tint in (("left", "0.5"), ("right", "0.5"), ("path", "black")):
             line = self.types["LinePrimitive"](type=0, thickness=0.1, pose=self.pose(0, 0, 0))
             for x, y in zip(plan[f"{side}_x"].values, plan[f"{side}_y"].values, strict=True):
@@ -94,9 +95,9 @@ class Recorder:
         self.write(f"/{name}/state", t, self.state(**values))
 
     def entity(self, vehicle: VehicleConfig, drive: Drive, at: dict[str, float]) -> Any:
-        """Return body, steered wheels and velocity of a car, in the car's frame."""
+        """Return body, steered wheels and velocity of a car, in the car's frame, which they follow between samples."""
         name, shape = topic_name(drive.name), wheels(vehicle)
-        entity = self.types["SceneEntity"](id=name, frame_id=name)
+        entity = self.types["SceneEntity"](id=name, frame_id=name, frame_locked=True)
         entity.lifetime.FromNanoseconds(LIFETIME)
         high = HEIGHT * vehicle.length
         middle = ((vehicle.a - vehicle.b) / 2, 0.0)

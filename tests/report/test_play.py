@@ -1,7 +1,6 @@
 """`driftjax play`: the page in a browser, the cars as MCAP, GIF and MP4; what a page leaves out."""
 
 import base64
-import re
 import webbrowser
 
 import matplotlib.animation
@@ -31,9 +30,8 @@ def messages(path) -> dict[str, list]:
     """Messages by topic, with their schema."""
     found: dict[str, list] = {}
     with path.open("rb") as stream:
-        for schema, channel, message, decoded in make_reader(
-            stream, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
             assert schema is not None
             found.setdefault(channel.topic, []).append((schema.name, message.log_time / 1e9, decoded))
     return found
@@ -62,6 +60,26 @@ def test_mcap_holds_every_step_of_every_car(run, tmp_path, capsys):
     assert [state.V, state.beta, pose.position.x] == pytest.approx([float(lane[n][k]) for n in ("V", "beta", "x")])
     heading = 2 * np.arctan2(pose.orientation.z, pose.orientation.w)
     assert np.cos(heading - float(lane["psi"][k])) == pytest.approx(1)
+
+
+def test_frames_of_the_mcap_are_one_tree_and_time_stamps_those_of_the_messages(run, tmp_path):
+    """A viewer places an entity by the transform at its time stamp, and lets it vanish a lifetime after that."""
+    file = tmp_path / "lap.mcap"
+    assert main(["play", str(run.path), "--mcap", str(file)]) == 0
+    parents, used = {}, set()
+    for _, t, message in (one for topic in messages(file).values() for one in topic):
+        for part in (message, *getattr(message, "entities", ())):
+            if hasattr(part, "timestamp"):
+                assert part.timestamp.ToNanoseconds() == round(t * 1e9)
+            used |= {part.frame_id} if hasattr(part, "frame_id") else set()
+        assert all(entity.frame_locked for entity in getattr(message, "entities", ()))
+        if hasattr(message, "child_frame_id"):
+            parents.setdefault(message.child_frame_id, set()).add(message.parent_frame_id)
+    assert parents == {"nominal_mpc": {"map"}, "gpr_lap_1": {"map"}, "explored_1": {"map"}}
+    assert used == {"map", *parents}
+    with file.open("rb") as stream:
+        times = [message.log_time for *_, message in make_reader(stream).iter_messages(log_time_order=False)]
+    assert times == sorted(times)
 
 
 def test_what_a_car_lacks_is_not_zero_in_mcap(tmp_path):
@@ -120,9 +138,9 @@ def test_play_opens_the_page(run, monkeypatch, capsys):
 
 def test_a_run_of_another_verb_has_nothing_to_play(tmp_path, capsys):
     other = RunFolder.create(tmp_path / "run", {}, "tune")
-    for flags in ([], ["--gif", str(tmp_path / "a.gif")]):
+    for flags, verbs in (([], "learn, diagnose or compare"), (["--gif", str(tmp_path / "a.gif")], "learn or diagnose")):
         assert main(["play", str(other.path), *flags]) == 2
-        assert re.search("take (one of )?learn or diagnose", capsys.readouterr().err)
+        assert f"take one of {verbs}" in capsys.readouterr().err
 
 
 def test_a_full_page_leaves_out_stages_before_plants(run, monkeypatch):
