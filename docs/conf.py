@@ -33,5 +33,5 @@ html_theme_options = {"show_navbar_depth": 1, "show_toc_level": 2, "use_download
                       "navbar_end": [], "navbar_persistent": []}  # fmt: skip
 html_show_sphinx = False
 smartquotes = False  # would turn --flag into a dash
-highlight_language = "text"
+highlight_language = "none"
 html_copy_source = False

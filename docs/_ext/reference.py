@@ -1,5 +1,6 @@
 """Sphinx extension: write the generated part of the reference, and formulas as MathML, which need no script."""
 
+import re
 from pathlib import Path
 
 from api import api_page
@@ -9,6 +10,8 @@ from docutils.utils.math import latex2mathml
 from options import command_pages, configuration_page
 from results import learn_tables, real_log_tables
 from sphinx.application import Sphinx
+
+BAR = re.compile(r"<mo[^>]*>([|‖])</mo>")
 
 
 def write_pages(app: Sphinx) -> None:
@@ -32,6 +35,8 @@ def _math(self, node) -> None:
     """Write a formula as MathML."""
     block = node.tagname == "math_block"
     markup = latex2mathml.tex2mathml(node.astext(), as_block=block)
+    markup = markup.replace('<mover accent="true">', "<mover>")  # as accents, Chromium draws dots into the letter
+    markup = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', markup)  # the left one alone would stretch
     self.body.append(f'<div class="formula">{markup}</div>' if block else markup)
     raise nodes.SkipNode
 
