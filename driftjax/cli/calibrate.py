@@ -1,17 +1,25 @@
 """`driftjax calibrate`: fit the nominal car to runs in which it should be right, before a diagnosis."""
 
 import dataclasses
+import shlex
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, print_notes, run_in
-from driftjax.diagnosis.calibrate import calibrate, effects_to_fit
+from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
+from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, STAGED_EFFECTS, calibrate, effects_to_fit
 from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
+
+STEPS = ("noise and nominal car", "fit", "what decides each parameter", "gain", "done")
+FITTED = (
+    f"Effects of the catalogue to fit; left out: {', '.join(DEFAULT_EFFECTS)}, and with `--staged` also "
+    f"{', '.join(name for name in STAGED_EFFECTS if name not in DEFAULT_EFFECTS)}."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +42,7 @@ class Calibrate:
     left out."""
     cut: float | None = None
     """Length of the parts that long runs are cut into, so that some can be held out; left out: they stay whole [s]."""
-    effects: tuple[str, ...] | None = None
-    """Effects of the catalogue to fit; left out: friction, stiffness_front, stiffness_rear, drive_gain and
-    steer_offset, and with `--staged` also drive_lag, rolling_resistance, aero_drag, steer_gain, steer_lag, tyre_shape
-    and combined_slip."""
+    effects: Annotated[tuple[str, ...] | None, tyro.conf.arg(help=FITTED)] = None
     staged: bool = False
     """Fit by stages: straight and coasting stretches of the log decide what they can first, then cornering with grip,
     then the limit."""
@@ -63,11 +68,25 @@ def run(argv: list[str]) -> int:
 
     def work() -> int:
         print_notes(log.notes)
-        calibration = calibrate(vehicle, log, flags.effects, staged=flags.staged, held_out=flags.held_out)
-        calibration.save(folder.path)
-        print(calibration)
+        with progress() as report:
+            step = by_steps(report, STEPS)
+            calibration = calibrate(
+                vehicle, log, flags.effects, staged=flags.staged, held_out=flags.held_out, report=step
+            )
+            calibration.save(folder.path)
+            step("done")
+        print(f"\n{calibration}")
         print(gain_table(folder.read_json("calibration")["gain"]))
         print(f"car: {folder.path / 'calibrated.yaml'}")
+        print(f"next: {next_step(flags, folder.path / 'calibrated.yaml')}")
         return 0
 
     return run_in(folder, work)
+
+
+def next_step(flags: Calibrate, car: Path) -> str:
+    """Say how to use the calibrated `car`: as the nominal one of a diagnosis of other runs."""
+    logs = " ".join(shlex.quote(str(path)) for path in flags.logs)
+    columns = f" --columns {shlex.quote(flags.columns)}" if flags.columns else ""
+    command = f"driftjax diagnose {logs}{columns} --vehicle {shlex.quote(str(car))} --runs ..."
+    return f"`{command}`, with the runs in which the car may have changed, says what this car lacks in them."

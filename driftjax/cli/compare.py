@@ -1,18 +1,27 @@
 """`driftjax compare`: what differs between two logs of like manoeuvres, and the gap that it makes."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, print_notes, progress, run_in
+from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
 from driftjax.diagnosis.compare import CompareConfig, check_alike, compare
+from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import read_log
 from driftjax.report import comparison_text, write_comparison
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
+NEXT = {
+    Verdict.NOTHING: "these logs show no difference that a parameter of the car would make; harder manoeuvres may.",
+    Verdict.NAMED: "`driftjax play {path}` shows the gap; look on the car, or in the simulator, at what is named.",
+    Verdict.SET: "record in both cars a manoeuvre in which the rivals above differ, and compare again.",
+    Verdict.UNKNOWN: "diagnose each log (`driftjax diagnose`): what is left of the gap is no effect of the catalogue.",
+    Verdict.DATA_INSUFFICIENT: "record longer logs, with stronger steering and drive, of the same manoeuvres.",
+}
 STEPS = ("noise and naming", "differences", "gap", "done")
 
 
@@ -62,7 +71,7 @@ def run(argv: list[str]) -> int:
     def work() -> int:
         print_notes(f"{name}: {note}" for name, log in (("A", log_a), ("B", log_b)) for note in log.notes)
         with progress() as report:
-            step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
+            step = by_steps(report, STEPS)
             found = compare(vehicle, log_a, log_b, flags.options, report=step)
             found.save(folder.path)
             step("done")
@@ -70,6 +79,7 @@ def run(argv: list[str]) -> int:
         if tables := comparison_text(folder.read_json("compare")):
             print(tables)
         print(f"report: {write_comparison(folder)}")
+        print(f"next: {NEXT[found.verdict].format(path=shlex.quote(str(folder.path)))}")
         return 0
 
     return run_in(folder, work)

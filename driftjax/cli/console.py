@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,9 +18,9 @@ from driftjax.core.config import require_finite
 from driftjax.store import RunFolder
 
 T = TypeVar("T")
-Report = Callable[[str, int, int], None]
+Report = Callable[[str, float, int], None]
 
-BAR = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}, {remaining} left, {rate_fmt}]"
+BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}, {remaining} left, {rate_fmt}]"
 SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
@@ -76,6 +76,11 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"note: {note}", flush=True)
 
 
+def by_steps(report: Report, steps: Sequence[str]) -> Callable[[str], None]:
+    """Return a report of texts `STEP` or `STEP: details`, which counts the `steps`; the last one is the end."""
+    return lambda text: report(text, steps.index(text.partition(":")[0]), len(steps) - 1)
+
+
 @contextmanager
 def progress() -> Iterator[Report]:
     """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
@@ -90,7 +95,7 @@ def progress() -> Iterator[Report]:
     ended, first = threading.Event(), None
     with tqdm(total=1, bar_format=BAR) as bar:
 
-        def show(text: str, done: int, total: int) -> None:
+        def show(text: str, done: float, total: int) -> None:
             nonlocal first
             first = done if first is None else first
             bar.total, bar.n, bar.initial = total, done, first  # what was there before has no part in the rate
@@ -116,7 +121,7 @@ def _report_lines() -> Report:
     begin, first = time.monotonic(), None
     last = ("", begin)
 
-    def show(text: str, done: int, total: int) -> None:
+    def show(text: str, done: float, total: int) -> None:
         nonlocal first, last
         now = time.monotonic()
         first = done if first is None else first
@@ -125,6 +130,6 @@ def _report_lines() -> Report:
         last, ran = (text, now), done - first
         known = 0 < ran and done < total
         left = f", {tqdm.format_interval((total - done) * (now - begin) / ran)} left" if known else ""
-        print(f"[{now - begin:6.1f} s] {done}/{total} {text}{left}", flush=True)
+        print(f"[{now - begin:6.1f} s] {done:g}/{total} {text}{left}", flush=True)
 
     return show

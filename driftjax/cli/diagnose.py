@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, print_notes, progress, run_in
+from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
 from driftjax.core import require
 from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
@@ -107,7 +107,7 @@ def work(
     """Diagnose into `folder` and print the result, with closed-loop laps on `case`."""
     print_notes(log.notes)
     with progress() as report:
-        step = lambda text: report(text, STEPS.index(text.partition(":")[0]), len(STEPS) - 1)
+        step = by_steps(report, STEPS)
         diagnosis = diagnose(vehicle, log, config, workers=workers, report=step)
         step("show")
         diagnosis.save(folder.path)

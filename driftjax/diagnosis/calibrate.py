@@ -1,6 +1,6 @@
 """Fit chosen effects of the nominal car to data, without testing whether they are present."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -157,26 +157,26 @@ class Calibration:
     def __str__(self) -> str:
         times = durations(self.stretch, self.problem.data.dt).items()
         lines = [f"stretches: {', '.join(f'{name} {time:.1f} s' for name, time in times)}", *self.lacking]
-        lines.append(f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}{'':11}{'decided by':38}remarks")
+        lines.append(f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}{'':11}{'decided by':40}remarks")
         for one in self.parameters:
             unit = "" if one.unit == "1" else one.unit
             shares = sorted(one.decided_by.items(), key=lambda pair: -pair[1])
             by = ", ".join(f"{name} {share:.0%}" for name, share in shares if share >= MENTIONED)
             number = f"{one.value:12.4g} ± {one.ci95_half:9.2g} {unit:10}"
-            lines.append(f"{one.parameter:28}{number}{by or 'nothing':38}{one.remarks}".rstrip())
+            lines.append(f"{one.parameter:28}{number}{by or 'nothing':40}{one.remarks}".rstrip())
         return "\n".join(lines) + "\n"
 
 
 def calibrate(
     vehicle: VehicleConfig, log: Log, effects: Sequence[str] | None = None, *, staged: bool = False, held_out: int = 3,
-    seed: int = 0, catalogue: tuple[Effect, ...] | None = None,
+    seed: int = 0, catalogue: tuple[Effect, ...] | None = None, report: Callable[[str], None] = lambda text: None,
 ) -> Calibration:  # fmt: skip
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
     decide first, see `stages`; the default effects are then `STAGED_EFFECTS` instead of `DEFAULT_EFFECTS`. Every
-    `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. Raises `BadInput` for effects
-    that these runs cannot tell.
+    `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. `report` hears of every step.
+    Raises `BadInput` for effects that these runs cannot tell.
     """
     require_float64()
     check_held_out(held_out)
@@ -189,20 +189,24 @@ def calibrate(
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs or ("Fxr",))
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
+    report("noise and nominal car: compile roll-outs, or load them from the cache")
     loose, columns = with_nominal_noise(problem), problem.columns(selected)
+    report("fit: compile derivatives, or load them from the cache")
     if staged:
-        problem, fit, stages = fit_staged(loose, selected)
+        problem, fit, stages = fit_staged(loose, selected, lambda text: report(f"fit: {text}"))
         at = stages.weigh(linearise(problem, fit))
         stretch, precision, prior, moved = stages.stretch, stages.precision, stages.prior, stages.moved
     else:
         problem, fit, at = fit_effects(loose, selected)
         stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
         precision = information(at.J) + DEAD * problem.prior
+    report("what decides each parameter")
     lost_s = time_lost(problem, at)
     last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
     known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
     told = identifiability(known, prior[columns], precision[square], half_width)
+    report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
     return Calibration(
         vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain, lost_s

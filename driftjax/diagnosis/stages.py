@@ -6,6 +6,7 @@ its covariance says how (consider filter; Schmidt 1966). The estimate and that c
 so that harder stretches move an earlier estimate only by as much as both deserve.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,11 @@ class Stage(NamedTuple):
 
     stretches: tuple[Stretch, ...]  # whose innovations count
     effects: frozenset[str]  # freed from here on
+
+    @property
+    def label(self) -> str:
+        """Return the stretches as printed."""
+        return " and ".join(kind.label for kind in self.stretches)
 
 
 STAGES = (
@@ -78,16 +84,19 @@ class StageResult(NamedTuple):
         return at._replace(e=at.e * weight[..., None], J=np.asarray(at.J) * weight[..., None, None])
 
 
-def fit_staged(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, StageResult]:
+def fit_staged(
+    loose: Problem, selected: tuple[int, ...], report: Callable[[str], None] = lambda text: None
+) -> tuple[Problem, Fit, StageResult]:
     """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
 
-    `loose` has the noise of the nominal car, as for a fit at once.
+    `loose` has the noise of the nominal car, as for a fit at once. `report` hears of every pass and stage.
     """
+    words = lambda number: lambda stage: report(f"pass {number}, {stage.label}")
     stretch, columns = find_stretches(loose), loose.columns(selected)
-    last = run_stages(loose, stretch, columns, loose.start, np.ones(len(Stretch)))
+    last = run_stages(loose, stretch, columns, loose.start, np.ones(len(Stretch)), words(1))
     near = with_estimated_noise(loose, last.theta, np.isin(np.arange(len(loose.owner)), columns))
-    for _ in range(PASSES):
-        before, last = last, run_stages(near, stretch, columns, last.theta, last.dispersion)
+    for number in range(2, PASSES + 2):
+        before, last = last, run_stages(near, stretch, columns, last.theta, last.dispersion, words(number))
         spread = np.sqrt(np.diag(np.linalg.inv(last.precision)))
         if np.abs((last.theta - before.theta) / spread).max() < SETTLED:
             break
@@ -95,12 +104,17 @@ def fit_staged(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit,
 
 
 def run_stages(
-    problem: Problem, stretch: np.ndarray, columns: np.ndarray, theta: np.ndarray, expected: np.ndarray
+    problem: Problem,
+    stretch: np.ndarray,
+    columns: np.ndarray,
+    theta: np.ndarray,
+    expected: np.ndarray,
+    begin: Callable[[Stage], None] = lambda stage: None,
 ) -> StageResult:
     """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
-    on each other, or that no car explains, are worth less than those of other stages.
+    on each other, or that no car explains, are worth less than those of other stages. `begin` hears of every stage.
     """
     K, names = len(problem.owner), np.array([problem.effects[i].name for i in problem.owner])
     chosen, freed, dispersion = np.isin(np.arange(K), columns), np.zeros(K, bool), np.full(len(Stretch), np.inf)
@@ -111,6 +125,7 @@ def run_stages(
         counts = np.isin(stretch, stage.stretches)
         if not freed.any() or np.sum(counts) < least_samples(problem):
             continue
+        begin(stage)
         excess = expected[stage.stretches[0]]
         prior[freed] /= excess  # of those estimated first: it counts as in a fit at once
         first = freed & (prior > 0)

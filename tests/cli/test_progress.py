@@ -60,6 +60,13 @@ def test_a_pipe_gets_lines_though_errors_go_to_a_terminal(monkeypatch, capsys):
     assert "0/4 plan" in capsys.readouterr().out
 
 
+def test_parts_of_a_step_count(clock, capsys):
+    with console.progress() as report:
+        for clock.now, text, done in ((0, "rc/main: plan", 0), (10, "rc/main: nominal", 0.25)):
+            report(text, done, 2)
+    assert capsys.readouterr().out.splitlines()[-1] == "[  10.0 s] 0.25/2 rc/main: nominal, 01:10 left"
+
+
 def test_every_step_of_a_diagnosis_is_one_that_the_verb_counts(monkeypatch):
     t, zero, steps = 0.01 * np.arange(2000), np.zeros(2000), []
     r = np.random.default_rng(0).normal(0.0, 0.01, 2000)

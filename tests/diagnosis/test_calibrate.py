@@ -43,7 +43,25 @@ def test_sizes_are_those_hidden_and_gain_on_runs_held_out(by, monkeypatch, capsy
     assert told["gain"]["ci95"]["fitted"][0] > 0.5 and len(told["gain"]["held_out_runs"]) == 2
     words = capsys.readouterr().out
     assert "friction_rear.p" in words and "nominal" in words and "fitted" in words
+    stages = [f"1/4 fit: pass 1, {stage}" for stage in ("coasting and straight", "cornering", "limit") if by]
+    steps = [
+        "0/4 noise and nominal car: compile",
+        "1/4 fit: compile",
+        *stages,
+        "2/4 what decides",
+        "3/4 gain",
+        "4/4 done",
+    ]
+    assert sorted(steps, key=words.index) == steps
+    assert "next: `driftjax diagnose log.csv --vehicle car/calibrated.yaml --runs ...`" in words
     assert np.shape(car.covariance) == (3, 3)
+
+
+def test_help_names_the_default_effects(capsys):
+    assert main(["calibrate", "--help"]) == 0
+    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "left out: friction, stiffness_front, stiffness_rear, drive_gain, steer_offset, and with" in told
+    assert "drive_lag, rolling_resistance, aero_drag, steer_gain, steer_lag, tyre_shape, combined_slip." in told
 
 
 @pytest.mark.parametrize(

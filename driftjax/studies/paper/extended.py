@@ -1,5 +1,6 @@
 """Extend the nominal car by `diagnose`, from one log of the car that the plants are drawn around."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -25,14 +26,14 @@ STEP = 5e-4  # of the plant [s]
 JSON, CAR = "diagnosis.json", "extended.yaml"
 
 
-def extend(car: str, vehicle: VehicleConfig, folder: Path) -> None:
+def extend(car: str, vehicle: VehicleConfig, folder: Path, report: Callable[[str], None]) -> None:
     """Write log.csv, diagnosis.json and extended.yaml of the central car of `car`'s plants into `folder`."""
     runs = simulated_runs(load_plant(car).build(), vehicle, np.random.default_rng(0))
     folder.mkdir(parents=True, exist_ok=True)
     write_log(folder / "log.csv", runs)
     log = Log(runs, paths=(folder / "log.csv",))
     sensors = tuple(name for name, effect in EFFECTS.items() if effect.station == "sensor")  # these are known
-    diagnosis = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors))
+    diagnosis = diagnose(vehicle, log, DiagnoseConfig(gp=False, without=sensors), report=report)
     write_json(folder / JSON, diagnosis.content())
     write_vehicle(folder / CAR, diagnosis.extended)
 

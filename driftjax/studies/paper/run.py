@@ -25,7 +25,7 @@ from driftjax.studies.paper.table import comparison_page
 from driftjax.vehicle import load_vehicle
 
 DIAGNOSIS = "diagnosis"  # folder below that of the car
-Report = Callable[[str, int, int], None]
+Report = Callable[[str, float, int], None]
 
 
 def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
@@ -33,7 +33,9 @@ def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_work
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, found = arms(cfg), [], {}
     for number, arm in enumerate(todo):
-        say = lambda stage, done, of, arm=arm, number=number: report(f"{arm.folder}: {stage}", number, len(todo))
+        say = lambda stage, done, of, arm=arm, number=number: report(
+            f"{arm.folder}: {stage}", round(number + done / of, 2), len(todo)
+        )
         drive_arm(arm, folder.path, say, num_workers)
         if arm.name == MAIN:
             write_report(open_arm(arm, folder.path))
@@ -59,16 +61,16 @@ def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
 def drive_arm(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
     """Drive the missing laps of one run."""
     path = out / arm.folder
-    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out)
+    run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, report)
     if not run.has("results.json"):
         learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
 
 
-def start_run(arm: Arm, out: Path) -> RunFolder:
+def start_run(arm: Arm, out: Path, report: Report) -> RunFolder:
     """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
-        config = dataclasses.replace(config, vehicle=extended_vehicle(arm, out))
+        config = dataclasses.replace(config, vehicle=extended_vehicle(arm, out, report))
     run = RunFolder.create(out / arm.folder, to_dict(config))
     if arm.like:
         other = RunFolder.open(out / arm.like)
@@ -77,12 +79,12 @@ def start_run(arm: Arm, out: Path) -> RunFolder:
     return run
 
 
-def extended_vehicle(arm: Arm, out: Path) -> Path:
+def extended_vehicle(arm: Arm, out: Path, report: Report) -> Path:
     """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():
         nominal = load_vehicle(arm.learn.vehicle).with_combined_slip(arm.learn.combined_slip)
-        extend(arm.car, nominal, folder)
+        extend(arm.car, nominal, folder, lambda text: report(f"diagnosis, {text}", 0, 1))
     return (folder / CAR).resolve()
 
 

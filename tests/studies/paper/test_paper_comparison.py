@@ -133,24 +133,27 @@ def test_shared_laps_are_those_before_the_candidates_are_made(tmp_path):
     other = RunFolder.create(tmp_path / "rc/as_it_is", {})
     for name in ("nominal", "gpr-1", "gpr-best", "explore-1"):
         other.write_stage(name, laps([[0.2]], [[True]]), name.encode())
-    run = start_run(arm, tmp_path)
+    run = start_run(arm, tmp_path, print)
     assert run.finished() == ["nominal", "gpr-1"] and run.read_state("gpr-1") == b"gpr-1"
     assert run.read_stage("gpr-1").identical(other.read_stage("gpr-1")) and run.config == to_dict(arm.learn)
 
 
 def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkeypatch):
-    made = []
+    made, said = [], []
 
-    def extend(car, vehicle, folder):
+    def extend(car, vehicle, folder, report):
+        report("naming")
         made.append((car, vehicle.name, vehicle.combined_slip))
         folder.mkdir(parents=True)
         (folder / "extended.yaml").write_text("")
 
     monkeypatch.setattr("driftjax.studies.paper.run.extend", extend)
     arm, plain = (next(a for a in arms(PaperConfig(cars=("rc",))) if a.name == name) for name in (EXTENDED, "as_it_is"))
-    run = start_run(arm, tmp_path)
+    hear = lambda text, done, total: said.append((text, done, total))
+    run = start_run(arm, tmp_path, hear)
     shutil.rmtree(run.path)
-    assert start_run(arm, tmp_path).config == run.config and made == [("rc", "rc", 1.0)]
+    assert start_run(arm, tmp_path, hear).config == run.config and made == [("rc", "rc", 1.0)]
+    assert said == [("diagnosis, naming", 0, 1)]
     assert run.config == to_dict(plain.learn) | {"vehicle": str(tmp_path / "rc/diagnosis/extended.yaml")}
 
 
