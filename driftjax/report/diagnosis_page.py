@@ -42,7 +42,7 @@ from driftjax.vehicle.effect import EFFECTS
 
 NEXT = {
     "NOTHING": "Nothing: these data show no error of the simulation. A log that excites the car more may.",
-    "NAMED": "Drive with extended.yaml, the car with the named effects, wherever a vehicle is asked for.",
+    "NAMED": "Drive with extended.yaml, the corrected car, wherever a vehicle is asked for.",
     "SET": "These data do not tell the effects of the set apart; drive a run in which they differ.",
     "UNKNOWN": "Look at the variables that the rest goes with, below, and add the physics that is missing.",
     "DATA_INSUFFICIENT": "Record more: longer runs, with stronger steering and drive.",

@@ -14,11 +14,14 @@ REDUCTIONS = {
     "reduction_exploration": "lateral error, explored against GPR",
     "reduction_velocity_rmse": "speed RMSE, explored against GPR",
 }
+HUGE = 1e6  # from here on a number has two digits and an exponent: an interval over two plants may be that wide
 
 
 def number(value: float | None, form: str = ".2f") -> str:
-    """Format a number; a dash where it is missing or not finite."""
-    return "-" if value is None or not math.isfinite(value) else format(value, form)
+    """Format a number; a dash where it is missing or not finite, two digits where it is huge."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return format(value, form if abs(value) < HUGE else ".2g")
 
 
 def cell(value: Any) -> str:

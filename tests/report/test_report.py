@@ -74,6 +74,7 @@ def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
 def test_missing_numbers_are_dashes_not_crashes():
     assert interval(None) == "-" and interval({"mean": None, "ci95": [None, None]}) == "-"
     assert interval({"mean": 1.234, "ci95": None}) == "1.23"
+    assert interval({"mean": 5.9, "ci95": [-423943659.8, 100.0]}, ".1f") == "5.9 [-4.2e+08, 100.0]"
     cell = {"mean": 1.234, "ci95": [1.0, 2.0]}
     assert interval(cell | {"plants": 3, "all_plants": 4}) == "1.23 [1.00, 2.00] (3/4)"
     assert interval(cell | {"plants": 4, "all_plants": 4}) == "1.23 [1.00, 2.00]"
