@@ -20,7 +20,7 @@ class Play:
     run: tyro.conf.Positional[Path]
     """Run folder."""
     mcap: Path | None = None
-    """MCAP file with Foxglove's schemas, for Foxglove, Lichtblick, Rerun or PlotJuggler; needs the extra `mcap`."""
+    """MCAP file with Foxglove's Protobuf schemas; needs the extra `mcap`."""
     gif: Path | None = None
     """Animated GIF, of the corner for laps."""
     mp4: Path | None = None
