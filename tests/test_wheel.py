@@ -1,5 +1,6 @@
 """The wheel: the package alone with its files; what is in it runs outside the checkout."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -58,18 +59,36 @@ def test_what_the_wheel_holds_runs_outside_the_checkout(wheel, tmp_path):
     assert "DATA_INSUFFICIENT" in run("-m", "driftjax.cli", "diagnose", "car/log.csv")
 
 
+def run_in(here: Path, *command: str | Path) -> str:
+    """Run a command in the folder `here`, away from this environment, and return what it prints."""
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    done = subprocess.run([*map(str, command)], cwd=here, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ocp", "learn", "diagnose"])
+def test_a_notebook_beside_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, name):
+    """As on Colab, its first cell installs the wheel. Needs a package registry."""
+    python, book = tmp_path / "venv/bin/python", tmp_path / f"{name}.ipynb"
+    shutil.copy(wheel, tmp_path)
+    shutil.copy(ROOT / f"docs/notebooks/{name}.ipynb", book)
+    run_in(tmp_path, "uv", "venv", "--seed", "--python", sys.executable, tmp_path / "venv")
+    run_in(tmp_path, "uv", "pip", "install", "--python", python, "nbconvert", "ipykernel")
+    command = ("--to", "notebook", "--execute", "--ExecutePreprocessor.timeout=-1", "--output", "done")
+    run_in(tmp_path, python, "-m", "nbconvert", *command, book)
+    cells = json.loads((tmp_path / "done.ipynb").read_text(encoding="utf-8"))["cells"]
+    said = "".join(line for cell in cells[2:] for out in cell.get("outputs", ()) for line in out.get("text", ()))
+    assert said and "nan" not in said.lower()
+
+
 @pytest.mark.slow
 def test_an_empty_environment_learns_diagnoses_and_runs_the_examples(wheel, tmp_path):
     """Needs a package registry: the run-time packages are installed anew."""
     python, here = tmp_path / "venv/bin/python", tmp_path / "empty"
     here.mkdir()
-    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
-
-    def run(*command: str | Path) -> str:
-        done = subprocess.run([*map(str, command)], cwd=here, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
+    run = lambda *command: run_in(here, *command)
     run("uv", "venv", "--python", sys.executable, tmp_path / "venv")
     run("uv", "pip", "install", "--python", python, wheel)
     verb = tmp_path / "venv/bin/driftjax"
