@@ -5,8 +5,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,7 +21,7 @@ from driftjax.store import RunFolder
 T = TypeVar("T")
 Report = Callable[[str, float, int], None]
 
-BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}, {remaining} left, {rate_fmt}]"
+BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}{postfix}, {rate_fmt}]"
 SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
@@ -76,9 +77,37 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"note: {note}", flush=True)
 
 
-def by_steps(report: Report, steps: Sequence[str]) -> Callable[[str], None]:
-    """Return a report of texts `STEP` or `STEP: details`, which counts the `steps`; the last one is the end."""
-    return lambda text: report(text, steps.index(text.partition(":")[0]), len(steps) - 1)
+def by_steps(report: Report, steps: Mapping[str, int]) -> Callable[[str], None]:
+    """Return a report of texts `STEP` or `STEP: details`; `steps` has their usual shares of the time [%], in order."""
+    before = dict(zip(steps, accumulate(steps.values(), initial=0), strict=False))  # the last sum is that of all
+    return lambda text: report(text, before[text.partition(":")[0]], 100)
+
+
+class TimeLeft:
+    """Estimate of the time left, from the time that the parts done so far took."""
+
+    def __init__(self) -> None:
+        self.begin: float | None = None
+        self.first = self.done = 0.0
+        self.changed, self.each = 0.0, 0.0  # when the last part was done, and time of one part so far [s]
+
+    def count(self, done: float) -> None:
+        """Note that `done` parts are done; those of the first call were done before and have no part in the rate."""
+        now = time.monotonic()
+        if self.begin is None:
+            self.begin, self.first = now, done
+        elif done > self.done:
+            self.changed, self.each = now, (now - self.begin) / (done - self.first)
+        self.done = done
+
+    def text(self, total: float) -> str:
+        """Return `MM:SS left`, or nothing where no part was done yet or the present one takes longer than expected."""
+        left = (total - self.done) * self.each - (time.monotonic() - self.changed)
+        if self.each == 0 or left <= 0:
+            return ""
+        from tqdm import tqdm
+
+        return f"{tqdm.format_interval(left)} left"
 
 
 @contextmanager
@@ -92,44 +121,40 @@ def progress() -> Iterator[Report]:
         return
     from tqdm import tqdm
 
-    ended, first = threading.Event(), None
+    ended, clock = threading.Event(), TimeLeft()
     with tqdm(total=1, bar_format=BAR) as bar:
 
         def show(text: str, done: float, total: int) -> None:
-            nonlocal first
-            first = done if first is None else first
-            bar.total, bar.n, bar.initial = total, done, first  # what was there before has no part in the rate
+            clock.count(done)
+            bar.total, bar.n, bar.initial = total, done, clock.first
+            bar.set_postfix_str(clock.text(total), refresh=False)
             bar.set_description(text)
 
         def tick() -> None:
             while not ended.wait(1.0):  # a stage may take minutes, in which the time goes on
-                bar.refresh()
+                bar.set_postfix_str(clock.text(bar.total))
 
-        clock = threading.Thread(target=tick, daemon=True)
-        clock.start()
+        thread = threading.Thread(target=tick, daemon=True)
+        thread.start()
         try:
             yield show
         finally:
             ended.set()
-            clock.join()
+            thread.join()
 
 
 def _report_lines() -> Report:
     """Return a report that prints a line per stage with the time left, and a line a minute for an unchanged text."""
-    from tqdm import tqdm
-
-    begin, first = time.monotonic(), None
+    clock, begin = TimeLeft(), time.monotonic()
     last = ("", begin)
 
     def show(text: str, done: float, total: int) -> None:
-        nonlocal first, last
+        nonlocal last
         now = time.monotonic()
-        first = done if first is None else first
+        clock.count(done)
         if text == last[0] and done < total and now - last[1] < SILENCE:
             return
-        last, ran = (text, now), done - first
-        known = 0 < ran and done < total
-        left = f", {tqdm.format_interval((total - done) * (now - begin) / ran)} left" if known else ""
-        print(f"[{now - begin:6.1f} s] {done:g}/{total} {text}{left}", flush=True)
+        last, left = (text, now), clock.text(total)
+        print(f"[{now - begin:6.1f} s] {done:g}/{total} {text}{', ' * bool(left)}{left}", flush=True)
 
     return show

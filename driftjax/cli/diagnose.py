@@ -19,7 +19,7 @@ from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
-STEPS = ("noise and nominal car", "naming", "gain", "show", "done")
+STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done": 0}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,15 +29,16 @@ class Terminal(io.StringIO):
 
 def test_a_log_file_has_a_line_per_stage_and_the_time_left(clock, capsys):
     with console.progress() as report:
-        for clock.now, text, done in ((0, "plan", 2), (10, "nominal", 3), (15, "nominal", 3), (80, "nominal", 3)):
-            report(text, done, 6)
-        clock.now = 90
+        for clock.now, done in ((0, 2), (50, 3), (55, 3), (120, 3), (300, 3), (310, 5)):
+            report("laps" if done > 2 else "plan", done, 6)
+        clock.now = 320
         report("done", 6, 6)
     assert capsys.readouterr().out.splitlines() == [
         "[   0.0 s] 2/6 plan",
-        "[  10.0 s] 3/6 nominal, 00:30 left",
-        "[  80.0 s] 3/6 nominal, 04:00 left",
-        "[  90.0 s] 6/6 done",
+        "[  50.0 s] 3/6 laps, 02:30 left",
+        "[ 120.0 s] 3/6 laps, 01:20 left",
+        "[ 300.0 s] 3/6 laps",  # the estimate was too short
+        "[ 320.0 s] 6/6 done",
     ]
 
 
@@ -65,6 +66,26 @@ def test_parts_of_a_step_count(clock, capsys):
         for clock.now, text, done in ((0, "rc/main: plan", 0), (10, "rc/main: nominal", 0.25)):
             report(text, done, 2)
     assert capsys.readouterr().out.splitlines()[-1] == "[  10.0 s] 0.25/2 rc/main: nominal, 01:10 left"
+
+
+def test_steps_count_by_their_usual_time(clock, capsys):
+    with console.progress() as report:
+        step = console.by_steps(report, {"noise": 10, "naming": 85, "show": 5, "done": 0})
+        for clock.now, text in (
+            (0, "noise"),
+            (100, "naming"),
+            (200, "naming: steer_lag"),
+            (900, "show"),
+            (950, "done"),
+        ):
+            step(text)
+    assert capsys.readouterr().out.splitlines() == [
+        "[   0.0 s] 0/100 noise",
+        "[ 100.0 s] 10/100 naming, 15:00 left",
+        "[ 200.0 s] 10/100 naming: steer_lag, 13:20 left",
+        "[ 900.0 s] 95/100 show, 00:47 left",
+        "[ 950.0 s] 100/100 done",
+    ]
 
 
 def test_every_step_of_a_diagnosis_is_one_that_the_verb_counts(monkeypatch):
