@@ -43,14 +43,14 @@ def test_sizes_are_those_hidden_and_gain_on_runs_held_out(by, monkeypatch, capsy
     assert told["gain"]["ci95"]["fitted"][0] > 0.5 and len(told["gain"]["held_out_runs"]) == 2
     words = capsys.readouterr().out
     assert "friction_rear.p" in words and "nominal" in words and "fitted" in words
-    stages = [f"1/4 fit: pass 1, {stage}" for stage in ("coasting and straight", "cornering", "limit") if by]
+    stages = [f"21/100 fit: pass 1, {stage}" for stage in ("cornering", "limit") if by]  # straight: nothing to fit
     steps = [
-        "0/4 noise and nominal car: compile",
-        "1/4 fit: compile",
+        "0/100 noise and nominal car: compile",
+        "21/100 fit: compile",
         *stages,
-        "2/4 what decides",
-        "3/4 gain",
-        "4/4 done",
+        "46/100 what decides",
+        "47/100 gain",
+        "100/100 done",
     ]
     assert sorted(steps, key=words.index) == steps
     assert "next: `driftjax diagnose log.csv --vehicle car/calibrated.yaml --runs ...`" in words
