@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
-from driftjax.core import require
+from driftjax.core import as_float, require
 from driftjax.environment import require_float64
 from driftjax.gp import zero_gp
 from driftjax.solve import Options, shift
@@ -95,6 +96,7 @@ class DriftMPC(eqx.Module):
         converged; derivatives are NaN elsewhere.
         """
         warm_start = jnp.asarray(warm_start) if isinstance(warm_start, np.ndarray) else warm_start
+        reference = jax.tree.map(as_float, reference)  # numbers without a fixed type would be another program
         barrier = WARM_BARRIER if isinstance(warm_start, MPCSolution) else BARRIER
         options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.asarray(barrier))
         return self._solve(state, reference, *self._guess(state, reference, warm_start), options)

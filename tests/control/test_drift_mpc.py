@@ -38,6 +38,7 @@ def solutions():
         first = mpc.solve(states, REFERENCE, GUESS)
         warm = mpc.solve(states, REFERENCE, first)
         held = mpc.solve(states, REFERENCE)
+        mpc.solve(states, jax.tree.map(lambda a: jnp.full(N + 1, float(a[0])), REFERENCE), GUESS)  # weakly typed
         each = mpc.solve(states, REFERENCE, jnp.tile(jnp.asarray(GUESS), (BATCH, 1, 1)))
     return states, first, warm, held, each, len(traced)
 
@@ -85,7 +86,7 @@ def solved() -> MPCSolution:
     mpc = DriftMPC(car(), config(N), WEIGHTS)
     x, before = starts(NUM)
     states = mpc_state(np.concatenate([x, np.zeros((NUM, 2))], axis=1), before)
-    reference = Reference(*(jnp.full(N + 1, value, float) for value in (*X_REF, 0.0, 0.0, 0.0)))
+    reference = Reference(*(jnp.full(N + 1, value) for value in (*X_REF, 0.0, 0.0, 0.0)))
     guess = jnp.tile(jnp.asarray(before)[:, None], (1, N, 1))
     block = lambda tree, i: jax.tree.map(lambda a: a[i : i + BATCH], tree)
     found = [mpc.solve(block(states, i), reference, block(guess, i)) for i in range(0, NUM, BATCH)]
