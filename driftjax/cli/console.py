@@ -79,8 +79,9 @@ def print_notes(notes: Iterable[str]) -> None:
 
 def by_steps(report: Report, steps: Mapping[str, int]) -> Callable[[str], None]:
     """Return a report of texts `STEP` or `STEP: details`; `steps` has their usual shares of the time [%], in order."""
-    before = dict(zip(steps, accumulate(steps.values(), initial=0), strict=False))  # the last sum is that of all
-    return lambda text: report(text, before[text.partition(":")[0]], 100)
+    *before, total = accumulate(steps.values(), initial=0)
+    done = dict(zip(steps, before, strict=True))
+    return lambda text: report(text, done[text.partition(":")[0]], total)
 
 
 class TimeLeft:

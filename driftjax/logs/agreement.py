@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from driftjax.logs.checks import SLOW
 from driftjax.logs.log import Run
-from driftjax.logs.sampling import SLOW, fill_gaps, surrounding
+from driftjax.logs.sampling import fill_gaps, surrounding
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
 MAX_SHIFT = 0.5  # largest time shift, either way [s]

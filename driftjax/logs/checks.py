@@ -7,12 +7,13 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL
 from driftjax.logs.raw import RawRun
-from driftjax.logs.sampling import JITTER, SLOW, UNIFORM, even_rate, jitter, proposed_rate, sample_time
+from driftjax.logs.sampling import JITTER, UNIFORM, even_rate, jitter, proposed_rate, sample_time
 
 MAX_ANGLE = 1.6  # rad
 MAX_YAW_RATE = 20.0  # rad/s
 MAX_SAMPLE_TIME = 1.0  # s
 STUCK_ROWS = 20
+SLOW = 0.1  # share of a run's top speed below which its angles of motion are noise
 
 
 def check_time(run: RawRun, rate: float | None) -> float:

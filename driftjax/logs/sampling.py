@@ -7,7 +7,6 @@ from driftjax.core import BadInput
 Channels = dict[str, np.ndarray]
 
 HOLD = 3  # samples for which a missing command is held, and sample times that t may jump within a run
-SLOW = 0.1  # share of a run's top speed below which its angles of motion are noise
 UNIFORM = 0.01  # deviation of the steps from the sample time up to which nothing is resampled
 JITTER = 0.20  # deviation up to which linear resampling is fair
 REGULAR = 0.95  # share of uneven steps that are no gap

@@ -45,6 +45,7 @@ def reference(num: int, *shape: int) -> Reference:
 
 
 CASES = {"the paper's": (Weights(), None), "all": (WHOLE, residual(0))}
+NAMES = (pytest.param("the paper's", marks=pytest.mark.slow), "all")
 
 
 @eqx.filter_jit
@@ -57,7 +58,7 @@ def batched_values(batched, z, costate, p):
     return (y, M), batched.step(x, u, p), batched.cost(x, u, p), bend
 
 
-@pytest.mark.parametrize("name", [pytest.param("the paper's", marks=pytest.mark.slow), "all"])
+@pytest.mark.parametrize("name", NAMES)
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
     whole = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
@@ -91,7 +92,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     np.testing.assert_allclose(cost[0], value(z)[1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", [pytest.param("the paper's", marks=pytest.mark.slow), "all"])
+@pytest.mark.parametrize("name", NAMES)
 def test_second_derivatives_become_exact_with_short_steps(name):
     weights, learnt = CASES[name]
     lanes = lambda dt: drift_lanes(replace(CONFIG, dt=dt), weights, CAR, learnt)

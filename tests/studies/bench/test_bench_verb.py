@@ -159,7 +159,7 @@ def test_bad_options_are_refused():
 @pytest.mark.parametrize(
     "parts",
     [
-        ("simulator",),
+        ("simulator", "gp"),
         pytest.param(("mpc", "simulator", "gp", "plan", "laps"), marks=pytest.mark.slow),  # minutes of compiling
     ],
 )
