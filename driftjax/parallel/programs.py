@@ -68,8 +68,8 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
     devices = {device for leaf in arrays if isinstance(leaf, jax.Array) and leaf.committed for device in leaf.devices()}
     devices -= {_default_device()}
-    shapes = tuple(map(jax.typeof, arrays))
-    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, frozenset(devices))
+    shapes, places = tuple(map(jax.typeof, arrays)), (_default_device(), frozenset(devices))
+    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, *places)
     if key not in _programs:
         with _locks_guard:
             lock = _locks.setdefault(key, threading.Lock())

@@ -52,6 +52,10 @@ for size in (None, 1):
 texts = {key[-1]: program[0].as_text() for key, program in programs._programs.items()}
 one = BatchExecutor(1).map(settled, some(19), rate, "run")
 out["one"] = [one["left"].tolist(), one["steps"].tolist()]
+ran_on = lambda: str(*programs.call(settled, some(5), rate, "run")["left"].devices())
+out["defaults"] = [ran_on()]
+with jax.default_device(jax.devices()[3]):
+    out["defaults"].append(ran_on())
 out["where"], out["text"] = sorted(str(*devices) for devices in texts), " ".join(texts.values())
 print(json.dumps(out))
 """
@@ -66,6 +70,7 @@ def test_eight_devices_give_the_same_bits_and_pass_nothing(tmp_path):
     found = json.loads(done.stdout)
     assert found["devices"] == 8 and len(found["where"]) == 8
     assert found["None"] == found["one"] and found["1"] == found["one"]
+    assert found["defaults"] == ["cpu:0", "cpu:3"]
     for passing in ("all-gather", "all-reduce", "all-to-all", "collective-permute", "reduce-scatter"):
         assert passing not in found["text"]
 
