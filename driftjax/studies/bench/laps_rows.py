@@ -47,7 +47,8 @@ def learnt_residual() -> Residual:
 def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
     """Time a GP lap of `num` plants at once, with the programs of all workers compiled before."""
     with process_executor(num_workers) as executor:
-        warm_up(executor, max(1, num_workers), residual)
+        # one call takes either the whole batch or a single plant
+        warm_up(executor, num if executor.chunk is None else max(1, num_workers), residual)
         scenario, batch = build_laps(executor, num, residual)
         start = time.perf_counter()
         stage = run_stage(scenario, batch, 1)
@@ -57,7 +58,7 @@ def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
 
 
 def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
-    """Drive a lap of `num` plants, one per worker, to compile all programs."""
+    """Drive a lap of `num` plants to compile all programs."""
     scenario, batch = build_laps(executor, num, residual)
     run_stage(scenario, batch, 0)
 
@@ -71,12 +72,21 @@ def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[S
 def measure(cfg: BenchConfig) -> PartResult:
     """Compare the cost of a lap in a large batch with that of a single lap; each is driven once."""
     num = 2 if cfg.quick else cfg.batch
-    num_workers = cfg.workers if jax.default_backend() == "cpu" and cfg.workers > 1 else 0
-    residual = learnt_residual()
-    alone, many = time_laps(1, 0, residual), time_laps(num, num_workers, residual)
-    words = f"{many.seconds:.3g} s in all with {max(1, num_workers)} processes, {many.completed:.3g} of laps completed"
+    on_cpu = jax.default_backend() == "cpu"
+    num_workers = cfg.workers if on_cpu and cfg.workers > 1 else 0
+    with jax.default_device(jax.devices("cpu")[0]):  # the peer is one core, also beside a GPU
+        residual = jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, learnt_residual())
+        alone = time_laps(1, 0, residual)
+    many = time_laps(num, num_workers, residual)
+    where = f"with {max(1, num_workers)} processes" if on_cpu else f"in one call, {_peak_gigabytes():.3g} GB at most"
+    words = f"{many.seconds:.3g} s in all {where}, {many.completed:.3g} of laps completed"
     facts = {"plants": num, "processes": max(1, num_workers), "seconds": many.seconds, "completed": many.completed,
              "remarks": words}  # fmt: skip
     what = f"GP lap in closed loop among {num} plants at once"
     return PartResult([Row("laps", what, "lap", Timing((many.seconds / num,)), "one lap alone, one core",
                          Timing((alone.seconds,)), "costs", facts=facts)])  # fmt: skip
+
+
+def _peak_gigabytes() -> float:
+    """Return the largest memory that arrays and programs took on the device so far [GB]."""
+    return jax.devices()[0].memory_stats()["peak_bytes_in_use"] / 1e9
