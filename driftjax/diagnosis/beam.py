@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.fit import Fit, Problem, information_and_score
+from driftjax.diagnosis.fit import Fit, Problem, information_and_score, minimise_quadratic
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation
 
@@ -53,21 +53,10 @@ def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray
 
 
 def minimise(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
-    """Return the minimiser (K,) over the parameters of `effects` within their bounds, zero elsewhere.
-
-    What would pass a bound is put on it, and the others are solved for again.
-    """
-    columns = parameters_of(model, effects)
-    psi, free = np.zeros(len(model.g)), columns
-    while len(free):
-        bound = np.setdiff1d(columns, free)
-        rest = model.g[free] - model.H[np.ix_(free, bound)] @ psi[bound]
-        psi[free] = np.linalg.solve(model.H[np.ix_(free, free)], rest)
-        outside = (psi[free] < model.lower[free]) | (psi[free] > model.upper[free])
-        if not outside.any():
-            break
-        psi[free] = np.clip(psi[free], model.lower[free], model.upper[free])
-        free = free[~outside]
+    """Return the minimiser (K,) over the parameters of `effects` within their bounds, zero elsewhere."""
+    columns, psi = parameters_of(model, effects), np.zeros(len(model.g))
+    H = model.H[np.ix_(columns, columns)]
+    psi[columns] = minimise_quadratic(model.g[columns], H, model.lower[columns], model.upper[columns])
     return psi
 
 

@@ -294,11 +294,12 @@ def refine(
     for _ in range(num):
         H = information(J) + problem.prior[np.ix_(columns, columns)]
         score = np.einsum("ptij,pti->j", J, fit.e) - (problem.prior @ (fit.theta - problem.start))[columns]
-        step = np.zeros_like(fit.theta)
-        step[columns] = np.linalg.solve(H, score)
-        if not score @ step[columns] > tolerance:  # what the step promises
+        here, goal = fit.theta[columns], fit.theta.copy()
+        goal[columns] = minimise_quadratic(score + H @ here, H, problem.lower[columns], problem.upper[columns])
+        step = goal[columns] - here
+        if not 2 * score @ step - step @ H @ step > tolerance:  # what the step promises
             break
-        before, fit = fit.cost, _shorten(problem, fit, step)
+        before, fit = fit.cost, _shorten(problem, fit, goal)
         fall = before - fit.cost
         if not fall > tolerance:
             break
@@ -324,10 +325,29 @@ def refit_to_convergence(
     return fit, at
 
 
-def _shorten(problem: Problem, fit: Fit, step: np.ndarray) -> Fit:
-    """Return the first of successively shorter steps that lowers the cost, else `fit`."""
+def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:
+    """Return the first of successively shorter steps to `goal` (K,) that lowers the cost, else `fit`."""
     for length in STEP_LENGTHS:
-        trial = evaluate(problem, np.clip(fit.theta + length * step, problem.lower, problem.upper))
+        # a whole step ends on a bound exactly
+        theta = goal if length == 1 else fit.theta + length * (goal - fit.theta)
+        trial = evaluate(problem, theta)
         if trial.cost < fit.cost:
             return trial
     return fit
+
+
+def minimise_quadratic(g: np.ndarray, H: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the minimiser (n,) of psi H psi - 2 g psi within bounds (n,).
+
+    What would pass a bound is put on it, and the others are solved for again.
+    """
+    psi, free = np.zeros(len(g)), np.arange(len(g))
+    while len(free):
+        bound = np.setdiff1d(np.arange(len(g)), free)
+        psi[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, bound)] @ psi[bound])
+        outside = (psi[free] < lower[free]) | (psi[free] > upper[free])
+        if not outside.any():
+            break
+        psi[free] = np.clip(psi[free], lower[free], upper[free])
+        free = free[~outside]
+    return psi

@@ -37,7 +37,7 @@ from driftjax.vehicle.universal import Universal
 PIECE_LENGTH, SHORT_PIECE_LENGTH = 1000, 250  # samples of one piece: a longer run is followed piece by piece
 WORTHWHILE = 0.6  # share of the padded samples that short pieces may leave at most: each begins with a new observer
 BATCH_SIZE = 2  # pieces followed at once: more take longer on a CPU where runs are few
-SAMPLES = 2000  # samples differentiated in one call
+SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
 UNKNOWN_START = 2.0  # time in which the observer finds a sideslip that is not measured [sqrt(L/g)]
