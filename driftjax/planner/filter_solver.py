@@ -7,7 +7,8 @@ Program. 106; equation numbers below refer to it). No restoration phase: where n
 is shifted, which turns the step towards feasibility.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,6 +26,7 @@ GAMMA = 1e-5  # margin of the filter (Eq. 18)
 ARMIJO = 1e-4  # (Eq. 20)
 TRIALS = 11  # points tried: the full step, a correction of it, and steps each half as long as the last
 GIVE_UP = 8  # iterations in a row without an acceptable step
+TOGETHER = 50  # stages differentiated at once: the derivatives of hundreds leave the processor's cache
 FIRST_SHIFT, LARGEST_SHIFT = 1e-4, 1e10  # of the Hessian (Sec. 3.1)
 
 
@@ -92,9 +94,8 @@ class _Problem(eqx.Module):
             return self.ocp.cost(v[:nx], v[nx:], p) + costate @ self.ocp.step(v[:nx], v[nx:], p)
 
         V = jnp.concatenate([w.X[:-1], w.U], axis=1)
-        return jax.vmap(jax.hessian(lagrangian))(V, costates, self.stages), jax.hessian(self.ocp.terminal)(
-            w.X[-1], self.last
-        )
+        each = _over_stages(jax.hessian(lagrangian), V, costates, self.stages)
+        return each, jax.hessian(self.ocp.terminal)(w.X[-1], self.last)
 
 
 class Model(NamedTuple):
@@ -107,10 +108,15 @@ class Model(NamedTuple):
     misfit: tuple[Array, Array]
 
 
+def _over_stages(function: Callable, *args) -> Any:
+    """Apply `function` to all stages (leading axis), `TOGETHER` at once."""
+    return lax.map(lambda one: function(*one), args, batch_size=TOGETHER)
+
+
 def _linearise(problem: _Problem, w: Point) -> Model:
     ocp, stages = problem.ocp, problem.stages
-    cost_x, cost_u = jax.vmap(jax.grad(ocp.cost, (0, 1)))(w.X[:-1], w.U, stages)
-    y, A, B = jax.vmap(ocp.linearise)(w.X[:-1], w.U, stages, None)
+    cost_x, cost_u = _over_stages(jax.grad(ocp.cost, (0, 1)), w.X[:-1], w.U, stages)
+    y, A, B = _over_stages(lambda x, u, p: ocp.linearise(x, u, p, None), w.X[:-1], w.U, stages)
     grad_N = jax.grad(ocp.terminal)(w.X[-1], problem.last)
     return Model(cost_x, cost_u, grad_N, A, B, y - w.X[1:], problem.misfit(w))
 
