@@ -96,13 +96,14 @@ def read_run(path: Path) -> dj.Run:
         raise dj.BadInput(f"{path}: no such file; give --data the folder of a copy of the repository.")
     values = np.genfromtxt(path, delimiter=",")
     x, y, psi, V, steering = values[:, [0, 1, 2, 3, 8]].T
-    moving = np.flatnonzero(V > SLOW)
+    moving = np.flatnonzero((V > SLOW) & (np.hypot(np.gradient(x), np.gradient(y)) > 0))  # they end standing still
     rows = slice(moving[0], moving[-1] + 1)
     length, duration = np.hypot(np.diff(x[rows]), np.diff(y[rows])).sum(), (rows.stop - rows.start - 1)
     step = length / np.mean(V[rows]) / duration
     measured = step * np.arange(duration + 1)
     t = np.arange(0.0, measured[-1], 1 / RATE)
-    at = lambda series: np.interp(t, measured, series[rows])
+    good = V[rows] > 0  # a sample or two are off by far
+    at = lambda series: np.interp(t, measured[good], series[rows][good])
     heading = at(np.unwrap(psi))
     delta = at(CAR.delta_max * np.clip(steering, -1, 1))
     none = np.full_like(t, np.nan)

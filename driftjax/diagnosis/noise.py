@@ -118,12 +118,14 @@ def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
     measurement: seven numbers need no more, and one program serves all logs. Only innovations where
-    `counts` (T, 3) is true do.
+    `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`.
     """
     steps, e, L = spread_pieces((steps, e, gains.L))
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
-    high[3:6] = np.where(counts.any(axis=0), high[3:6], UNSEEN * start.disturbance)
+    tells = counts.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
+    low[:3], high[:3] = np.where(tells, low[:3], start.sigma), np.where(tells, high[:3], start.sigma)
+    high[3:6] = np.where(tells, high[3:6], UNSEEN * start.disturbance)
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
     best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x)
     return Noise(best[:3], best[3:6], float(best[6]))
