@@ -8,10 +8,11 @@ import pytest
 from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.diagnosis.assumed import force, sideslip
-from driftjax.diagnosis.fit import depends_on_force, information, initial_problem
+from driftjax.diagnosis.fit import depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.missing import information_with_sideslip, lost_by_missing
 from driftjax.diagnosis.naming import name_effects
+from driftjax.diagnosis.noise import UNSEEN
 from driftjax.diagnosis.runs import run_observer
 from driftjax.logs import Run
 
@@ -45,6 +46,16 @@ def test_without_sideslip_the_observer_infers_it_and_the_cause_is_named():
     for piece, run in zip(np.asarray(path.z)[..., 1], measured(), strict=True):
         error = (piece[: len(run.t)] - run.beta)[problem.data.skip :]
         assert np.sqrt(np.mean(error**2)) < 0.03  # of drifts at 0.4; the sensor's own noise is 0.009
+
+
+def test_a_channel_that_says_nothing_of_the_car_keeps_its_first_noise():
+    """Else its noise would be what makes the other channels' innovations smallest: a speed that nobody believes."""
+    for silent, problem in ((1, named()[0]), (0, build_problem(sedan(), EFFECTS, without(measured(), "Fxr")))):
+        first, noise = initial_noise(problem.data), problem.noise
+        assert noise.sigma[silent] == pytest.approx(first.sigma[silent])
+        assert noise.disturbance[silent] <= UNSEEN * first.disturbance[silent] * (1 + 1e-9)
+        others = [i for i in range(3) if i != silent]
+        assert np.all(noise.sigma[others] != first.sigma[others])
 
 
 def test_predictions_are_compared_in_the_channels_that_were_measured():

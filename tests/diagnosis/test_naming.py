@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from diagnosis.recorded import ORDER, problem_of
 
+import driftjax.diagnosis.fit as fitting
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
-from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import TOLERANCE, evaluate, information_and_score, refine, refit_to_convergence
 from driftjax.diagnosis.naming import prefer_probable
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
@@ -69,6 +70,20 @@ def test_a_cause_at_its_bound_is_marked(upper, ends):
     assert ("at its bound" in describe_cause(problem, cause)) is ends
     assert named.exploratory is ends, "it stands for something else"
     assert describe_cause(problem, cause).startswith("Exploratory: ") is ends
+
+
+def test_beside_a_parameter_at_its_bound_the_others_are_fitted_to_the_end(monkeypatch):
+    """What the data ask for beyond the bound promises nothing: no further step is tried."""
+    problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
+    lag, gain = problem.columns((ORDER.index("steer_lag"),))[0], problem.columns((ORDER.index("drive_gain"),))[0]
+    problem = problem._replace(upper=np.where(np.arange(len(ORDER)) == lag, 0.5, problem.upper))
+    fit, at = refit_to_convergence(problem, evaluate(problem, problem.start), np.array([lag, gain]))
+    H, score = information_and_score(at)
+    slope = score - problem.prior @ (fit.theta - problem.start)
+    assert fit.theta[lag] == 0.5 and slope[lag] > 0, "the data ask for more"
+    assert slope[gain] ** 2 / H[gain, gain] < TOLERANCE
+    monkeypatch.delattr(fitting, "evaluate")
+    assert refine(problem, fit, np.array([lag, gain]), at) is fit
 
 
 def test_where_nothing_is_named_there_is_nothing_to_replace():
