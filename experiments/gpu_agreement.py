@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import driftjax as dj
@@ -39,7 +40,7 @@ def fit_gp() -> np.ndarray:
     rng = np.random.default_rng(0)
     Z = rng.uniform(-2, 2, (300, 2))
     gp = dj.fit_gp(Z, np.sin(2 * Z[:, 0]) + 0.1 * rng.standard_normal(300)).gp
-    return np.asarray(jax.vmap(gp.mean)(Z))
+    return np.asarray(jax.vmap(gp.mean)(jnp.asarray(Z)))
 
 
 def solve_mpc() -> np.ndarray:
