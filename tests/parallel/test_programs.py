@@ -38,14 +38,11 @@ def forget(monkeypatch):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty compilation cache."""
+def folder(empty_cache, monkeypatch):
+    """An empty compilation cache, and no programs in this process."""
     forget(monkeypatch)
-    before = jax.config.values["jax_compilation_cache_dir"]
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     traced.clear()
-    yield tmp_path
-    jax.config.update("jax_compilation_cache_dir", before)
+    return empty_cache
 
 
 def test_a_stored_program_is_loaded_without_tracing(folder, monkeypatch):

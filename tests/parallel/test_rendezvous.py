@@ -33,16 +33,7 @@ def divided(batch):
     return batch[0] * (1 / 0)
 
 
-@pytest.fixture
-def unstored():
-    """Programs are traced, also those that an earlier run of the tests has stored."""
-    folder = jax.config.values["jax_compilation_cache_dir"]
-    jax.config.update("jax_compilation_cache_dir", None)
-    yield
-    jax.config.update("jax_compilation_cache_dir", folder)
-
-
-@pytest.mark.usefixtures("unstored")
+@pytest.mark.usefixtures("empty_cache")
 def test_calls_with_equal_shared_arrays_are_one_call_of_the_function():
     """The function gets the whole batch, so that what it does only for many entries is done."""
     counted, x = Counted(), jnp.arange(6.0)
