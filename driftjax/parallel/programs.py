@@ -67,9 +67,10 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
     around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
     devices = {device for leaf in arrays if isinstance(leaf, jax.Array) and leaf.committed for device in leaf.devices()}
-    devices -= {_default_device()}
-    shapes, places = tuple(map(jax.typeof, arrays)), (_default_device(), frozenset(devices))
-    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, *places)
+    default = _default_device()
+    devices -= {default}
+    shapes = tuple(map(jax.typeof, arrays))
+    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, default, frozenset(devices))
     if key not in _programs:
         with _locks_guard:
             lock = _locks.setdefault(key, threading.Lock())
