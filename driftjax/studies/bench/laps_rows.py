@@ -36,12 +36,12 @@ def lap_options(num: int) -> LearnConfig:
 
 
 def learnt_residual() -> Residual:
-    """Return the residual learnt from one plant's nominal lap."""
+    """Return the residual learnt from one plant's nominal lap, on the host."""
     with process_executor(0) as executor:
         scenario = build(lap_options(1), executor)
         stage, _ = drive_nominal(scenario, 0)
         progress = update_progress(scenario, first_progress(scenario), stage, None, 0)
-    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, progress.model_state.residual)
+    return jax.tree.map(lambda a: np.asarray(a)[0] if eqx.is_array(a) else a, progress.model_state.residual)
 
 
 def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
@@ -75,7 +75,7 @@ def measure(cfg: BenchConfig) -> PartResult:
     on_cpu = jax.default_backend() == "cpu"
     num_workers = cfg.workers if on_cpu and cfg.workers > 1 else 0
     with jax.default_device(jax.devices("cpu")[0]):  # the peer is one core, also beside a GPU
-        residual = jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, learnt_residual())
+        residual = learnt_residual()
         alone = time_laps(1, 0, residual)
     many = time_laps(num, num_workers, residual)
     where = f"with {max(1, num_workers)} processes" if on_cpu else f"in one call, {_peak_gigabytes():.3g} GB at most"
