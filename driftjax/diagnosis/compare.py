@@ -27,7 +27,7 @@ from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.gap import Gap, Overlap, gap_json, measure_gap, overlaps
 from driftjax.diagnosis.held_out import check_naming
 from driftjax.diagnosis.naming import name_effects
-from driftjax.diagnosis.noise import Noise
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
     MIN_DETECTABLE_SHARE,
@@ -202,8 +202,9 @@ def _name_both(
 
 def larger_noise(first: Noise, second: Noise) -> Noise:
     """Return the larger noise of every channel, with the geometric mean of the correlation times."""
-    sigma, disturbance = np.maximum(first.sigma, second.sigma), np.maximum(first.disturbance, second.disturbance)
-    return Noise(sigma, disturbance, float(np.sqrt(first.correlation * second.correlation)))
+    one, other = first.as_vector(), second.as_vector()
+    larger, between = Noise.from_vector(np.maximum(one, other)), Noise.from_vector(np.sqrt(one * other))
+    return larger._replace(correlation=between.correlation, slow_correlation=between.slow_correlation)
 
 
 def find_differences(

@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.diagnosis.binned import ForceSummary, best_variable, describe_worst, summarise_forces
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Errors, Predictions, open_loop_errors, root_mean_square
-from driftjax.diagnosis.noise import Noise
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path
 from driftjax.diagnosis.parity import CHANNELS as RATES
 from driftjax.diagnosis.parity import Parity, parity

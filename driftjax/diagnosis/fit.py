@@ -15,7 +15,16 @@ from driftjax.diagnosis.motion import (
     whitened_motion_derivatives,
     whitened_residuals,
 )
-from driftjax.diagnosis.noise import CORRELATION, FIRST_DISTURBANCE, PRIOR, Noise, estimate_noise, measurement_noise
+from driftjax.diagnosis.noise import (
+    CORRELATION,
+    FIRST_DISTURBANCE,
+    FIRST_SLOW,
+    PRIOR,
+    SLOW_CORRELATION,
+    estimate_noise,
+    measurement_noise,
+)
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, samples_in_run
 from driftjax.diagnosis.runs import (
     Linearisation,
@@ -178,7 +187,7 @@ def initial_theta(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
 def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
     sigma = measurement_noise(np.asarray(data.padded.y), np.asarray(data.padded.valid))
-    return Noise(sigma, FIRST_DISTURBANCE * sigma, CORRELATION)
+    return Noise(sigma, FIRST_DISTURBANCE * sigma, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 
 def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:

@@ -5,8 +5,6 @@ so that missing physics is not mistaken for noise (Harville 1977, Eq. 3.1; Krist
 process noise as the measure of a model's defect).
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,6 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core.bounded import Minimum, minimise_within
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, Steps, innovations_with_gains, kalman_gains, propagate_derivatives
 from driftjax.parallel import call
 
@@ -25,24 +24,16 @@ UNMEASURED = (
     0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
 )
 CORRELATION = 0.3  # and its correlation time [s]
+FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
+NO_SLOW = 1e-3  # the least
+MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
+SLOW_CORRELATION = 0.3  # and their correlation time [s]
 SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 40  # of the search, at most
 LOG_SCALES = np.array(
-    [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2]
+    [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.3, 0.2]
 )  # how sharply data fix each log noise: nearly halves the search
 GRADIENT_TOLERANCE = 1e-4  # largest projected gradient left per measurement
-
-
-class Noise(NamedTuple):
-    """Estimated noise."""
-
-    sigma: np.ndarray  # (3,) standard deviation of the measured V, beta, r
-    disturbance: np.ndarray  # (3,) standard deviation of the rates of V, beta, r
-    correlation: float  # correlation time of the disturbances [s]
-
-    def as_vector(self) -> np.ndarray:
-        """Return all parameters as one vector (7,)."""
-        return np.concatenate([self.sigma, self.disturbance, [self.correlation]])
 
 
 def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -60,18 +51,17 @@ def robust_deviation(values: np.ndarray) -> float:
 
 
 def restricted_likelihood(
-    logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    logs: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
 ) -> Float[Array, ""]:
     """Return minus twice the restricted log-likelihood for the logarithms of `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
     where `counts` (T, 3) is 1 do.
     """
-    noise = jnp.exp(logs)
-    decay = jnp.exp(-dt / noise[6])
+    noise = Noise.from_vector(jnp.exp(logs))
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt, counts)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise, dt, counts)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -113,19 +103,29 @@ def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Arra
     return jax.tree.map(pad, trees)
 
 
-def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, counts: np.ndarray) -> Noise:
+def estimate_noise(
+    steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, counts: np.ndarray, *, slow_known: bool = False
+) -> Noise:
     """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
     measurement: seven numbers need no more, and one program serves all logs. Only innovations where
-    `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`.
+    `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`, and
+    where they are `slow_known`, so do the slow errors of all.
     """
     steps, e, L = spread_pieces((steps, e, gains.L))
-    low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
-    high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
     tells = counts.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
-    low[:3], high[:3] = np.where(tells, low[:3], start.sigma), np.where(tells, high[:3], start.sigma)
-    high[3:6] = np.where(tells, high[3:6], UNSEEN * start.disturbance)
-    first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
-    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x)
-    return Noise(best[:3], best[3:6], float(best[6]))
+    first = start._replace(slow=np.where(tells, start.slow, NO_SLOW * start.sigma))
+    low = Noise(
+        np.where(tells, 0.2, 1.0) * start.sigma, 1e-3 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
+    )
+    high = Noise(
+        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e3, UNSEEN) * start.disturbance, 5.0,
+        np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, 5.0,
+    )  # fmt: skip
+    if slow_known:
+        first, low, high = (
+            one._replace(slow=start.slow, slow_correlation=start.slow_correlation) for one in (first, low, high)
+        )
+    logs, lower, upper = (jnp.asarray(np.log(one.as_vector())) for one in (first, low, high))
+    return Noise.from_vector(np.exp(call(_search, logs, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x))

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import ROOM, Predictions, map_starts, march
+from driftjax.diagnosis.noise_model import Noise, decay_of, stationary_deviations
 from driftjax.diagnosis.observer import PaddedRun, set_state
 from driftjax.diagnosis.runs import map_pieces, room_for
 from driftjax.parallel import call
@@ -30,8 +31,8 @@ def covariance_root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def disturbed_rollouts(
-    model: Universal, theta: Array, run: PaddedRun, z: Float[Array, "T 6"], P: Float[Array, "T 6 6"],
-    ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], num: Array, noise: Float[Array, "7"],
+    model: Universal, theta: Array, run: PaddedRun, z: Float[Array, "T 6"], P: Float[Array, "T 9 9"],
+    ahead: Float[Array, "S N 3"], number: Array, starts: Float[Array, " S"], num: Array, noise: Float[Array, "11"],
     dt: float, seed: Array,
 ) -> Float[Array, "S N 3"]:  # fmt: skip
     """Return the mean squared difference between sensor readings of disturbed roll-outs and the predictions `ahead`.
@@ -41,22 +42,24 @@ def disturbed_rollouts(
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
     u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
-    decay = jnp.exp(-dt / noise[6])
-    kick = jnp.sqrt(1 - decay**2) * noise[3:6]
+    known = Noise.from_vector(noise)
+    decay, size = decay_of(known, dt).all, stationary_deviations(known)
+    kick = jnp.sqrt(1 - decay**2) * size
 
     def drive(k, ahead, key):
         first, later = jax.random.split(key)
-        w = covariance_root(P[k].at[3:, 3:].set(jnp.diag(noise[3:6] ** 2))) @ jax.random.normal(first, (6,))
+        w = covariance_root(P[k].at[3:, 3:].set(jnp.diag(size**2))) @ jax.random.normal(first, (9,))
         start = set_state(model, z[k], z[k, :3] + w[:3], u[k])
 
-        kicks = jax.random.normal(later, (len(ahead), 3))
+        kicks = jax.random.normal(later, (len(ahead), 6))
 
         def on(j, carry):
-            z, d = carry
+            z, slow = carry
             at = jnp.minimum(k + j, len(run.y) - 1)
-            after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*d))
-            off = sensor_reading(model, after.z[:3], after.rates, step) - ahead[j]
-            return (after.z, decay * d + kick * kicks[j]), off.at[1].set(jnp.angle(jnp.exp(1j * off[1]))) ** 2
+            after = move(model, z, u[at], jax.tree.map(lambda a: a[at], run.place), step, State(*slow[:3]))
+            slow = decay * slow + kick * kicks[j]
+            off = sensor_reading(model, after.z[:3], after.rates, step) + slow[3:] - ahead[j]
+            return (after.z, slow), off.at[1].set(jnp.angle(jnp.exp(1j * off[1]))) ** 2
 
         return march(on, (start, w[3:]), num, len(ahead))
 
@@ -64,7 +67,7 @@ def disturbed_rollouts(
     keys = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(key, k), DRAWS), out_axes=1)(starts)
     # draws one after the other: all at once, the program takes twice as long to compile, and to run
     squares = jax.lax.map(lambda keys: jax.vmap(drive)(starts, ahead, keys), keys)
-    return squares.mean(axis=0) + noise[:3] ** 2
+    return squares.mean(axis=0) + known.sigma**2
 
 
 def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, num, noise, dt, seed):

@@ -1,9 +1,9 @@
 """Kalman observer of every run: its innovations, and their derivatives by every parameter of the catalogue.
 
-A Kalman filter of the car and of slowly varying disturbances of its rates predicts each sample from all samples and
-commands before it. Its innovations are white if the model is right, whatever feedback made the commands, and they do
-not grow with the drift's instability (Ljung 1999, Sec. 7.4 and 13.4; Kristensen, Madsen and Jorgensen 2004). Gains are
-fixed by the noise and the nominal car; parameters then enter the prediction only.
+A Kalman filter of the car, of slowly varying disturbances of its rates and of slow errors of its sensors predicts each
+sample from all samples and commands before it. Its innovations are white if the model is right, whatever feedback made
+the commands, and they do not grow with the drift's instability (Ljung 1999, Sec. 7.4 and 13.4; Kristensen, Madsen and
+Jorgensen 2004). Gains are fixed by the noise and the nominal car; parameters then enter the prediction only.
 """
 
 from typing import NamedTuple
@@ -15,13 +15,21 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
+from driftjax.diagnosis.noise_model import (
+    Decay,
+    Noise,
+    decay_of,
+    initial_covariance,
+    measurement_matrix,
+    process_covariance,
+    transition,
+)
 from driftjax.sim.rollout import acting, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
-START_VARIANCE = 4.0  # variance of the first state, over that of one measurement
 TOGETHER = 40  # samples differentiated at once: derivatives of many more leave the processor's cache, 6 times slower
 
 
@@ -39,10 +47,10 @@ class PaddedRun(NamedTuple):
 class Gains(NamedTuple):
     """Observer gains and the scale of the innovations, per sample."""
 
-    L: Float[Array, "T 6 3"]  # update of state and disturbances
+    L: Float[Array, "T 9 3"]  # update of state, disturbances and slow errors of the sensors
     whitening: Float[Array, "T 3 3"]  # whitens innovations to unit variance; rows of missing channels zero
-    decay: Array  # factor of a disturbance over one step
-    P: Float[Array, "T 6 6"]  # covariance of state and disturbances after the update
+    decay: Decay  # of disturbances and slow errors
+    P: Float[Array, "T 9 9"]  # covariance of state, disturbances and slow errors after the update
     log_det: Array  # sum of the logarithms of the innovations' determinants
 
 
@@ -55,6 +63,7 @@ class Path(NamedTuple):
     rates: Float[Array, "T 3 3"]  # of the state over the step before the sample, as `rollout.Moved` has them
     u: Float[Array, "T 4"]  # commands acting: means and tilts
     d: Float[Array, "T 3"]  # disturbances of the rates after the update
+    c: Float[Array, "T 3"]  # slow errors of the sensors before the update
     y: Float[Array, "T 3"]  # measurements of that sample, delays removed; zero where missing
     valid: Float[Array, "T 3"]  # 1 where that was measured, 0 where not
 
@@ -107,40 +116,38 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
     u, z = initial_state(model, run, dt)
 
     def on(carry, row):
-        z, d, rates = carry
+        z, d, c, rates = carry
         u, place, y, valid, L, alive = row
 
         def sample():
-            e = valid * (y - sensor_reading(model, z[:3], rates, step))
+            e = valid * (y - sensor_reading(model, z[:3], rates, step) - c)
             update = L @ e
-            trend = d + update[3:]
+            trend = d + update[3:6]
             after = set_state(model, z, z[:3] + update[:3], u)
             ahead = move(model, after, u, place, step, State(trend[0], trend[1], trend[2]))
-            return (ahead.z, gains.decay * trend, ahead.rates), (e, after, z, rates, trend)
+            later = gains.decay.disturbance * trend, gains.decay.slow * (c + update[6:])
+            return (ahead.z, *later, ahead.rates), (e, after, z, rates, trend, c)
 
-        return jax.lax.cond(alive, sample, lambda: (carry, (jnp.zeros(3), z, z, rates, d)))
+        return jax.lax.cond(alive, sample, lambda: (carry, (jnp.zeros(3), z, z, rates, d, c)))
 
-    first = z, jnp.zeros(3), jnp.zeros((3, 3))
+    first = z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3))
     rows = (u, run.place, run.y, run.valid, gains.L, in_run(run.valid))
-    e, z, predicted, rates, d = jax.lax.scan(on, first, rows)[1]
-    return Path(e, z, predicted, rates, u, d, run.y, run.valid)
+    e, z, predicted, rates, d, c = jax.lax.scan(on, first, rows)[1]
+    return Path(e, z, predicted, rates, u, d, c, run.y, run.valid)
 
 
-def kalman_gains(
-    A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float, counts: Array
-) -> Gains:
-    """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates.
+def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, counts: Array) -> Gains:
+    """Return the Kalman gains of one run for transitions `A` and this `noise`.
 
     All measurements update the state, but only innovations where `counts` (T, 3) is 1 are whitened: the others are
     conditioned on.
     """
-    R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
-    start = jnp.block([[START_VARIANCE * R, zero], [zero, grown]])
-    Q = disturbance_covariance(disturbance, decay)
+    decay = decay_of(noise, dt)
+    R, Q = jnp.diag(noise.sigma**2), process_covariance(noise, decay)
 
     def on(P, row):
         A, valid, alive, counts = row
-        H = jnp.concatenate([jnp.diag(valid), zero], axis=1)
+        H = measurement_matrix(jnp.eye(3), valid)
         S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
         factor = jnp.linalg.cholesky(S)
         whitening = jax.scipy.linalg.solve_triangular(factor, jnp.diag(valid), lower=True)
@@ -152,19 +159,8 @@ def kalman_gains(
         return (P + P.T) / 2, (L, counts[:, None] * whitening, known, log_det)
 
     rows = A, valid, in_run(valid), counts
-    L, whitening, known, log_det = jax.lax.scan(on, start, rows)[1]
+    L, whitening, known, log_det = jax.lax.scan(on, initial_covariance(noise), rows)[1]
     return Gains(L, whitening, decay, known, jnp.sum(log_det))
-
-
-def disturbance_covariance(disturbance: Float[Array, "3"], decay: Array) -> Float[Array, "6 6"]:
-    """Return the process covariance of one step for state and disturbances; the disturbances stay stationary."""
-    return jnp.zeros((6, 6)).at[3:, 3:].set((1 - decay**2) * jnp.diag(disturbance**2))
-
-
-def transition(A: Float[Array, "3 3"], decay: Array, dt: float) -> Float[Array, "6 6"]:
-    """Return the one-step transition matrix of state and disturbances, for the state transition `A`."""
-    zero, eye = jnp.zeros((3, 3)), jnp.eye(3)
-    return jnp.block([[A, dt * (eye + A) / 2], [zero, decay * eye]])
 
 
 class Steps(NamedTuple):
@@ -187,25 +183,25 @@ def augmented_change(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float
 
 
 def propagate_derivatives(
-    steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 6 #K"] | None = None
+    steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 9 #K"] | None = None
 ) -> Float[Array, "T 3 K"]:
     """Propagate the derivatives of the innovations by theta along the observer.
 
-    `extra` is added to the update of state and disturbances.
+    `extra` is added to the update of state, disturbances and slow errors.
     """
-    extra = jnp.zeros((len(steps.A), 6, 1)) if extra is None else extra
+    extra = jnp.zeros((len(steps.A), 9, 1)) if extra is None else extra
 
     def on(carry, row):
-        S, d, moved = carry
+        S, d, c, moved = carry
         A, C, D, F, slip, push, late, valid, L, extra, alive = row
-        e = -valid[:, None] * (D @ (S[:3] - late[:, None] * moved) + F)
+        e = -valid[:, None] * (D @ (S[:3] - late[:, None] * moved) + F + c)
         update = L @ e + extra
-        S, d = S + augmented_change(slip, update[:3]), d + update[3:]
+        S, d, c = S + augmented_change(slip, update[:3]), d + update[3:6], c + update[6:]
         ahead = jnp.where(alive, A @ S + C + push @ d, S)
-        return (ahead, gains.decay * d, ahead[:3] - S[:3]), e
+        return (ahead, gains.decay.disturbance * d, gains.decay.slow * c, ahead[:3] - S[:3]), e
 
     rows, still = (*steps[:8], gains.L, extra, in_run(steps.valid)), jnp.zeros_like(steps.first[:3])
-    return jax.lax.scan(on, (steps.first, still, still), rows)[1]
+    return jax.lax.scan(on, (steps.first, still, still, still), rows)[1]
 
 
 def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.noise import Noise, estimate_noise
+from driftjax.diagnosis.noise import estimate_noise
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, step_derivatives
 from driftjax.diagnosis.smooth import smooth
@@ -62,9 +63,13 @@ def observer_path(problem: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
 
 
 def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
-    """Estimate the noise that the nominal car needs on `path` when no effect explains its errors."""
+    """Estimate the noise that the nominal car needs on `path` when no effect explains its errors.
+
+    The slow errors of the sensors are the same for every car: they must not take what the nominal one gets wrong.
+    """
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
-    return estimate_noise(bare, path.e, problem.gains, problem.noise, problem.data.dt, problem.data.counts)
+    data = problem.data
+    return estimate_noise(bare, path.e, problem.gains, problem.noise, data.dt, data.counts, slow_known=True)
 
 
 def residual_forces(

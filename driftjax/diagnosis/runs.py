@@ -10,6 +10,7 @@ from jax import Array
 
 from driftjax.core import State
 from driftjax.diagnosis.assumed import has_sideslip, sideslip
+from driftjax.diagnosis.noise_model import Decay, Noise
 from driftjax.diagnosis.observer import (
     Gains,
     PaddedRun,
@@ -172,12 +173,9 @@ def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> Pa
     )
 
 
-def _riccati(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
-    return kalman_gains(A, valid, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt, counts)
-
-
 def _riccatis(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
-    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None, None))(A, valid, noise, dt, counts)
+    of = lambda A, valid: kalman_gains(A, valid, Noise.from_vector(noise), dt, counts)
+    return jax.vmap(of)(A, valid)
 
 
 def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
@@ -229,9 +227,10 @@ def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
     """
     num = len(data.run)
     zeros = lambda *shape: np.zeros((num, *shape))
-    L = zeros(data.size, 6, 3)
+    L = zeros(data.size, 9, 3)
     L[..., :3, :] = share * np.eye(3)
-    return Gains(*map(jnp.asarray, (L, zeros(data.size, 3, 3), zeros(), zeros(data.size, 6, 6), zeros())))
+    still = Decay(zeros(), zeros())
+    return jax.tree.map(jnp.asarray, Gains(L, zeros(data.size, 3, 3), still, zeros(data.size, 9, 9), zeros()))
 
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:

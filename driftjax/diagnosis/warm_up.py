@@ -20,7 +20,7 @@ def compile_programs(problem: Problem) -> None:
     runs = take(problem.data.padded, np.zeros(BATCH_SIZE, int))
     num = jnp.asarray(prediction_starts(problem)[1])
     states, room = (BATCH_SIZE, problem.data.size, 6), room_for(int(num), ROOM)
-    z, P, ahead = np.zeros(states), np.zeros((*states, 6)), np.zeros((BATCH_SIZE, STARTS, room, 3))
+    z, P, ahead = np.zeros(states), np.zeros((*states[:2], 9, 9)), np.zeros((BATCH_SIZE, STARTS, room, 3))
     first, noise = jnp.arange(STARTS), jnp.asarray(problem.noise.as_vector())
     number = np.arange(BATCH_SIZE)
     compile_ahead(batched_rollouts, model, theta, runs, z, P, ahead, number, first, num, noise, dt, jnp.asarray(0))

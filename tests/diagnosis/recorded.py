@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise
-from driftjax.diagnosis.noise import Noise
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.logs import Run
 from driftjax.manoeuvres.campaign import is_lost, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES, RICH

@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
-from driftjax.diagnosis.noise import Noise
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.residual import (
     FORCES,
