@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.fit import Fit, Problem, information_and_score, minimise_quadratic
+from driftjax.diagnosis.fit import Fit, Problem, information_and_score
 from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.diagnosis.runs import Linearisation
 
 WIDTH = 50  # sets kept of each size

@@ -142,8 +142,11 @@ class Calibration:
             "lacking": list(self.lacking),
             "lost_s": self.lost_s,
             "gain": gain_json(self.gain),
-            "noise": {"measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
-                      "correlation_s": noise.correlation},
+            "noise": {
+                "measurement": noise.sigma.tolist(), "process": noise.disturbance.tolist(),
+                "correlation_s": float(noise.correlation), "slow": noise.slow.tolist(),
+                "slow_correlation_s": float(noise.slow_correlation),
+            },
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> Path:

@@ -30,7 +30,7 @@ def figure_data(car: str, problem: Problem, selection: Selection, findings: Find
         | score_data(problem, selection, findings)
     )
     values |= {
-        "channel": np.array(MEASURED), "model": np.array(MODELS), "sigma": problem.noise.sigma,
+        "channel": np.array(MEASURED), "model": np.array(MODELS), "sigma": problem.noise.total,
         "lag_time": dt * np.arange(1, len(findings.autocorrelation["nominal"].correlation) + 1),
         "autocorrelation": np.stack([findings.autocorrelation[name].correlation for name in MODELS]),
     }  # fmt: skip

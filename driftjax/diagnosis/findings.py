@@ -81,7 +81,7 @@ def describe_errors(
         force_limits(vehicle), noise, open_loop_errors(base, zero), comparison,
         root_mean_square(np.where(measured, comparison.least, np.nan), (0, 1)),
         tuple(run.name for run in runs), residual,
-        parity(vehicle, runs, problem.noise.sigma), found.nominal_scores,
+        parity(vehicle, runs, problem.noise.total), found.nominal_scores,
         whiteness, describe_worst(residual["nominal"], vehicle),
     )  # fmt: skip
 
@@ -104,12 +104,13 @@ def findings_json(findings: Findings, noise: Noise) -> dict[str, Any]:
     table = findings.errors.rms
     return {
         "noise": {
-            "measurement": by_channel(noise.sigma), "process": by_channel(noise.disturbance),
+            "measurement": by_channel(noise.sigma), "slow": by_channel(noise.slow),
+            "process": by_channel(noise.disturbance),
             "process_of_nominal": by_channel(findings.noise.disturbance),
         },
         "open_loop": {
             "horizons_s": list(findings.errors.horizons), "rmse": by_channel(table),
-            "in_noises": by_channel(table / noise.sigma),
+            "in_noises": by_channel(table / noise.total),
         },
         "residual_forces": {
             "p_value": findings.residual["nominal"].p_value,

@@ -26,6 +26,7 @@ from driftjax.diagnosis.noise import (
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, samples_in_run
+from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.diagnosis.runs import (
     Linearisation,
     Pieces,
@@ -343,20 +344,3 @@ def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:
         if trial.cost < fit.cost:
             return trial
     return fit
-
-
-def minimise_quadratic(g: np.ndarray, H: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the minimiser (n,) of psi H psi - 2 g psi within bounds (n,).
-
-    What would pass a bound is put on it, and the others are solved for again.
-    """
-    psi, free = np.zeros(len(g)), np.arange(len(g))
-    while len(free):
-        bound = np.setdiff1d(np.arange(len(g)), free)
-        psi[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, bound)] @ psi[bound])
-        outside = (psi[free] < lower[free]) | (psi[free] > upper[free])
-        if not outside.any():
-            break
-        psi[free] = np.clip(psi[free], lower[free], upper[free])
-        free = free[~outside]
-    return psi

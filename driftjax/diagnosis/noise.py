@@ -5,16 +5,18 @@ so that missing physics is not mistaken for noise (Harville 1977, Eq. 3.1; Krist
 process noise as the measure of a model's defect).
 """
 
-import equinox as eqx
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core.bounded import Minimum, minimise_within
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, Steps, innovations_with_gains, kalman_gains, propagate_derivatives
+from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
@@ -25,15 +27,19 @@ UNMEASURED = (
 )
 CORRELATION = 0.3  # and its correlation time [s]
 FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
+LINEAR_SLOW = 0.1  # below which they are searched linearly, in measurement noise
 NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
 SEARCHED = 8000  # samples that it is estimated from
-ITERATIONS = 40  # of the search, at most
-LOG_SCALES = np.array(
-    [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.3, 0.2]
-)  # how sharply data fix each log noise: nearly halves the search
-GRADIENT_TOLERANCE = 1e-4  # largest projected gradient left per measurement
+ITERATIONS = 30  # of the search, at most
+LONGEST = 1.5  # longest step of any variable
+DAMPING = 1e-2  # of the first step, over the curvature
+EVERY = 2  # pieces of which one gives the curvature, which need not be exact
+LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
+PROMISE = 2e-3  # fall of twice the log-likelihood below which a step is not worth it
+
+Expansion = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
 
 def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -51,17 +57,17 @@ def robust_deviation(values: np.ndarray) -> float:
 
 
 def restricted_likelihood(
-    logs: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    noise: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
 ) -> Float[Array, ""]:
-    """Return minus twice the restricted log-likelihood for the logarithms of `Noise.as_vector`; leading axis of pieces.
+    """Return minus twice the restricted log-likelihood of `noise` as `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
     where `counts` (T, 3) is 1 do.
     """
-    noise = Noise.from_vector(jnp.exp(logs))
+    known = Noise.from_vector(noise)
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise, dt, counts)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, known, dt, counts)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -79,19 +85,79 @@ def restricted_likelihood(
     return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters
 
 
-def _search(
-    first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float, counts: Array
-) -> Minimum:
-    """Minimise `restricted_likelihood` per measurement within bounds, in scaled logarithms."""
-    rows, stiff = jnp.maximum(jnp.sum(steps.valid), 1.0), jnp.asarray(LOG_SCALES)
-    value = lambda x, first, steps, e, L, use: restricted_likelihood(first + x / stiff, steps, e, L, dt, use) / rows
-    lower, upper, options = (
-        (low - first) * stiff,
-        (high - first) * stiff,
-        {"tolerance": GRADIENT_TOLERANCE, "max_steps": ITERATIONS},
-    )
-    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, counts, **options)
-    return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
+class Scale(NamedTuple):
+    """Variables that the noise is searched in: logarithms of noise plus an offset."""
+
+    first: Float[Array, "11"]  # noise at variables 0
+    offset: Float[Array, "11"]  # noise below which a variable is linear in it: that of slow errors may vanish
+
+    def variables(self, noise: Array) -> Array:
+        """Return the variables of a noise vector."""
+        return jnp.log((noise + self.offset) / (self.first + self.offset))
+
+    def noise(self, x: Array) -> Array:
+        """Return the noise vector of variables."""
+        return (self.first + self.offset) * jnp.exp(x) - self.offset
+
+
+def search_scale(first: Noise) -> Scale:
+    """Return the variables of a search that begins at the noise `first`."""
+    zero = np.zeros(3)
+    offset = Noise(zero, zero, 0.0, LINEAR_SLOW * first.sigma, 0.0)
+    return Scale(jnp.asarray(first.as_vector()), jnp.asarray(offset.as_vector()))
+
+
+def information_of_noise(
+    x: Float[Array, "11"], scale: Scale, steps: Steps, e: Array, L: Array, dt: float, counts: Array
+) -> Float[Array, "11 11"]:
+    """Return half the expected curvature of `restricted_likelihood` by the variables (Ljung 1999, Eq. 9.29 and 7.88).
+
+    It is that of known parameters. That of the innovations' derivatives is taken from these innovations.
+    """
+
+    def whitened(x, steps, e, L):
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, counts)
+        return gains.whitening, innovations_with_gains(steps, e, L, gains, dt)
+
+    def piece(steps, e, L):
+        whitening, _ = whitened(x, steps, e, L)
+        by_whitening, by_e = jax.jacfwd(whitened)(x, steps, e, L)
+        # a channel that does not count has no row: one on the diagonal lets the factor be inverted
+        full = whitening + jax.vmap(jnp.diag)(jnp.where(jnp.any(whitening, axis=-1), 0.0, 1.0))
+        G = jnp.einsum("tijn,tjk->tikn", by_whitening, jnp.linalg.inv(full))
+        symmetric, moved = G + jnp.swapaxes(G, 1, 2), jnp.einsum("tij,tjn->tin", whitening, by_e)
+        return jnp.einsum("tijn,tijm->nm", symmetric, symmetric) / 2 + jnp.einsum("tin,tim->nm", moved, moved)
+
+    return jnp.sum(jax.vmap(piece)(steps, e, L), axis=0)
+
+
+def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, L: Array, dt: float, counts: Array):
+    """Return `restricted_likelihood`, its gradient, and `information_of_noise`, that of some pieces for all."""
+    value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, counts)
+    some, measured = jax.tree.map(lambda a: a[::EVERY], (steps, e, L)), jnp.sum(steps.valid)
+    share = jnp.sum(some[0].valid) / jnp.maximum(measured, 1.0)
+    return *jax.value_and_grad(value)(x), information_of_noise(x, scale, *some, dt, counts) / share
+
+
+def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Minimise within bounds from 0 by damped Fisher scoring; returns the variables (n,).
+
+    `expand` gives value, gradient and half the expected curvature. Damping as in Levenberg and Marquardt (Nocedal and
+    Wright 2006, Sec. 10.3): it grows where a step does not lower the value.
+    """
+    x, damping = np.clip(np.zeros(len(lower)), lower, upper), DAMPING
+    value, slope, H = expand(x)
+    for _ in range(ITERATIONS):
+        damped = H + np.diag(damping * np.diag(H) + LEAST_CURVATURE)
+        step = minimise_quadratic(-slope / 2, damped, np.maximum(lower - x, -LONGEST), np.minimum(upper - x, LONGEST))
+        if not -slope @ step - step @ H @ step > PROMISE:
+            break
+        after = expand(x + step)
+        if after[0] < value:
+            x, (value, slope, H), damping = x + step, after, damping / 10
+        else:
+            damping = 10 * max(damping, DAMPING)
+    return x
 
 
 def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Array]:
@@ -127,5 +193,11 @@ def estimate_noise(
         first, low, high = (
             one._replace(slow=start.slow, slow_correlation=start.slow_correlation) for one in (first, low, high)
         )
-    logs, lower, upper = (jnp.asarray(np.log(one.as_vector())) for one in (first, low, high))
-    return Noise.from_vector(np.exp(call(_search, logs, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x))
+    scale, use = search_scale(first), jnp.asarray(counts, float)
+    lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
+
+    def expand(x: np.ndarray) -> Expansion:
+        value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, L, dt, use)
+        return float(value), np.asarray(slope), np.asarray(H)
+
+    return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(search(expand, lower, upper)))))

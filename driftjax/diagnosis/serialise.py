@@ -49,7 +49,9 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
             if there
         },
         "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
-        "process_correlation_s": noise.correlation,
+        "process_correlation_s": float(noise.correlation),
+        "slow_sigma": dict(zip(MEASURED, map(float, noise.slow), strict=True)),
+        "slow_correlation_s": float(noise.slow_correlation),
         "missing": evidence.lost._asdict() | {"sentence": evidence.lost.sentence},
     }
     return content
@@ -114,7 +116,8 @@ def found_noise(problem: Problem) -> FoundNoise | None:
     if problem.data.skip or not problem.data.force_known:
         return None
     noise, channels = problem.noise, lambda row: PerChannel(*map(float, row))
-    return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation))
+    slow = channels(noise.slow), float(noise.slow_correlation)
+    return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation), *slow)
 
 
 def extended_car(

@@ -86,7 +86,8 @@ def typical_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise
     unit = vehicle_units(vehicle)
     sigma = noise * np.array([0.0092 * unit.speed, 0.0087, 0.0049 / unit.time])
     rates = process_noise * np.array([0.0092 * unit.speed / unit.time, 0.0084 / unit.time, 0.028 / unit.time**2])
-    return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time))
+    slow = jnp.zeros(3), jnp.ones(())
+    return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time), *slow)
 
 
 def found_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
@@ -98,8 +99,9 @@ def found_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: 
             "of a diagnosis."
         )
     row = lambda channels: jnp.asarray([channels.V, channels.beta, channels.r])
+    slow = noise * row(found.slow_sigma), jnp.asarray(found.slow_correlation_s)
     correlation = jnp.asarray(found.process_correlation_s)
-    return Conditions(noise * row(found.sigma), process_noise * row(found.process_sigma), correlation)
+    return Conditions(noise * row(found.sigma), process_noise * row(found.process_sigma), correlation, *slow)
 
 
 def campaign_conditions(vehicle: VehicleConfig, campaign: Campaign) -> Conditions:

@@ -34,9 +34,11 @@ class Manoeuvre(NamedTuple):
 class Conditions(NamedTuple):
     """Disturbances of the car and of its measurements."""
 
-    sigma: Float[Array, "3"]  # standard deviation of measured V, beta, r
+    sigma: Float[Array, "3"]  # standard deviation of the white errors of measured V, beta, r
     disturbance: Float[Array, "3"]  # standard deviation of the rates added to those of V, beta, r
     correlation: Array  # correlation time of these [s]
+    slow: Float[Array, "3"]  # standard deviation of the slow errors of measured V, beta, r
+    slow_correlation: Array  # correlation time of these [s]
 
 
 class Recording(NamedTuple):
@@ -49,6 +51,18 @@ class Recording(NamedTuple):
     position: Float[Array, "T 2"]  # true x, y [m]
     a: Float[Array, "T 2"]  # accelerometer at the centre of mass, forwards and to the left [m/s^2]: mean since the
     # last row, as after its anti-aliasing filter
+
+
+def markov_noise(key: Array, num: int, sigma: Array, correlation: Array, dt: float) -> Float[Array, "num 3"]:
+    """Draw stationary first-order Markov noise of this standard deviation and correlation time [s]."""
+    left = jnp.exp(-dt / correlation)
+    white = sigma * jax.random.normal(key, (num, 3))
+
+    def on(last, kick):
+        now = left * last + jnp.sqrt(1 - left**2) * kick
+        return now, now
+
+    return jnp.concatenate([white[:1], jax.lax.scan(on, white[0], white[1:])[1]])
 
 
 class _Now(NamedTuple):
@@ -127,6 +141,7 @@ def record(
     T = len(manoeuvre.x_ref)
     measured, driven = jax.random.split(key)
     noise = conditions.sigma * jax.random.normal(measured, (T, 3))
+    noise += markov_noise(jax.random.fold_in(key, 2), T, conditions.slow, conditions.slow_correlation, dt)
     kicks = conditions.disturbance * jax.random.normal(driven, (T, 3))
     start = start._replace(push=kicks[0])
     return jax.lax.scan(step, start, (manoeuvre.x_ref, manoeuvre.u_ref, noise, kicks))[1]

@@ -46,15 +46,19 @@ class FoundNoise:
     """Noise that a diagnosis or calibration found in the data: what no effect of the catalogue explains."""
 
     sigma: PerChannel
-    """Standard deviation of the measured V, beta, r."""
+    """Standard deviation of the white errors of the measured V, beta, r."""
     process_sigma: PerChannel
     """Standard deviation of the disturbance that is added to the rates of V, beta, r."""
     process_correlation_s: float
     """Correlation time of this disturbance [s]."""
+    slow_sigma: PerChannel = PerChannel(0.0, 0.0, 0.0)
+    """Standard deviation of the slow errors of the measured V, beta, r."""
+    slow_correlation_s: float = 1.0
+    """Correlation time of these errors [s]."""
 
     def __post_init__(self) -> None:
-        time = self.process_correlation_s
-        require(time > 0, f"key 'process_correlation_s' is {time}; it must be positive.")
+        for name in ("process_correlation_s", "slow_correlation_s"):
+            require(getattr(self, name) > 0, f"key '{name}' is {getattr(self, name)}; it must be positive.")
 
 
 @dataclass(frozen=True)

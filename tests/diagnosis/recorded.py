@@ -46,7 +46,7 @@ def catalogue(name: str = "sedan") -> Universal:
 def truth(name: str = "sedan") -> Noise:
     """Noise of good sensors, and rates disturbed as a real car's are."""
     conditions = typical_conditions(nominal_car(name))
-    return Noise(np.asarray(conditions.sigma), np.asarray(conditions.disturbance), float(conditions.correlation))
+    return Noise(*map(np.asarray, conditions))
 
 
 def hidden(**found: float) -> np.ndarray:
@@ -68,14 +68,19 @@ def standard(seed: int, name: str = "sedan") -> Manoeuvre:
     return jax.tree.map(lambda *a: jnp.stack(a), *rows)
 
 
+def with_slow_errors(noise: Noise) -> Noise:
+    """The `noise` with as large errors of its sensors that last for 0.3 s."""
+    return noise._replace(slow=noise.sigma, slow_correlation=0.3)
+
+
 def recorded(
-    theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0, car: str = "sedan"
+    theta: np.ndarray, seed: int, noise_seed: int, disturbed: float = 1.0, car: str = "sedan", slow: bool = False
 ) -> tuple[Run, ...]:
     """The standard manoeuvres of `seed` on a car with the parameters `theta`; runs that spin are left out."""
     t, manoeuvres, vehicle = np.arange(ROWS) * DT, standard(seed, car), nominal_car(car)
     keys = jax.random.split(jax.random.key(noise_seed), len(RICH))
     noise = truth(car)._replace(disturbance=disturbed * truth(car).disturbance)
-    conditions = Conditions(*map(jnp.asarray, noise))
+    conditions = Conditions(*map(jnp.asarray, with_slow_errors(noise) if slow else noise))
     found = jax.tree.map(np.asarray, _drive(catalogue(car), car, jnp.asarray(theta), manoeuvres, conditions, keys))
     runs = []
     for i, name in enumerate(RICH):

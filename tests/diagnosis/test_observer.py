@@ -8,11 +8,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import DT, EFFECTS, ORDER, ROWS, build_problem, catalogue, hidden, recorded, sedan, truth
+from diagnosis.recorded import (
+    DT,
+    EFFECTS,
+    ORDER,
+    ROWS,
+    build_problem,
+    catalogue,
+    hidden,
+    nominal_car,
+    recorded,
+    sedan,
+    truth,
+    with_slow_errors,
+)
 from scipy.optimize import minimize
 
-from driftjax.diagnosis.fit import initial_noise
-from driftjax.diagnosis.noise import CORRELATION, LOG_SCALES, estimate_noise, restricted_likelihood
+from driftjax.diagnosis.fit import initial_noise, with_noise
+from driftjax.diagnosis.noise import (
+    CORRELATION,
+    FIRST_SLOW,
+    LOG_SCALES,
+    MOST_SLOW,
+    NO_SLOW,
+    SLOW_CORRELATION,
+    estimate_noise,
+    restricted_likelihood,
+)
 from driftjax.diagnosis.runs import (
     BLOCK,
     ERROR_BLOCK,
@@ -154,6 +176,25 @@ def test_noise_is_found_from_the_data():
     np.testing.assert_allclose(found.sigma, truth().sigma, rtol=0.15)
     np.testing.assert_allclose(found.disturbance, truth().disturbance, rtol=0.5)
     assert 0.5 < found.correlation / truth().correlation < 2
+    assert np.all(found.slow < 0.35 * truth().sigma)  # there is none
+
+
+@pytest.mark.parametrize("car", ["sedan", "rc"])
+def test_slow_sensor_errors_are_estimated_and_leave_white_innovations(car):
+    known = with_slow_errors(truth(car))
+    problem = build_problem(nominal_car(car), EFFECTS, recorded(hidden(), 1, 2, car=car, slow=True))
+    np.testing.assert_allclose(problem.noise.slow, known.slow, rtol=0.35)
+    np.testing.assert_allclose(problem.noise.sigma, known.sigma, rtol=0.15)
+    assert 0.5 < problem.noise.slow_correlation / known.slow_correlation < 2
+
+    def correlation(noise):
+        gains = with_noise(problem, problem.start, noise).gains
+        e = np.asarray(whiten(gains, run_observer(problem.model, problem.data, NEUTRAL, gains).e))[:, SKIP:ROWS]
+        return max(np.abs((e[:, lag:] * e[:, :-lag]).mean(axis=(0, 1)) / (e**2).mean(axis=(0, 1))).max()
+                   for lag in (1, 2, 5))  # fmt: skip
+
+    assert correlation(problem.noise) < 0.08
+    assert correlation(problem.noise._replace(slow=np.zeros(3))) > 0.2  # the same errors taken for motion of the car
 
 
 def test_noise_has_the_likelihood_that_scipy_finds():
@@ -166,10 +207,12 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     cost = lambda x: restricted_likelihood(first + x / LOG_SCALES, steps, path.e, fixed.L, data.dt, counts)
     slope = jax.jit(jax.value_and_grad(cost))
     scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
-    box = np.log([[0.2, 5.0]] * 3 + [[1e-3, 1e3]] * 3 + [[2 * data.dt / CORRELATION, 5.0 / CORRELATION]])
+    time = lambda first: [[2 * data.dt / first, 5.0 / first]]
+    slow = [[NO_SLOW / FIRST_SLOW, MOST_SLOW / FIRST_SLOW]] * 3 + time(SLOW_CORRELATION)
+    box = np.log([[0.2, 5.0]] * 3 + [[1e-3, 1e3]] * 3 + time(CORRELATION) + slow)
     options = {"ftol": 1e-12, "gtol": 1e-2}
     other = minimize(
-        scaled, np.zeros(7), jac=True, method="L-BFGS-B", bounds=box * LOG_SCALES[:, None], options=options
+        scaled, np.zeros(11), jac=True, method="L-BFGS-B", bounds=box * LOG_SCALES[:, None], options=options
     )
     at = (np.log(ours.as_vector()) - first) * LOG_SCALES
     assert abs(scaled(at)[0] - other.fun) < 0.01  # twice the log-likelihood, of 18000 measurements

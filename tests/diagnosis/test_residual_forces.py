@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
-from driftjax.diagnosis.noise_model import Noise
+from driftjax.diagnosis.noise_model import Noise, decay_of
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.residual import (
     FORCES,
@@ -20,10 +20,10 @@ from driftjax.diagnosis.residual import (
     observer_path,
     residual_forces,
 )
-from driftjax.diagnosis.smooth import disturbance_step, kalman_filter, linear_model, smooth
+from driftjax.diagnosis.smooth import kalman_filter, linear_model, smooth
 
 DT = 0.02
-NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4)
+NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4, np.array([0.03, 0.02, 0.01]), 0.2)
 
 
 def states(rng, num: int = 50) -> tuple[np.ndarray, np.ndarray]:
@@ -64,7 +64,7 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     e = valid * rng.normal(size=(1, num, 3)) * 3 * NOISE.sigma
     zero = np.zeros((1, num, 6))
     still = zero[..., :3]
-    path = Path(*map(jnp.asarray, (e, zero, zero, zero, zero[..., :4], still, e, valid)))
+    path = Path(*map(jnp.asarray, (e, zero, zero, zero, zero[..., :4], still, still, e, valid)))
     many = lambda a: jnp.asarray(np.broadcast_to(a, (1, num, *a.shape)))
     D, none = np.eye(3), np.zeros((3, 1))
     full = np.zeros((6, 6))
@@ -77,23 +77,26 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
 def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
     path, steps, valid = made_up()
     A, T = np.asarray(steps.A)[0, 0, :3, :3], int(samples_in_run(valid).sum())
-    decay, Q = disturbance_step(NOISE, DT)
-    F = np.block([[A, DT * (np.eye(3) + A) / 2], [np.zeros((3, 3)), decay * np.eye(3)]])
-    C = np.zeros((T, 6, T, 6))  # covariance of w at all times
-    C[0, :, 0] = np.diag([*(4 * NOISE.sigma**2), *NOISE.disturbance**2])
+    decays = np.exp(-DT / np.repeat([NOISE.correlation, NOISE.slow_correlation], 3))
+    sizes, slow = np.concatenate([NOISE.disturbance, NOISE.slow]), np.diag(NOISE.slow**2)
+    F, Q = np.zeros((9, 9)), np.diag([0, 0, 0, *((1 - decays**2) * sizes**2)])
+    F[:3, :3], F[:3, 3:6], F[3:, 3:] = A, DT * (np.eye(3) + A) / 2, np.diag(decays)
+    C = np.zeros((T, 9, T, 9))  # covariance of w at all times
+    C[0, :, 0] = np.diag([*(4 * NOISE.sigma**2 + NOISE.slow**2), *sizes**2])
+    C[0, :3, 0, 6:] = C[0, 6:, 0, :3] = -slow  # the first state is the measured one
     for k in range(1, T):
         for j in range(k):
             C[k, :, j] = F @ C[k - 1, :, j]
             C[j, :, k] = C[k, :, j].T
         C[k, :, k] = F @ C[k - 1, :, k - 1] @ F.T + Q
     which = np.flatnonzero(valid[0, :T].ravel())
-    rows = np.array([k * 6 + i for k in range(T) for i in range(3)])[which]
-    C, y = C.reshape(6 * T, 6 * T), np.asarray(path.e)[0, :T].ravel()[which]
-    S = C[np.ix_(rows, rows)] + np.diag(np.tile(NOISE.sigma**2, T)[which])
-    expected = (C[:, rows] @ np.linalg.solve(S, y)).reshape(T, 6)
+    read = np.kron(np.eye(T), np.hstack([np.eye(3), np.zeros((3, 3)), np.eye(3)]))[which]  # state plus slow error
+    C, y = C.reshape(9 * T, 9 * T), np.asarray(path.e)[0, :T].ravel()[which]
+    S = read @ C @ read.T + np.diag(np.tile(NOISE.sigma**2, T)[which])
+    expected = (C @ read.T @ np.linalg.solve(S, y)).reshape(T, 9)
     x, d = smooth(path, steps, valid, NOISE, DT)
     np.testing.assert_allclose(x[0, :T], expected[:, :3], atol=1e-8)
-    np.testing.assert_allclose(d[0, :T], expected[:, 3:], atol=1e-8)
+    np.testing.assert_allclose(d[0, :T], expected[:, 3:6], atol=1e-8)
     assert np.isfinite(x).all() and np.isfinite(d).all()
 
 
@@ -103,9 +106,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     A[..., :3, :3] = [[1.0, -1.0, 0.2], [0.0, 1.05, 0.1], [0.1, 3.0, 1.1]]
     assert np.abs(np.linalg.eigvals(A[0, 0, :3, :3])).max() > 1.15
     steps = steps._replace(A=jnp.asarray(A))
-    spread = kalman_filter(
-        linear_model(path, steps, valid, disturbance_step(NOISE, DT)[0], DT), NOISE, DT
-    ).filtered_covariance
+    spread = kalman_filter(linear_model(path, steps, valid, decay_of(NOISE, DT), DT), NOISE, DT).filtered_covariance
     np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
     driven = samples_in_run(valid)
     assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2

@@ -72,7 +72,7 @@ def test_it_moves_as_the_car_that_is_recorded():
     states, _ = driven(car, commands)
     x_ref = jnp.tile(jnp.array([V0, 0.0, 0.0]), (len(commands), 1))
     manoeuvre = Manoeuvre(x_ref, commands, jnp.zeros((2, 3)), jnp.asarray(LAP))
-    silent = Conditions(jnp.zeros(3), jnp.zeros(3), jnp.asarray(1.0))
+    silent = Conditions(jnp.zeros(3), jnp.zeros(3), jnp.asarray(1.0), jnp.zeros(3), jnp.asarray(1.0))
     wide = dataclasses.replace(SEDAN, delta_rate_max=100.0, Fxr_rate_max=1e7)  # the driver of a record is limited
 
     def run(model, manoeuvre):

@@ -105,7 +105,7 @@ def diagnosis_values(diagnosis: Diagnosis, evidence: Evidence) -> dict[str, Any]
         for c in evidence.causes
     ]  # fmt: skip
     skills = diagnosis.gain.skills if diagnosis.gain else {}
-    noise = [*problem.noise.sigma, *problem.noise.disturbance, problem.noise.correlation]
+    noise = problem.noise.as_vector()
     return {
         "proposed": diagnosis.proposal.manoeuvre if diagnosis.proposal else None, "verdict": str(diagnosis.verdict),
         "sentence": diagnosis.sentence, "causes": causes,
