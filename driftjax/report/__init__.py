@@ -15,3 +15,4 @@ from driftjax.report.table import run_line as run_line
 from driftjax.report.tuning import tuning_summary as tuning_summary
 from driftjax.report.tuning import write_tuning as write_tuning
 from driftjax.report.worth import worth_table as worth_table
+from driftjax.report.write import write_page as write_page
