@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from driftjax.planner import PlanConfig as PlanConfig
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
+    from driftjax.report import save_plan as save_plan
     from driftjax.sim import simulate as simulate
     from driftjax.store import RunFolder as RunFolder
     from driftjax.track import Track as Track
@@ -88,6 +89,7 @@ MODULES = {
     "manoeuvres.campaign": ("Campaign", "record_runs"),
     "manoeuvres.truth": ("effect_strengths",),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
+    "report": ("save_plan",),
     "sim": ("simulate",),
     "store": ("RunFolder",),
     "track": ("Track", "load_track"),

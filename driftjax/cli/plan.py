@@ -13,8 +13,7 @@ from driftjax.core.config import to_dict
 from driftjax.planner import PlanConfig
 from driftjax.planner import plan as solve
 from driftjax.planner.config import complete_plan_config
-from driftjax.planner.dataset import plan_dataset, write_plan_csv
-from driftjax.report import write_plan_figures
+from driftjax.report import save_plan
 from driftjax.store import RunFolder
 from driftjax.track import Track, check_width, load_track
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
@@ -62,10 +61,7 @@ def defaults(car: str | None, file: str | None) -> Plan:
 def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunFolder) -> int:
     """Plan into `folder`; returns 1 if the plan is not valid."""
     plan = solve(track, vehicle, options)
-    data = plan_dataset(plan, track, vehicle.name)
-    folder.write_dataset("plan.nc", data)
-    write_plan_csv(folder.path / "plan.csv", data)
-    write_plan_figures(data, folder.path)
+    save_plan(plan, track, vehicle, folder.path)
     print(f"lap time {float(plan.lap_time):.3f} s after {int(plan.num_steps)} iterations", end=", ")
     print(f"optimality {float(plan.kkt):.1e}, violation {float(plan.violation):.1e}")
     print("drift: " + (", ".join(f"{a:.4g} to {b:.4g} m" for a, b in plan.drift_intervals()) or "none"))
