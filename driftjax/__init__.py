@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from driftjax.export import Export as Export
     from driftjax.export import export_car as export_car
     from driftjax.gp import GP as GP
+    from driftjax.gp import KernelGP as KernelGP
     from driftjax.gp import fit_gp as fit_gp
+    from driftjax.gp import fit_kernel as fit_kernel
     from driftjax.learning.config import LearnConfig as LearnConfig
     from driftjax.learning.config import load_learn_config as load_learn_config
     from driftjax.learning.run import learn as learn
@@ -82,7 +84,7 @@ MODULES = {
     "equilibrium.branch": ("Branch",),
     "equilibrium.map": ("equilibria",),
     "export": ("Export", "export_car"),
-    "gp": ("GP", "fit_gp"),
+    "gp": ("GP", "KernelGP", "fit_gp", "fit_kernel"),
     "learning.config": ("LearnConfig", "load_learn_config"),
     "learning.run": ("learn",),
     "logs": ("Guess", "Log", "Run", "guess_columns", "inspect", "read_log", "write_log"),

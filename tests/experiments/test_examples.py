@@ -37,8 +37,9 @@ def test_an_example_is_short(path):
 
 def test_the_examples_show_what_the_package_is_for():
     text = "".join(path.read_text(encoding="utf-8") for path in EXAMPLES)
-    shown = ("setup", "load_vehicle", "load_plant", "draw_plants", "simulate", "load_track", "plan", "equilibria",
-             "fit_gp", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose", "compare")  # fmt: skip
+    shown = ("setup", "load_vehicle", "load_plant", "draw_plants", "simulate", "load_track", "plan", "save_plan",
+             "equilibria", "fit_gp", "fit_kernel", "DriftMPC", "learn", "read_log", "inspect", "calibrate", "diagnose",
+             "compare")  # fmt: skip
     assert [name for name in shown if f"dj.{name}(" not in text] == []
 
 
