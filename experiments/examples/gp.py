@@ -1,4 +1,4 @@
-"""Fit a Gaussian process to noisy samples, with a shipped kernel and one of your own; ask for mean, variance, gradient."""
+"""Fit a Gaussian process to noisy samples, by a shipped kernel and one of your own: mean, variance and gradient."""
 
 import jax
 import jax.numpy as jnp
