@@ -30,12 +30,13 @@ def test_an_example_runs_as_it_stands(path, tmp_path, monkeypatch, capsys):
 
 def lines_of_code(text: str) -> int:
     """Count the lines of a module but docstrings, imports, comments and blank lines."""
-    tree, apart = ast.parse(text), set[int]()
-    for node in ast.walk(tree):
-        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node)
-        skipped = node.body[0] if documented else node  # pyright: ignore[reportAttributeAccessIssue]
-        if documented or isinstance(node, ast.Import | ast.ImportFrom):
-            apart |= set(range(skipped.lineno, (skipped.end_lineno or 0) + 1))
+    left_out: list[ast.stmt] = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            left_out.append(node)
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
+            left_out.append(node.body[0])
+    apart = {line for node in left_out for line in range(node.lineno, (node.end_lineno or 0) + 1)}
     lines = enumerate(text.splitlines(), start=1)
     return sum(bool(line.strip()) and not line.strip().startswith("#") and at not in apart for at, line in lines)
 

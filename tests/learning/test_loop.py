@@ -57,7 +57,7 @@ def test_the_example_and_the_verb_leave_a_whole_run_folder(finished, capsys):
 
 
 def test_flags_give_the_options_of_the_example():
-    assert parse(Learn, FLAGS, "driftjax learn", Learn(defaults(None, None))).options == CONFIG
+    assert parse(Learn, [*FLAGS], "driftjax learn", Learn(defaults(None, None))).options == CONFIG
 
 
 def test_laps_are_driven_to_their_end_sideways(finished):
