@@ -73,7 +73,7 @@ def side_by_side(ours: Callable[[], object], other: Callable[[], object]) -> tup
 
 def compare_speed_sets() -> None:
     """Print both solvers of the speed sets."""
-    for num in (AIM_POINTS, 25, 120):
+    for num in (AIM_POINTS, 60, 120):
         for weights in WEIGHTS:
             given = (*corner(num), *map(jnp.asarray, weights))
             (gamma, result), (other, ended) = speed_sets(*given), speed_sets_jaxopt(*given)
