@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from driftjax.export import Export as Export
     from driftjax.export import export_car as export_car
     from driftjax.gp import GP as GP
+    from driftjax.gp import KernelGP as KernelGP
     from driftjax.gp import fit_gp as fit_gp
+    from driftjax.gp import fit_kernel as fit_kernel
     from driftjax.learning.config import LearnConfig as LearnConfig
     from driftjax.learning.config import load_learn_config as load_learn_config
     from driftjax.learning.run import learn as learn
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from driftjax.planner import PlanConfig as PlanConfig
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
+    from driftjax.report import save_plan as save_plan
     from driftjax.sim import simulate as simulate
     from driftjax.store import RunFolder as RunFolder
     from driftjax.track import Track as Track
@@ -81,13 +84,14 @@ MODULES = {
     "equilibrium.branch": ("Branch",),
     "equilibrium.map": ("equilibria",),
     "export": ("Export", "export_car"),
-    "gp": ("GP", "fit_gp"),
+    "gp": ("GP", "KernelGP", "fit_gp", "fit_kernel"),
     "learning.config": ("LearnConfig", "load_learn_config"),
     "learning.run": ("learn",),
     "logs": ("Guess", "Log", "Run", "guess_columns", "inspect", "read_log", "write_log"),
     "manoeuvres.campaign": ("Campaign", "record_runs"),
     "manoeuvres.truth": ("effect_strengths",),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
+    "report": ("save_plan",),
     "sim": ("simulate",),
     "store": ("RunFolder",),
     "track": ("Track", "load_track"),

@@ -23,7 +23,7 @@ from driftjax.core import write_atomically
 from driftjax.parallel import num_workers
 from driftjax.report import write_diagnosis
 from driftjax.report.style import COMPARED
-from driftjax.studies.closed_loop import closed_loop, load_case
+from driftjax.studies.closed_loop import add_closed_loop, load_case
 from driftjax.vehicle import write_vehicle
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
@@ -150,8 +150,7 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     diagnosis.save(out)
     print(diagnosis.sentence, flush=True)
     if course and diagnosis.evidence:
-        laps = closed_loop(course, car, diagnosis.extended)
-        folder.write_json("diagnosis", folder.read_json("diagnosis") | {"closed_loop": laps})
+        add_closed_loop(folder, course, diagnosis)
     print(f"report: {write_diagnosis(folder)}", flush=True)
 
 

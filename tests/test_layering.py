@@ -86,3 +86,13 @@ def test_the_rule_catches_imports_that_point_up_or_sideways(folder, source):
 def test_modules_are_short():
     files = [*FILES, *SCRIPTS]
     assert [path.name for path in files if len(path.read_text(encoding="utf-8").splitlines()) > 400] == []
+
+
+def test_functions_are_short():
+    """At most 45 lines, with what is defined inside."""
+    long = []
+    for path in [*FILES, *SCRIPTS]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and (num := (node.end_lineno or 0) - node.lineno + 1) > 45:
+                long.append(f"{path.relative_to(ROOT)}, {node.name}: {num} lines")
+    assert long == []

@@ -21,6 +21,7 @@ HEADINGS = {
     "logs": "Measured logs",
     "manoeuvres": "Simulated logs",
     "diagnosis": "Diagnosis",
+    "report": "Files and figures",
     "export": "Export to other tools",
     "store": "Run folders",
     "core": "Records, outcomes and errors",

@@ -2,7 +2,8 @@
 
 import sys
 
-from options import cell, table
+from options import cell
+from tables import table
 
 from driftjax.store import variables
 from driftjax.vehicle import load_vehicle

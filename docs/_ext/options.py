@@ -12,6 +12,7 @@ from unittest import mock
 
 import tyro
 from api import definition, markdown
+from tables import table
 
 from driftjax.cli.front import VERBS
 from driftjax.control.mpc import MPCConfig, Weights
@@ -63,12 +64,6 @@ def configuration_page() -> str:
 def cell(text: str) -> str:
     """Return `text` as one cell of a table."""
     return " ".join(text.split()).replace("|", "\\|")
-
-
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Return a Markdown table."""
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join(f"| {' | '.join(row)} |" for row in lines) + "\n"
 
 
 def _parser(verb: str) -> argparse.ArgumentParser:

@@ -4,10 +4,20 @@ import json
 from pathlib import Path
 from typing import Any
 
-from options import table
+from tables import table
 
 from driftjax.report.style import COMPARED, stage_label
 from driftjax.report.table import CONTROLLERS, REDUCTIONS, interval, number, with_interval
+from driftjax.studies.hidden_effects.score import rate_interval
+
+# rates of `pytest -m statistics`: what a column is called, and the kind of cases that it is a share of
+RATES = {
+    "named first": ("one: named first", "single"),
+    "pair found": ("two: both named", "pair"),
+    "false alarm": ("nothing: an effect was named", "none"),
+    "absent, not NAMED": ("one that the catalogue lacks: not NAMED", "absent"),
+    "covered": ("parameters inside their 95 % intervals", None),
+}
 
 
 def learn_tables(docs: Path) -> str:
@@ -50,6 +60,26 @@ def real_log_tables(docs: Path) -> str:
                   for model in ("nominal", "retuned", "extended")]  # fmt: skip
         parts.append(table((f"error {ahead:g} s ahead", "V [m/s]", "beta [rad]", "r [rad/s]"), errors))
     return "\n".join(parts)
+
+
+def statistics_table(docs: Path) -> str:
+    """Return the rates of every run in docs/results/hidden-effects-statistics.jsonl, the oldest first."""
+    path = docs / "results/hidden-effects-statistics.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    rows = [_statistics_row(json.loads(line)) for line in lines if line.strip()]
+    if not rows:
+        return "No run is recorded yet.\n"
+    return table(("measured", "seed", *(words for words, _ in RATES.values())), rows)
+
+
+def _statistics_row(run: dict[str, Any]) -> tuple[str, ...]:
+    changed = " with changes" * bool(run.get("dirty"))
+    cells = [f"{run['date'][:10]} at {run['commit'][:7]}{changed}", str(run["seed"])]
+    for key, (_, kind) in RATES.items():
+        rate, num = run["rates"][key], run["cases"].get(kind)
+        ends = rate_interval(round(rate * num), num) if num else None
+        cells.append(with_interval(rate, ends, ".2f") + (f" ({num})" if num else ""))
+    return tuple(cells)
 
 
 def _parameter(name: str, found: dict[str, Any]) -> str:

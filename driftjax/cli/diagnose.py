@@ -12,11 +12,10 @@ from driftjax.core import require
 from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
-from driftjax.manoeuvres.truth import drive_again
 from driftjax.parallel import num_workers
 from driftjax.report import closed_loop_table, gain_table, parity_statement, worth_table, write_diagnosis
 from driftjax.store import RunFolder
-from driftjax.studies.closed_loop import ClosedLoopCase, closed_loop, load_case
+from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done": 0}
@@ -73,11 +72,9 @@ def run(argv: list[str]) -> int:
     def task() -> int:
         diagnosis, last = work(vehicle, log, flags.options, folder, case, workers), folder
         if flags.drive and diagnosis.proposal:
-            more = folder.path / "next.csv"
-            drive_again(flags.drive, diagnosis.proposal.manoeuvre, more)
-            last = RunFolder.create(folder.path / "next", options | {"logs": [*options["logs"], str(more)]}, "diagnose")
-            log_with_it = read_log((*flags.logs, more), cut=flags.cut)
-            diagnosis = work(vehicle, log_with_it, flags.options, last, case, workers)
+            longer = diagnosis.drive_proposal(flags.drive, folder.path / "next.csv", cut=flags.cut)
+            last = RunFolder.create(folder.path / "next", options | {"logs": [*map(str, longer.paths)]}, "diagnose")
+            diagnosis = work(vehicle, longer, flags.options, last, case, workers)
         print(f"next: {next_step(diagnosis, last.path)}")
         return 0
 
@@ -124,8 +121,6 @@ def work(
     if case and diagnosis.evidence:
         print(f"closed loop: driving on {case.name}", flush=True)
         print_notes(unmodelled_effects(diagnosis.extended))
-        content["closed_loop"] = closed_loop(case, vehicle, diagnosis.extended)
-        folder.write_json("diagnosis", content)
-        print(closed_loop_table(folder.read_json("diagnosis")["closed_loop"]))
+        print(closed_loop_table(add_closed_loop(folder, case, diagnosis)))
     print(f"report: {write_diagnosis(folder)}")
     return diagnosis

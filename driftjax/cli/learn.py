@@ -8,9 +8,9 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, early_flags, parse, print_notes, progress, run_in
-from driftjax.core import BadInput, from_dict, merge_config, read_yaml
+from driftjax.core import BadInput, from_dict, read_yaml
 from driftjax.core.config import to_dict
-from driftjax.learning.config import LearnConfig, load_learn_config
+from driftjax.learning.config import LearnConfig, complete_learn_config
 from driftjax.learning.run import check_files, learn
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle, unmodelled_effects
@@ -57,10 +57,9 @@ def _positive(flag: str, text: str | None) -> int | None:
 
 
 def defaults(car: str | None, file: str | None) -> LearnConfig:
-    """Return the car's shipped options updated by the YAML `file`."""
+    """Return the options of the YAML `file`, completed by the shipped ones of `car`, else of the car that it names."""
     written = read_yaml(Path(file)) if file else {}
-    base = to_dict(load_learn_config(car or str(written.get("car", "sedan"))))
-    return from_dict(LearnConfig, merge_config(base, written), file or "defaults")
+    return complete_learn_config(written | ({"car": car} if car else {}), file or "defaults")
 
 
 def work(config: LearnConfig, folder: RunFolder, workers: int | None) -> int:

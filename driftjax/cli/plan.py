@@ -8,12 +8,12 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, early_flags, parse, print_notes, run_in
-from driftjax.core import RESULTS, from_dict, read_yaml
+from driftjax.core import RESULTS, read_yaml
 from driftjax.core.config import to_dict
-from driftjax.planner import PlanConfig, load_plan_config
+from driftjax.planner import PlanConfig
 from driftjax.planner import plan as solve
-from driftjax.planner.dataset import plan_dataset, write_plan_csv
-from driftjax.report import write_plan_figures
+from driftjax.planner.config import complete_plan_config
+from driftjax.report import save_plan
 from driftjax.store import RunFolder
 from driftjax.track import Track, check_width, load_track
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
@@ -51,21 +51,17 @@ def run(argv: list[str]) -> int:
 
 
 def defaults(car: str | None, file: str | None) -> Plan:
-    """Return the car's shipped options updated by the YAML `file`."""
+    """Return the options of the YAML `file`, completed by the shipped ones of `car`, else of the car that it names."""
     written = read_yaml(Path(file)) if file else {}
-    car = car or str(written.pop("car", "sedan"))
+    car = car or str(written.get("car", "sedan"))
     vehicle, track = (Path(str(written.pop(key, name))) for key, name in (("vehicle", car), ("track", f"{car}_corner")))
-    options = to_dict(load_plan_config(car)) | {key: value for key, value in written.items() if key != "car"}
-    return Plan(from_dict(PlanConfig, options, file or "defaults"), vehicle, track, car)
+    return Plan(complete_plan_config(written | {"car": car}, file or "defaults"), vehicle, track, car)
 
 
 def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunFolder) -> int:
     """Plan into `folder`; returns 1 if the plan is not valid."""
     plan = solve(track, vehicle, options)
-    data = plan_dataset(plan, track, vehicle.name)
-    folder.write_dataset("plan.nc", data)
-    write_plan_csv(folder.path / "plan.csv", data)
-    write_plan_figures(data, folder.path)
+    save_plan(plan, track, vehicle, folder.path)
     print(f"lap time {float(plan.lap_time):.3f} s after {int(plan.num_steps)} iterations", end=", ")
     print(f"optimality {float(plan.kkt):.1e}, violation {float(plan.violation):.1e}")
     print("drift: " + (", ".join(f"{a:.4g} to {b:.4g} m" for a, b in plan.drift_intervals()) or "none"))

@@ -8,7 +8,7 @@ import tyro
 
 from driftjax.cli.console import parse
 from driftjax.core import BadInput, require
-from driftjax.report import write_comparison, write_diagnosis, write_report
+from driftjax.report import write_page
 from driftjax.report.drives import film_pairs, run_drives, shown_together, shown_vehicle
 from driftjax.store import RunFolder
 
@@ -61,13 +61,7 @@ def open_report(folder: RunFolder) -> int:
     """Open report.html, written first where it is missing."""
     page = folder.path / "report.html"
     if not page.is_file():
-        writers = {"learn": write_report, "diagnose": write_diagnosis, "compare": write_comparison}
-        if folder.verb not in writers:
-            raise BadInput(
-                f"{folder.path}: a run of `driftjax {folder.verb}` has no report.html; "
-                "take one of learn, diagnose or compare."
-            )
-        page = writers[folder.verb](folder)
+        write_page(folder)
     opened = webbrowser.open(page.resolve().as_uri())
     print(f"report: {page}" if opened else f"report: {page} (no browser was found here; open this file in one)")
     return 0

@@ -6,8 +6,8 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import parse
-from driftjax.core import BadInput, from_dict
-from driftjax.report import results_table, write_comparison, write_diagnosis, write_plan_figures, write_report
+from driftjax.core import from_dict
+from driftjax.report import results_table, write_page, write_plan_figures
 from driftjax.store import RunFolder
 
 
@@ -25,18 +25,10 @@ def run(argv: list[str]) -> int:
     if folder.verb == "plan":
         print("\n".join(map(str, write_plan_figures(folder.read_dataset("plan.nc"), folder.path))))
         return 0
-    if folder.verb == "diagnose":
-        print(f"report: {write_diagnosis(folder)}")
-        return 0
-    if folder.verb == "compare":
-        print(f"report: {write_comparison(folder)}")
-        return 0
     if folder.verb == "paper":
         return _paper(folder)
-    if folder.verb != "learn":
-        raise BadInput(f"{folder.path}: a run of `driftjax {folder.verb}` has no report; run that verb again.")
-    page = write_report(folder)
-    if folder.has("results.json"):
+    page = write_page(folder)
+    if folder.verb == "learn" and folder.has("results.json"):
         print(results_table(folder.read_json("results")))
     print(f"report: {page}")
     return 0

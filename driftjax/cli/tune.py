@@ -7,15 +7,12 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import default_out, early_flags, parse, progress, run_in
-from driftjax.core import from_dict, merge_config, read_yaml, require_at_least
+from driftjax.core import read_yaml, require_at_least
 from driftjax.core.config import to_dict
-from driftjax.learning.config import load_learn_config
 from driftjax.learning.run import check_files
 from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
-from driftjax.tune.config import TuneConfig
-
-QUICK = {"training": 1, "held_out": 2, "budget": 12}
+from driftjax.tune.config import QUICK, TuneConfig, complete_tune_config
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,11 +47,9 @@ def run(argv: list[str]) -> int:
 
 
 def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
-    """Return the car's shipped options, reduced where `quick`, updated by the YAML `file`."""
-    written = read_yaml(Path(file)) if file else {}
-    learn = load_learn_config(car or str((written.get("learn") or {}).get("car", "sedan")))
-    base = to_dict(TuneConfig(learn=learn)) | (QUICK if quick else {})
-    return from_dict(TuneConfig, merge_config(base, written), file or "defaults")
+    """Return the options of the YAML `file`, completed by QUICK where `quick`, and by the shipped ones."""
+    written = (QUICK if quick else {}) | (read_yaml(Path(file)) if file else {})
+    return complete_tune_config(written, file or "defaults", car)
 
 
 def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:

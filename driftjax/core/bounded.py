@@ -19,7 +19,7 @@ WORST = 1e30  # takes the place of a value that is not finite, so that the line 
 
 
 def _solver(function: Callable, **options: Any) -> Any:
-    """Return the L-BFGS-B of jaxopt, loaded here since it loads numba and SciPy, which takes seconds."""
+    """Return the L-BFGS-B of jaxopt, loaded here since it loads SciPy and, where installed, numba: a second or two."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "JAXopt is no longer maintained", DeprecationWarning)
         from jaxopt import LBFGSB

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from driftjax.core import BadInput
 from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects
 from driftjax.diagnosis.figure_data import figure_data
 from driftjax.diagnosis.findings import Comparison, Findings, describe_errors
@@ -30,7 +31,8 @@ from driftjax.diagnosis.unknown import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
-from driftjax.logs import Log
+from driftjax.logs import Log, read_log
+from driftjax.manoeuvres.truth import drive_again
 from driftjax.parallel import process_executor
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
@@ -115,6 +117,19 @@ class Diagnosis:
             return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
         effects = retuned_effects(problem)
         return extended_car(self.vehicle, problem, effects, self.evidence.retuned.theta, last.nominal_scores)
+
+    def drive_proposal(self, truth: Path, path: Path, *, cut: float | None = None) -> Log:
+        """Drive the proposed manoeuvre on the simulated car that the file `truth` describes, and write it to `path`.
+
+        Returns the log of the diagnosis read anew, with that run, as `read_log` does. Raises `BadInput` where nothing
+        is proposed, or where the log came from no file.
+        """
+        if self.proposal is None:
+            raise BadInput("This diagnosis proposes no manoeuvre; there is nothing to drive.")
+        if not self.log.paths:
+            raise BadInput("The log of this diagnosis came from no file; write it with write_log, and read that.")
+        drive_again(truth, self.proposal.manoeuvre, path)
+        return read_log((*self.log.paths, path), cut=cut)
 
     def describe_errors(self) -> Findings | None:
         """Compute residual forces, kinematic parity, open-loop errors and all else that figures draw."""

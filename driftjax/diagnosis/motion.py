@@ -77,6 +77,35 @@ def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Arr
     return x, aligned.valid * beside[:-2] * beside[2:]
 
 
+class _Windows(NamedTuple):
+    """Consecutive windows of `W` samples: `num` rows, of which the run of `last` + 1 samples may hold fewer."""
+
+    W: Array
+    num: int
+    last: int
+    duration: Array  # of a window [s]
+    starts: Array  # (num,) first samples
+    ends: Array  # (num,) those of the next windows
+
+    def change(self, f: Array) -> Array:
+        """Return the mean rate of change of `f` (samples,) in every window."""
+        return (f[self.ends] - f[self.starts]) / self.duration
+
+    def mean(self, f: Array) -> Array:
+        """Return the mean of `f` (samples,) in every window, by the trapezoidal rule."""
+        return jax.ops.segment_sum((f[1:] + f[:-1]) / 2, jnp.arange(self.last) // self.W, self.num) / self.W
+
+    def slope(self, f: Array) -> Array:
+        """Return the change of `f` (num,) from window to window."""
+        return central_difference_of_first(f, self.last // self.W)
+
+
+def _consecutive(W: Array, num: int, last: int, duration: Array) -> _Windows:
+    """Return the windows of a run of `last` + 1 samples."""
+    starts, ends = (jnp.minimum(k * W, last) for k in (jnp.arange(num), jnp.arange(num) + 1))
+    return _Windows(W, num, last, duration, starts, ends)
+
+
 def motion_residuals(
     model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: Array, room: int, dt: float
 ) -> Residuals:
@@ -86,15 +115,12 @@ def motion_residuals(
     """
     model = model.with_parameters(theta)
     (V, beta, r), known = true_motion(model, run, dt)
-    n, T, last = room, W * dt, len(V) - 1
-    starts, ends = (jnp.minimum(k * W, last) for k in (jnp.arange(n), jnp.arange(n) + 1))
-    change = lambda f: (f[ends] - f[starts]) / T
-    mean = lambda f: jax.ops.segment_sum((f[1:] + f[:-1]) / 2, jnp.arange(last) // W, n) / W
-    slope = lambda f: central_difference_of_first(f, last // W)
+    windows = _consecutive(W, room, len(V) - 1, W * dt)
+    n, T, change, mean, slope = room, windows.duration, windows.change, windows.mean, windows.slope
     psi, x, y, ax, ay = motion.y.T
     vx, vy, turned = V * jnp.cos(beta), V * jnp.sin(beta), psi + beta
     across = jnp.stack([-V * jnp.sin(turned), V * jnp.cos(turned)])  # the velocity turned left by 90 degrees
-    middle = psi[jnp.minimum(starts + W // 2, last)]
+    middle = psi[jnp.minimum(windows.starts + W // 2, windows.last)]
     body = lambda f: jnp.stack([f[0] * jnp.cos(middle) + f[1] * jnp.sin(middle),
                                 f[1] * jnp.cos(middle) - f[0] * jnp.sin(middle)])  # fmt: skip
     moved = body(jnp.stack([change(x) - mean(across[1]), change(y) + mean(across[0])]))

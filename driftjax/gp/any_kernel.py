@@ -8,6 +8,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve, solve_triangular
@@ -61,8 +62,8 @@ def _likelihood(K: Array, y: Array) -> tuple[Array, Array, Array]:
 @eqx.filter_jit
 def fit_kernel(
     kernel: Kernel,
-    Z: Float[Array, "n nf"],
-    y: Float[Array, " n"],
+    Z: Float[Array | np.ndarray, "n nf"],
+    y: Float[Array | np.ndarray, " n"],
     lower: PyTree,
     upper: PyTree,
     *,
@@ -80,6 +81,7 @@ def fit_kernel(
     `tolerance`. `result` is that of the best start: `not_positive_definite` where the covariance has no Cholesky factor
     at any, `non_finite` where data or kernel are not finite, or the result of `minimise_within`.
     """
+    Z, y = jnp.asarray(Z), jnp.asarray(y)
     low, unravel = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (lower, noise[0])))
     high, _ = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (upper, noise[1])))
     natural = lambda x: jax.tree.map(jnp.exp, unravel(x))

@@ -1,13 +1,15 @@
 """Options of `driftjax learn`."""
 
+import functools
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from driftjax.control.driver import SwitchConfig
 from driftjax.control.mpc import MPCConfig, Weights
 from driftjax.control.pursuit import PursuitConfig
-from driftjax.core import find_config, from_dict, read_yaml, require, require_at_least, require_positive
+from driftjax.core import find_config, from_dict, merge_config, read_yaml, require, require_at_least, require_positive
+from driftjax.core.config import to_dict
 from driftjax.sim import LapConfig
 
 Controller = Literal["path", "paper"]
@@ -164,8 +166,22 @@ class LearnConfig:
 
 
 def load_learn_config(name: str | Path) -> LearnConfig:
-    """Read a learn YAML: a path, or the name of a shipped one (`sedan`, `rc`)."""
+    """Load options of `learn`: a shipped name (`sedan`, `rc`, `dart`), or a YAML of what differs from its car's.
+
+    A YAML names its car by the key `car`; without it the car is the sedan.
+    """
     path = find_config("learn", name)
+    return complete_learn_config(read_yaml(path), str(path))
+
+
+def complete_learn_config(options: dict[str, Any], where: str) -> LearnConfig:
+    """Complete `options` of `learn` by the shipped ones of the car that they name; `where` names them in errors."""
+    return from_dict(LearnConfig, merge_config(to_dict(_shipped(str(options.get("car", "sedan")))), options), where)
+
+
+@functools.cache  # a sweep asks for the same ones at every trial
+def _shipped(car: str) -> LearnConfig:
+    path = find_config("learn", car)
     return from_dict(LearnConfig, read_yaml(path), str(path))
 
 

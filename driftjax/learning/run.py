@@ -61,7 +61,7 @@ def check_files(config: LearnConfig) -> None:
     """Read every file that `config` names; raises `BadInput` before anything is written."""
     vehicle, track = load_vehicle(config.vehicle), load_track(config.track)
     check_width(track, vehicle.width, str(config.track))
-    load_plan_config(config.plan)
+    load_plan_config(config.plan, config.car)
     load_sensors(config.sensors)
     load_plants(config.plant)
     if not config.plant:

@@ -105,7 +105,7 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
     """
     vehicle = load_vehicle(config.vehicle).with_combined_slip(config.combined_slip) if vehicle is None else vehicle
     track = load_track(config.track)
-    lap = plan(track, vehicle, load_plan_config(config.plan))
+    lap = plan(track, vehicle, load_plan_config(config.plan, config.car))
     if not bool(lap.result == RESULTS.successful):
         raise BadInput(
             f"{config.track}: no minimum-time plan was found with the options {config.plan} "

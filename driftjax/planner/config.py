@@ -3,8 +3,10 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from driftjax.core import find_config, from_dict, read_yaml, require, require_at_least, require_positive
+from driftjax.core.config import to_dict
 from driftjax.vehicle import VehicleConfig
 
 
@@ -99,7 +101,21 @@ class PlanConfig:
         )
 
 
-def load_plan_config(name: str | Path) -> PlanConfig:
-    """Load planner options from a YAML: a path, or a shipped name (`sedan`, `rc`)."""
+def load_plan_config(name: str | Path, car: str = "sedan") -> PlanConfig:
+    """Load options of the planner: a shipped name (`sedan`, `rc`, `dart`), or a YAML of what differs from its car's.
+
+    A YAML names its car by the key `car`; without it, it is `car`.
+    """
     path = find_config("plan", name)
-    return from_dict(PlanConfig, read_yaml(path), str(path))
+    return complete_plan_config({"car": car} | read_yaml(path), str(path))
+
+
+def complete_plan_config(options: dict[str, Any], where: str) -> PlanConfig:
+    """Complete `options` of the planner by the shipped ones of the car that they name; `where` names them in errors."""
+    path = find_config("plan", str(options.get("car", "sedan")))
+    shipped = from_dict(PlanConfig, _without_car(read_yaml(path)), str(path))
+    return from_dict(PlanConfig, to_dict(shipped) | _without_car(options), where)
+
+
+def _without_car(options: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in options.items() if key != "car"}

@@ -155,12 +155,9 @@ def _worth_together(content: dict[str, Any]) -> str:
     return f"{', '.join(names)}: together {words}."
 
 
-def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
-    """Return a named effect: what it is, its parameters, how sure it is, and what looks like it."""
-    name, key = cause["effect"], f"diagnosis.json: causes[{place}]"
-    known = EFFECTS.get(name)
-    parts = [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}.")] if known else []
-    rows = []
+def _parameter_rows(cause: dict[str, Any], key: str) -> list[list[str | Cell]]:
+    """Return a row per parameter: value, interval, and whether it is at its bound."""
+    rows: list[list[str | Cell]] = []
     for parameter, one in cause["parameters"].items():
         words = with_interval(one["value"], one["ci95"], ".4g")
         rows.append(
@@ -170,6 +167,15 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
                 "yes" if one.get("at_bound") else "no",
             ]
         )
+    return rows
+
+
+def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
+    """Return a named effect: what it is, its parameters, how sure it is, and what looks like it."""
+    name, key = cause["effect"], f"diagnosis.json: causes[{place}]"
+    known = EFFECTS.get(name)
+    parts = [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}.")] if known else []
+    rows = _parameter_rows(cause, key)
     rows.append(["probability", Cell(f"{cause['probability']:.2f}", f"{key}.probability", cause["probability"]), ""])
     rows.append(["p-value", Cell(f"{cause['p_value']:.2g}", f"{key}.p_value", cause["p_value"]), ""])
     if "share" in cause:

@@ -1,4 +1,4 @@
-"""Plot the minimum-time plan: its drifts on the track, and its states."""
+"""Files of a minimum-time plan: dataset, table, and figures of its drifts on the track and of its states."""
 
 from pathlib import Path
 
@@ -7,7 +7,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from driftjax.planner import Plan
+from driftjax.planner.dataset import plan_dataset, write_plan_csv
 from driftjax.report.style import DRIFT, NORMAL, ORANGE, equal_axes, new_figure, save, shade
+from driftjax.store.files import write_netcdf
+from driftjax.track import Track
+from driftjax.vehicle import VehicleConfig
 
 
 def flagged_spans(flags: np.ndarray, s: np.ndarray) -> list[tuple[float, float]]:
@@ -70,3 +75,17 @@ def plot_states(plan: xr.Dataset) -> Figure:
 def write_plan_figures(plan: xr.Dataset, folder: Path) -> list[Path]:
     """Write `plan_trajectory` and `plan_states` as PNG and PDF; returns the paths of the PNGs."""
     return [save(plot_trajectory(plan), folder, "plan_trajectory"), save(plot_states(plan), folder, "plan_states")]
+
+
+def save_plan(plan: Plan, track: Track, vehicle: VehicleConfig, folder: str | Path) -> Path:
+    """Write plan.nc, plan.csv and figures of the `plan` of `vehicle` along `track` into `folder`; returns the folder.
+
+    Both files hold the plan's nodes in SI units and radians, left positive; plan.nc also holds track and path.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    data = plan_dataset(plan, track, vehicle.name)
+    write_netcdf(folder / "plan.nc", data)
+    write_plan_csv(folder / "plan.csv", data)
+    write_plan_figures(data, folder)
+    return folder

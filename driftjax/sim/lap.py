@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -125,6 +126,35 @@ def _judge(plant: AnyPlant, state: Any, command: Control, path: Track, s: Array,
     return s, e, motion, jnp.where(finite, code, int(LapCode.NON_FINITE))
 
 
+def _at_start(plants: AnyPlant, paths: Track, speed: Array, memory: Any) -> _Carry:
+    """Return a batch of cars that roll along their paths' first points."""
+    x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
+    state = vmap_batch(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
+    zero = jnp.zeros_like(speed)
+    return _Carry(state, Control(zero, zero), zero, zero, jnp.full(speed.shape, int(LapCode.RUNNING)), memory)
+
+
+def _sense(sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, key: Array):
+    """Return the motion of one batch entry, and what its sensors say of it; its last arc length was `s`."""
+    motion = plant.motion(state, command)
+    m = measure(plant.sensor_reading(state, motion), sensors, key=key)
+    s, e = path.project(m.x, m.y, s)
+    return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
+
+
+def _scan_laps(step: Callable[[_Carry, Array], tuple[_Carry, Trace]], carry: _Carry, num: int) -> tuple[_Carry, Trace]:
+    """Take `num` steps, of which those after the end of the last lap cost nothing and leave zeros."""
+    steps = jnp.arange(num)
+    shapes = jax.eval_shape(lambda c: step(c, steps[0])[1], carry)
+    blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+    def step_or_rest(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
+        anyone = jnp.any(carry.code == int(LapCode.RUNNING))
+        return jax.lax.cond(anyone, step, lambda c, _: (c, blank), carry, k)
+
+    return jax.lax.scan(step_or_rest, carry, steps)
+
+
 def drive(
     plants: AnyPlant,
     paths: Track,
@@ -144,22 +174,13 @@ def drive(
     continue. The noise of an entry depends on its own key only, so that a batch equals its single laps.
     """
     step_time = as_float(dt)
-    x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
-    state = vmap_batch(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
-    zero = jnp.zeros_like(speed)
-    carry = _Carry(state, Control(zero, zero), zero, zero, jnp.full(speed.shape, int(LapCode.RUNNING)), memory)
-
-    def sense(plant, state, command, path, s, key):
-        motion = plant.motion(state, command)
-        m = measure(plant.sensor_reading(state, motion), sensors, key=key)
-        s, e = path.project(m.x, m.y, s)
-        return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
+    sense = vmap_batch(partial(_sense, sensors))
 
     @jax.jit  # traced once for its shapes and for the scan
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
         key = vmap_batch(lambda one: jax.random.fold_in(one, k))(keys)
-        found: tuple[Motion, Sensed] = vmap_batch(sense)(plants, carry.plant, carry.command, paths, carry.s, key)
+        found: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
         motion, sensed = found
         command, memory, decision = policy(sensed, carry.memory, alive)
         advance = vmap_batch(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
@@ -171,14 +192,7 @@ def drive(
         trace = Trace(alive, sensed, *motion[:6], now_s, now_e, motion.delta, motion.Fxr, command, decision)
         return new, trace
 
-    steps = jnp.arange(max(1, round(config.time_limit / dt)))  # 0.3 / 0.1 is below 3
-    shapes = jax.eval_shape(lambda c: step(c, steps[0])[1], carry)
-    blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
-
-    def step_or_rest(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
-        anyone = jnp.any(carry.code == int(LapCode.RUNNING))
-        return jax.lax.cond(anyone, step, lambda c, _: (c, blank), carry, k)
-
-    last, trace = jax.lax.scan(step_or_rest, carry, steps)
+    num = max(1, round(config.time_limit / dt))  # 0.3 / 0.1 is below 3
+    last, trace = _scan_laps(step, _at_start(plants, paths, speed, memory), num)
     code = jnp.where(last.code == int(LapCode.RUNNING), int(LapCode.TIMEOUT), last.code)
     return Laps(jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), trace), code, step_time)

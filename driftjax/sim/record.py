@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from driftjax.core import Control, State
@@ -96,15 +97,8 @@ def specific_force(plant: Universal, x: State, dx: State, u: Control, place: Pla
     return jnp.stack([dx.V * cos - turn * sin - along, dx.V * sin + turn * cos - left])
 
 
-def record(
-    plant: Universal, vehicle: VehicleConfig, manoeuvre: Manoeuvre, conditions: Conditions, key: Array, dt: float,
-    substeps: int = 10,
-) -> Recording:  # fmt: skip
-    """Record one run of `manoeuvre` at sample time `dt` [s] with `substeps` plant steps per sample."""
-    h = dt / substeps
-    lower, upper, rate = vehicle.command_limits()
-    nominal = vehicle.build()
-    smooth = 1 - jnp.exp(-dt / (FILTER * plant.base.unit_time))
+def _settled_start(plant: Universal, manoeuvre: Manoeuvre, lower: ArrayLike, upper: ArrayLike, h: float) -> _Now:
+    """Return the car in the first state of `manoeuvre`, its actuators settled at the first command, within limits."""
     first = State(*manoeuvre.x_ref[0])
     u0 = jnp.clip(manoeuvre.u_ref[0], lower, upper)
 
@@ -116,7 +110,19 @@ def record(
     place, still = Place(zero, zero, zero, zero), State(zero, zero, zero)
     lagged, past = steady_lagged_state(plant, first, acting, place), delay_buffer(plant, first, h)
     car = Travel(first, lagged, memory, place, jnp.zeros(2), zero, still, acting, past, jnp.asarray(h))
-    start = _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3), specific_force(plant, first, still, acting, place))
+    return _Now(car, manoeuvre.x_ref[0], u0, jnp.zeros(3), specific_force(plant, first, still, acting, place))
+
+
+def record(
+    plant: Universal, vehicle: VehicleConfig, manoeuvre: Manoeuvre, conditions: Conditions, key: Array, dt: float,
+    substeps: int = 10,
+) -> Recording:  # fmt: skip
+    """Record one run of `manoeuvre` at sample time `dt` [s] with `substeps` plant steps per sample."""
+    h = dt / substeps
+    lower, upper, rate = vehicle.command_limits()
+    nominal = vehicle.build()
+    smooth = 1 - jnp.exp(-dt / (FILTER * plant.base.unit_time))
+    start = _settled_start(plant, manoeuvre, lower, upper, h)
 
     def step(now: _Now, row):
         x_ref, u_ref, noise, kick = row

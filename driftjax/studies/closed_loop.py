@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from driftjax.core import BadInput, read_yaml
+from driftjax.diagnosis.diagnose import Diagnosis
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
 from driftjax.learning.scenario import build, route_of
@@ -17,6 +18,7 @@ from driftjax.manoeuvres.truth import read_truth
 from driftjax.parallel import num_workers, process_executor
 from driftjax.report import CLOSED_LOOP
 from driftjax.sim import AnyPlant, LapCode, batch_of, load_any_plant, plant_of
+from driftjax.store import RunFolder
 from driftjax.track import load_track
 from driftjax.vehicle import VehicleConfig
 
@@ -79,6 +81,13 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
     compared = compare_laps(laps["nominal"], laps["extended"]) if len(laps) == 2 else None
     return {"plant": case.name, "corner": case.config.car, "controller": "path", "models": models_content,
             "difference": compared}  # fmt: skip
+
+
+def add_closed_loop(run: RunFolder, case: ClosedLoopCase, diagnosis: Diagnosis) -> dict[str, Any]:
+    """Drive the laps of `closed_loop` for a `diagnosis` saved in `run`, and add them to its diagnosis.json."""
+    laps = closed_loop(case, diagnosis.vehicle, diagnosis.extended)
+    run.write_json("diagnosis", run.read_json("diagnosis") | {"closed_loop": laps})
+    return run.read_json("diagnosis")["closed_loop"]
 
 
 def summarise_laps(stage: StageResult) -> dict[str, Any]:

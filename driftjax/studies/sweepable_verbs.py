@@ -1,6 +1,5 @@
 """Verbs that a sweep can run: how their options are completed, and their results as rows."""
 
-import functools
 import json
 import shutil
 from collections.abc import Iterator
@@ -8,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import find_config, from_dict, merge_config, require
+from driftjax.core import find_config, from_dict, require
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
-from driftjax.learning.config import LearnConfig, files_of, load_learn_config
+from driftjax.learning.config import LearnConfig, complete_learn_config, files_of, load_learn_config
 from driftjax.learning.run import drive_stages
 from driftjax.learning.scenario import Route, build, route_of
 from driftjax.learning.stages import first_progress
@@ -28,15 +27,9 @@ from driftjax.vehicle import load_vehicle
 Options = dict[str, Any]
 
 
-@functools.cache
-def _shipped(car: str) -> str:
-    return json.dumps(to_dict(load_learn_config(car)))
-
-
 def complete_learn(options: Options) -> Options:
     """Complete options of `learn` with the car's shipped ones."""
-    base = json.loads(_shipped(str(options.get("car", "sedan"))))
-    return to_dict(from_dict(LearnConfig, merge_config(base, options), "a trial"))
+    return to_dict(complete_learn_config(options, "a trial"))
 
 
 def learn_files(config: Options) -> list[Path]:

@@ -1,13 +1,17 @@
 """Options of `driftjax tune`."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from driftjax.core import require, require_at_least
-from driftjax.learning.config import LearnConfig
+from driftjax.core import from_dict, require, require_at_least
+from driftjax.core.config import to_dict
+from driftjax.learning.config import LearnConfig, complete_learn_config
 from driftjax.tune.parameters import NAMES
+
+QUICK = {"training": 1, "held_out": 2, "budget": 12}  # shows that it runs, and measures nothing
 
 
 @dataclass(frozen=True)
@@ -62,3 +66,11 @@ class TuneConfig:
     def box(self) -> Float[np.ndarray, " 6"]:
         """Largest magnitude of each parameter, a logarithm of a factor [-]."""
         return np.log([self.lead if name == "lead" else self.weights for name in NAMES])
+
+
+def complete_tune_config(options: dict[str, Any], where: str, car: str | None = None) -> TuneConfig:
+    """Complete `options` of `tune` by the shipped ones of `car`, else of the car that they name; `where` names them."""
+    learn = options.get("learn") or {}
+    require(isinstance(learn, dict), f"{where}: key 'learn' is {learn!r}; it needs keys of its own.")
+    whole = complete_learn_config(learn | ({"car": car} if car else {}), f"{where}: key 'learn'")
+    return from_dict(TuneConfig, options | {"learn": to_dict(whole)}, where)

@@ -63,7 +63,7 @@ class FoundNoise:
 
 @dataclass(frozen=True)
 class VehicleConfig:
-    """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables I and II), and named effects."""
+    """Parameters of the nominal car and its command limits (Wu et al. 2025, Tables II and III), and named effects."""
 
     name: str
     """Name of the car, for titles and file names."""

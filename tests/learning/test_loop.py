@@ -1,13 +1,17 @@
-"""The `learn` verb from flags to report: it learns, goes on after a kill, and a batch equals its single laps."""
+"""Learning from options to report: it learns, goes on after a kill, and a batch equals its single laps."""
 
 import dataclasses
+import runpy
 import shutil
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from driftjax.cli import main
+from driftjax.cli.console import parse
+from driftjax.cli.learn import Learn, defaults
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
@@ -22,21 +26,26 @@ SEDAN = load_learn_config("sedan")
 CONFIG = dataclasses.replace(
     SEDAN, plants=2, seed=3, compare=False, gpr_laps=1, explore=dataclasses.replace(SEDAN.explore, laps=1)
 )
-FLAGS = "--plants 2 --seed 3 --no-compare --gpr-laps 1 --explore.laps 1 --workers 1".split()
+FLAGS = "--plants 2 --seed 3 --no-compare --gpr-laps 1 --explore.laps 1".split()
+EXAMPLE = Path(__file__).parents[2] / "experiments" / "examples" / "learn.py"
 STAGES = ["nominal", "gpr-1", "gpr-best", "explore-1", "explore-best"]
 quiet = lambda stage, done, of: None
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The run folder that the command line leaves."""
+    """The run folder that the example leaves, and the command line with it: all stages are there already."""
     path = tmp_path_factory.mktemp("runs") / "whole"
-    assert main(["learn", *FLAGS, "--out", str(path)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", [str(EXAMPLE), str(path)])
+        left = runpy.run_path(str(EXAMPLE), run_name="__main__")
+    assert left["run"].laps.lateral_error.dims[0] == "stage"
+    assert main(["learn", "--resume", str(path), "--workers", "1"]) == 0
     folder = RunFolder.open(path)
     return folder, folder.read_json("results")
 
 
-def test_the_verb_leaves_a_whole_run_folder(finished, capsys):
+def test_the_example_and_the_verb_leave_a_whole_run_folder(finished, capsys):
     folder, results = finished
     assert folder.config == to_dict(CONFIG) and folder.finished() == STAGES
     assert [stage["name"] for stage in results["stages"]] == STAGES
@@ -45,6 +54,10 @@ def test_the_verb_leaves_a_whole_run_folder(finished, capsys):
     assert folder.read_dataset("plan.nc").attrs["violation"] < 1e-6 and folder.has("laps.nc")
     assert main(["runs", "--root", str(folder.path.parent)]) == 0
     assert "5 stages" in capsys.readouterr().out
+
+
+def test_flags_give_the_options_of_the_example():
+    assert parse(Learn, [*FLAGS], "driftjax learn", Learn(defaults(None, None))).options == CONFIG
 
 
 def test_laps_are_driven_to_their_end_sideways(finished):

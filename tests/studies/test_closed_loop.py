@@ -21,7 +21,15 @@ from driftjax.logs import Run, write_log
 from driftjax.manoeuvres.campaign import Campaign
 from driftjax.sim import LapCode
 from driftjax.sim.universal_plant import UniversalPlant
-from driftjax.studies.closed_loop import closed_loop, compare_laps, load_case, summarise_laps, without_estimates
+from driftjax.store import RunFolder
+from driftjax.studies.closed_loop import (
+    add_closed_loop,
+    closed_loop,
+    compare_laps,
+    load_case,
+    summarise_laps,
+    without_estimates,
+)
 from driftjax.vehicle import DoubleTrack, Extended, actuator_lags, build_car, load_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue
 
@@ -142,6 +150,18 @@ def test_data_that_say_nothing_are_not_driven():
     write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
     assert main(["diagnose", "short.csv", "--closed-loop", truth(), "--out", "short"]) == 0
     assert json.loads(Path("short/diagnosis.json").read_text())["closed_loop"] is None
+
+
+def test_the_laps_join_a_saved_diagnosis(here, monkeypatch):
+    monkeypatch.setattr(
+        "driftjax.studies.closed_loop.closed_loop", lambda *given: {"plant": given[0], "pair": given[1:]}
+    )
+    folder, diagnosis = RunFolder.create(here / "run", {}, "diagnose"), SimpleNamespace(vehicle="old", extended="new")
+    folder.write_json("diagnosis", {"verdict": "NAMED", "closed_loop": None})
+    case: Any = "case"
+    laps = add_closed_loop(folder, case, diagnosis)  # pyright: ignore[reportArgumentType]
+    assert laps == {"plant": "case", "pair": ["old", "new"]}
+    assert folder.read_json("diagnosis") == {"verdict": "NAMED", "closed_loop": laps}
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import binomtest
@@ -73,18 +73,39 @@ def foreign_measures(results: list[Result]) -> dict[str, Measure]:
     }
 
 
-def car_measures(results: list[Result]) -> dict[str, Measure]:
-    """Return the measures of one car with hidden effects."""
+class _Kinds(NamedTuple):
+    """Results of one car by what was hidden, and how."""
+
+    none: list[Result]
+    other: list[Result]  # nothing, with more or less sensor noise
+    single: list[Result]
+    quiet: list[Result]  # one effect, no process noise
+    weak: list[Result]
+    pair: list[Result]
+    absent: list[Result]
+    poor: list[Result]
+
+
+def _by_kind(results: list[Result]) -> _Kinds:
+    """Group the results of one car."""
     cases = [from_dict(Case, r["case"], "result") for r in results]
     pick = lambda f: [r for r, case in zip(results, cases, strict=True) if f(case)]
-    none = pick(lambda c: c.condition == "none" and c.noise == 1)
-    single = pick(lambda c: c.condition == "single" and c.scale == 1 and c.process_noise > 0)
-    quiet = pick(lambda c: c.condition == "single" and c.process_noise == 0)
-    weak = pick(lambda c: c.condition == "single" and c.scale < 1)
-    pair, absent = pick(lambda c: c.condition == "pair"), pick(lambda c: c.condition == "absent")
-    poor = pick(lambda c: c.condition == "poor")
+    return _Kinds(
+        none=pick(lambda c: c.condition == "none" and c.noise == 1),
+        other=pick(lambda c: c.condition == "none" and c.noise != 1),
+        single=pick(lambda c: c.condition == "single" and c.scale == 1 and c.process_noise > 0),
+        quiet=pick(lambda c: c.condition == "single" and c.process_noise == 0),
+        weak=pick(lambda c: c.condition == "single" and c.scale < 1),
+        pair=pick(lambda c: c.condition == "pair"),
+        absent=pick(lambda c: c.condition == "absent"),
+        poor=pick(lambda c: c.condition == "poor"),
+    )
+
+
+def car_measures(results: list[Result]) -> dict[str, Measure]:
+    """Return the measures of one car with hidden effects."""
+    none, other, single, quiet, weak, pair, absent, poor = _by_kind(results)
     sets, blind = ([r for r in poor if r["verdict"] == v and "after" in r] for v in ("SET", "DATA_INSUFFICIENT"))
-    other = pick(lambda c: c.condition == "none" and c.noise != 1)
     present = [*single, *quiet, *weak, *pair]
     table = {
         "nothing hidden: named something": rate(map(criteria.named_any, none), "<= 0.05"),

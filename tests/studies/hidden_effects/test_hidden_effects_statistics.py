@@ -2,16 +2,16 @@
 
 Run with `-m statistics`. DRIFTJAX_CASES (200) single effects are drawn, a fifth as many logs of nothing, pairs and
 effects that the catalogue lacks, half of all on each car, from a seed that is printed; DRIFTJAX_SEED repeats a run.
-Rates are appended, with seed, date and commit, as one line of JSON to the file that DRIFTJAX_STATISTICS names, or else
-to driftjax-statistics.jsonl in the folder for temporary files.
+Rates are appended, with seed, date and commit, as one line of JSON to docs/results/hidden-effects-statistics.jsonl, or
+to the file that DRIFTJAX_STATISTICS names. Whoever runs them commits the line: the documentation shows all of them.
 """
 
 import datetime
 import json
 import os
 import subprocess
-import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +26,9 @@ from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 pytestmark = pytest.mark.statistics
 
 CASES = int(os.environ.get("DRIFTJAX_CASES", 200))
-OUT = Path(os.environ.get("DRIFTJAX_STATISTICS", Path(tempfile.gettempdir()) / "driftjax-statistics.jsonl"))
+ROOT = Path(__file__).parents[3]
+SHIPPED = "docs/results/hidden-effects-statistics.jsonl"
+OUT = Path(os.environ.get("DRIFTJAX_STATISTICS", ROOT / SHIPPED))
 FEWER = CASES // 5  # of the other kinds
 RIGHT, WRONG = 0.90, 0.15  # least share of right names, largest of false ones
 LEVEL = 0.01  # chance that a kind of few cases fails at its nominal rate
@@ -46,19 +48,27 @@ def sample():
     """Results by condition."""
     seed = int(os.environ.get("DRIFTJAX_SEED", np.random.default_rng().integers(2**31)))
     print(f"DRIFTJAX_SEED={seed} DRIFTJAX_CASES={CASES}")
+    measured = origin()  # before the hours that follow, in which files may change
     found: dict[str, list[criteria.Result]] = {}
     for case in drawn(seed):
         result = examined(case, whole(case))
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s", flush=True)
         found.setdefault(case.condition, []).append(result)
-    record(seed, found)
+    record(measured, seed, found)
     return found
 
 
-def record(seed: int, found: dict[str, list[criteria.Result]]) -> None:
+def origin() -> dict[str, str | bool]:
+    """Date, commit, and whether tracked files differ from it; the file of results does not count."""
+    git = lambda *words: subprocess.run(["git", *words], capture_output=True, text=True, cwd=ROOT).stdout.strip()
+    changes = git("status", "--porcelain", "--untracked-files=no", "--", ".", f":!{SHIPPED}")
+    date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {"date": date, "commit": git("rev-parse", "HEAD"), "dirty": bool(changes)}
+
+
+def record(measured: dict[str, str | bool], seed: int, found: dict[str, list[criteria.Result]]) -> None:
     """Append the rates to the file of all runs."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent)
-    line = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "commit": commit.stdout.strip()}
+    line: dict[str, Any] = dict(measured)
     line |= {"seed": seed, "cases": {kind: len(results) for kind, results in found.items()}, "rates": rates(found)}
     OUT.parent.mkdir(parents=True, exist_ok=True)
     with OUT.open("a", encoding="utf-8") as stream:
