@@ -20,14 +20,14 @@ from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
-FIRST_DISTURBANCE = 0.5  # disturbance assumed before any is known, in measurement noise per second
-UNSEEN = 10.0  # bound of a disturbance, over the first one, whose own channel does not tell it
+FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
+UNSEEN = (0.05, 0.5)  # start and bound of a disturbance, over the first one, whose own channel does not tell it
 UNMEASURED = (
     0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
 )
 CORRELATION = 0.3  # and its correlation time [s]
 FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
-LINEAR_SLOW = 0.1  # below which they are searched linearly, in measurement noise
+LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first ones, below which variances are searched
 NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
@@ -37,7 +37,7 @@ LONGEST = 1.5  # longest step of any variable
 DAMPING = 1e-2  # of the first step, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
 LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
-PROMISE = 2e-3  # fall of twice the log-likelihood below which a step is not worth it
+PROMISE = 1e-2  # fall of twice the log-likelihood below which a step is not worth it
 
 Expansion = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
@@ -58,11 +58,11 @@ def robust_deviation(values: np.ndarray) -> float:
 
 def restricted_likelihood(
     noise: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
-) -> Float[Array, ""]:
+) -> tuple[Float[Array, ""], Float[Array, " K"]]:
     """Return minus twice the restricted log-likelihood of `noise` as `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
-    where `counts` (T, 3) is 1 do.
+    where `counts` (T, 3) is 1 do. The parameters that fit best under this noise are returned with it.
     """
     known = Noise.from_vector(noise)
 
@@ -82,37 +82,39 @@ def restricted_likelihood(
     factor = jnp.linalg.cholesky(H)
     b = jax.scipy.linalg.solve_triangular(factor, jnp.einsum("ptik,pti->k", J_w, e_w), lower=True)
     parameters = 2 * jnp.sum(jnp.log(jnp.diagonal(factor)))
-    return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters
+    theta = -jax.scipy.linalg.solve_triangular(factor, b, lower=True, trans=1)
+    return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters, theta
 
 
 class Scale(NamedTuple):
-    """Variables that the noise is searched in: logarithms of noise plus an offset."""
+    """Variables of the search: logarithms of variances, with an offset where they may vanish."""
 
     first: Float[Array, "11"]  # noise at variables 0
-    offset: Float[Array, "11"]  # noise below which a variable is linear in it: that of slow errors may vanish
+    offset: Float[Array, "11"]  # noise below which a variable is linear in the variance
 
     def variables(self, noise: Array) -> Array:
         """Return the variables of a noise vector."""
-        return jnp.log((noise + self.offset) / (self.first + self.offset))
+        return jnp.log((noise**2 + self.offset**2) / (self.first**2 + self.offset**2)) / 2
 
     def noise(self, x: Array) -> Array:
         """Return the noise vector of variables."""
-        return (self.first + self.offset) * jnp.exp(x) - self.offset
+        return jnp.sqrt((self.first**2 + self.offset**2) * jnp.exp(2 * x) - self.offset**2)
 
 
 def search_scale(first: Noise) -> Scale:
     """Return the variables of a search that begins at the noise `first`."""
     zero = np.zeros(3)
-    offset = Noise(zero, zero, 0.0, LINEAR_SLOW * first.sigma, 0.0)
+    offset = Noise(zero, LINEAR * first.disturbance, 0.0, LINEAR * first.sigma, 0.0)
     return Scale(jnp.asarray(first.as_vector()), jnp.asarray(offset.as_vector()))
 
 
 def information_of_noise(
     x: Float[Array, "11"], scale: Scale, steps: Steps, e: Array, L: Array, dt: float, counts: Array
 ) -> Float[Array, "11 11"]:
-    """Return half the expected curvature of `restricted_likelihood` by the variables (Ljung 1999, Eq. 9.29 and 7.88).
+    """Return half the expected curvature of `restricted_likelihood` by the variables, of known parameters.
 
-    It is that of known parameters. That of the innovations' derivatives is taken from these innovations.
+    Ljung 1999, Eq. 9.29 and 7.88. That of the innovations' derivatives is taken from `e`, which should hold nothing
+    that the car gets wrong.
     """
 
     def whitened(x, steps, e, L):
@@ -131,12 +133,17 @@ def information_of_noise(
     return jnp.sum(jax.vmap(piece)(steps, e, L), axis=0)
 
 
-def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, L: Array, dt: float, counts: Array):
+def _derivatives(steps: Steps, gains: Gains, dt: float) -> Array:
+    return jax.vmap(lambda steps, gains: propagate_derivatives(steps, gains, dt))(steps, gains)
+
+
+def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Array, dt: float, counts: Array):
     """Return `restricted_likelihood`, its gradient, and `information_of_noise`, that of some pieces for all."""
     value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, counts)
-    some, measured = jax.tree.map(lambda a: a[::EVERY], (steps, e, L)), jnp.sum(steps.valid)
+    (cost, theta), slope = jax.value_and_grad(value, has_aux=True)(x)
+    some, measured = jax.tree.map(lambda a: a[::EVERY], (steps, e + J @ theta, L)), jnp.sum(steps.valid)
     share = jnp.sum(some[0].valid) / jnp.maximum(measured, 1.0)
-    return *jax.value_and_grad(value)(x), information_of_noise(x, scale, *some, dt, counts) / share
+    return cost, slope, information_of_noise(x, scale, *some, dt, counts) / share
 
 
 def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -160,7 +167,7 @@ def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: 
     return x
 
 
-def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Array]:
+def spread_pieces(trees: tuple[Steps, Array, Gains]) -> tuple[Steps, Array, Gains]:
     """Return pieces of `trees` (P, T, ...) that hold `SEARCHED` samples, spread evenly; zeros where there are fewer."""
     P, T = trees[1].shape[:2]
     num = max(SEARCHED // T, 1)
@@ -179,14 +186,18 @@ def estimate_noise(
     `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`, and
     where they are `slow_known`, so do the slow errors of all.
     """
-    steps, e, L = spread_pieces((steps, e, gains.L))
+    steps, e, gains = spread_pieces((steps, e, gains))
+    J = call(_derivatives, steps, gains, dt)
     tells = counts.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
-    first = start._replace(slow=np.where(tells, start.slow, NO_SLOW * start.sigma))
+    first = start._replace(
+        slow=np.where(tells, start.slow, NO_SLOW * start.sigma),
+        disturbance=np.where(tells, 1.0, UNSEEN[0]) * start.disturbance,
+    )
     low = Noise(
-        np.where(tells, 0.2, 1.0) * start.sigma, 1e-3 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
+        np.where(tells, 0.2, 1.0) * start.sigma, 1e-4 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
     )
     high = Noise(
-        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e3, UNSEEN) * start.disturbance, 5.0,
+        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e2, UNSEEN[1]) * start.disturbance, 5.0,
         np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, 5.0,
     )  # fmt: skip
     if slow_known:
@@ -197,7 +208,7 @@ def estimate_noise(
     lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
 
     def expand(x: np.ndarray) -> Expansion:
-        value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, L, dt, use)
+        value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, J, gains.L, dt, use)
         return float(value), np.asarray(slope), np.asarray(H)
 
     return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(search(expand, lower, upper)))))

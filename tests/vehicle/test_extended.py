@@ -161,8 +161,12 @@ def test_an_extended_car_is_read_in_the_catalogues_order(tmp_path):
 def test_noise_of_a_diagnosis_is_written_and_read(tmp_path):
     channels = {"V": 0.05, "beta": 0.01, "r": 0.02}
     noise = {"sigma": channels, "process_sigma": channels, "process_correlation_s": 0.3}
-    vehicle = load_vehicle(written(tmp_path, noise=noise))
-    assert vehicle.noise is not None and dataclasses.asdict(vehicle.noise) == noise
+    older = load_vehicle(written(tmp_path, noise=noise)).noise
+    slow = {"slow_sigma": channels, "slow_correlation_s": 0.5}
+    vehicle = load_vehicle(written(tmp_path, noise=noise | slow))
+    assert vehicle.noise is not None and dataclasses.asdict(vehicle.noise) == noise | slow
+    none = {"slow_sigma": dict.fromkeys(channels, 0.0), "slow_correlation_s": 1.0}
+    assert older is not None and dataclasses.asdict(older) == noise | none
     write_vehicle(tmp_path / "again.yaml", vehicle)
     assert load_vehicle(tmp_path / "again.yaml") == vehicle
     for wrong, message in (
@@ -170,6 +174,7 @@ def test_noise_of_a_diagnosis_is_written_and_read(tmp_path):
             noise | {"process_correlation_s": 0.0},
             "key 'noise': key 'process_correlation_s' is 0.0; it must be positive",
         ),
+        (noise | {"slow_correlation_s": -1.0}, "'noise': key 'slow_correlation_s' is -1.0; it must be positive"),
         (noise | {"sigma": channels | {"r": -1.0}}, "'noise': key 'sigma': key 'r' is -1.0"),
         ({"sigma": channels}, "'noise': key 'process_sigma' is missing"),
         (3.0, "'noise' is 3.0; it needs keys"),
