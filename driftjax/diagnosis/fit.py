@@ -20,9 +20,11 @@ from driftjax.diagnosis.noise import (
     FIRST_DISTURBANCE,
     FIRST_SLOW,
     PRIOR,
+    SILENT_DISTURBANCE,
     SLOW_CORRELATION,
     estimate_noise,
     measurement_noise,
+    telling_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, samples_in_run
@@ -187,8 +189,10 @@ def initial_theta(vehicle: VehicleConfig, model: Universal) -> np.ndarray:
 
 def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
-    sigma = measurement_noise(np.asarray(data.padded.y), np.asarray(data.padded.valid))
-    return Noise(sigma, FIRST_DISTURBANCE * sigma, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
+    valid = np.asarray(data.padded.valid)
+    sigma = measurement_noise(np.asarray(data.padded.y), valid)
+    disturbance = np.where(telling_channels(valid, data.counts), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
+    return Noise(sigma, disturbance, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 
 def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarray) -> Problem:

@@ -21,7 +21,8 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
-UNSEEN = (0.05, 0.5)  # start and bound of a disturbance, over the first one, whose own channel does not tell it
+SILENT_DISTURBANCE = 0.5  # and that of a channel that does not tell it
+UNSEEN = 10.0  # bound of such a disturbance, over the first one
 UNMEASURED = (
     0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
 )
@@ -31,13 +32,14 @@ LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first on
 NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
+ASKED_FOR = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
 SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 30  # of the search, at most
 LONGEST = 1.5  # longest step of any variable
 DAMPING = 1e-2  # of the first step, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
 LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
-PROMISE = 1e-2  # fall of twice the log-likelihood below which a step is not worth it
+PROMISE = 3e-3  # fall of twice the log-likelihood below which a step is not worth it
 
 Expansion = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
@@ -54,6 +56,11 @@ def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def robust_deviation(values: np.ndarray) -> float:
     """Return the standard deviation of normal `values` (n,) about zero, from the median of their size; 0 of none."""
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def telling_channels(valid: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return which channels (3,) tell their own noise: measured, by `valid` (P, T, 3), with innovations that count."""
+    return counts.any(axis=0) & valid.any(axis=(0, 1))
 
 
 def restricted_likelihood(
@@ -146,8 +153,8 @@ def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Arra
     return cost, slope, information_of_noise(x, scale, *some, dt, counts) / share
 
 
-def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Minimise within bounds from 0 by damped Fisher scoring; returns the variables (n,).
+def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
+    """Minimise within bounds from 0 by damped Fisher scoring; returns the variables (n,) and the value.
 
     `expand` gives value, gradient and half the expected curvature. Damping as in Levenberg and Marquardt (Nocedal and
     Wright 2006, Sec. 10.3): it grows where a step does not lower the value.
@@ -164,7 +171,7 @@ def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: 
             x, (value, slope, H), damping = x + step, after, damping / 10
         else:
             damping = 10 * max(damping, DAMPING)
-    return x
+    return x, value
 
 
 def spread_pieces(trees: tuple[Steps, Array, Gains]) -> tuple[Steps, Array, Gains]:
@@ -182,33 +189,42 @@ def estimate_noise(
     """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
-    measurement: seven numbers need no more, and one program serves all logs. Only innovations where
-    `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`, and
-    where they are `slow_known`, so do the slow errors of all.
+    measurement: eleven numbers need no more, and one program serves all logs. Only innovations where `counts` (T, 3) is
+    true do; a channel of which none does, or that is not measured, keeps the noise of `start`. Sensors have slow errors
+    where the data ask for them; where they are `slow_known`, those of `start`.
     """
     steps, e, gains = spread_pieces((steps, e, gains))
-    J = call(_derivatives, steps, gains, dt)
-    tells = counts.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
-    first = start._replace(
-        slow=np.where(tells, start.slow, NO_SLOW * start.sigma),
-        disturbance=np.where(tells, 1.0, UNSEEN[0]) * start.disturbance,
-    )
+    J, use = call(_derivatives, steps, gains, dt), jnp.asarray(counts, float)
+
+    def minimise(first: Noise, low: Noise, high: Noise) -> tuple[Noise, float]:
+        scale = search_scale(first)
+        lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
+
+        def expand(x: np.ndarray) -> Expansion:
+            value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, J, gains.L, dt, use)
+            return float(value), np.asarray(slope), np.asarray(H)
+
+        x, value = search(expand, lower, upper)
+        return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(x)))), value
+
+    tells = telling_channels(np.asarray(steps.valid), counts)
+    low, high = noise_bounds(start, tells, dt)
+    least = start if slow_known else start._replace(slow=low.slow)
+    fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
+    white, cost = minimise(least, low._replace(**fixed), high._replace(**fixed))
+    if slow_known or not tells[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
+        return white
+    slow, lower_cost = minimise(white._replace(slow=np.where(tells, start.slow, low.slow)), low, high)
+    return slow if lower_cost < cost - ASKED_FOR else white
+
+
+def noise_bounds(start: Noise, tells: np.ndarray, dt: float) -> tuple[Noise, Noise]:
+    """Return the bounds of the noise; other channels than those that `tells` (3,) keep their white errors alone."""
     low = Noise(
         np.where(tells, 0.2, 1.0) * start.sigma, 1e-4 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
     )
     high = Noise(
-        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e2, UNSEEN[1]) * start.disturbance, 5.0,
+        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e3, UNSEEN) * start.disturbance, 5.0,
         np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, 5.0,
     )  # fmt: skip
-    if slow_known:
-        first, low, high = (
-            one._replace(slow=start.slow, slow_correlation=start.slow_correlation) for one in (first, low, high)
-        )
-    scale, use = search_scale(first), jnp.asarray(counts, float)
-    lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
-
-    def expand(x: np.ndarray) -> Expansion:
-        value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, J, gains.L, dt, use)
-        return float(value), np.asarray(slope), np.asarray(H)
-
-    return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(search(expand, lower, upper)))))
+    return low, high
