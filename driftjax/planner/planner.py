@@ -13,11 +13,10 @@ from driftjax.core import RESULTS, Control, State, as_float
 from driftjax.environment import require_float64
 from driftjax.parallel import call
 from driftjax.planner.config import PlanConfig, load_plan_config
-from driftjax.planner.filter_solver import solve
 from driftjax.planner.nodes import nodes
 from driftjax.planner.problem import Limits, MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
-from driftjax.solve import Options
+from driftjax.solve import Options, solve_with_filter
 from driftjax.solve import Plan as Solution
 from driftjax.track import Track, check_width, resample
 from driftjax.vehicle import VehicleConfig, build_car
@@ -87,7 +86,7 @@ def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Opt
     slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
     U = jnp.clip(jnp.diff(X[:, 5:] * ocp.scale[5:], axis=0) / (ocp.ds * slowness) / full, -0.8, 0.8)
-    return solve(ocp, x0, stage, X, U, options)
+    return solve_with_filter(ocp, x0, stage, X, U, options)
 
 
 def _fastest(found: list[Solution]) -> Solution:

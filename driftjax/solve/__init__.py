@@ -1,5 +1,6 @@
-"""Batched sequential quadratic programming for optimal control; independent of cars."""
+"""Solvers for optimal control: one problem, long horizons, batches; independent of cars."""
 
+from driftjax.solve.filter_line_search import solve_with_filter as solve_with_filter
 from driftjax.solve.implicit import solve as solve
 from driftjax.solve.interior_point import shift as shift
 from driftjax.solve.lane_ocp import AbstractLanes as AbstractLanes

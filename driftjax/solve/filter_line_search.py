@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from driftjax.core import RESULTS
-from driftjax.planner.sweep import Quadratic, Sweep, factor, substitute
-from driftjax.solve import AbstractOCP, Options
-from driftjax.solve import Plan as Solution
+from driftjax.solve.ocp import AbstractOCP, Options
+from driftjax.solve.ocp import Plan as Solution
+from driftjax.solve.riccati_factors import NewtonMatrices, RiccatiFactors, factorise, solve_factored
 
 SLACK_START = 1e-2  # least slack of a gap at the start
 FILTER_SIZE = 60  # entries; the oldest give way
@@ -129,7 +129,7 @@ def _gradient(problem: _Problem, m: Model, w: Point, dual, misfit, barrier: Arra
     return hx, hu, m.grad_N + problem.GN.T @ pull[1]
 
 
-def _factor(problem: _Problem, m: Model, loop: Loop) -> tuple[Sweep, Array]:
+def _shifted_factors(problem: _Problem, m: Model, loop: Loop) -> tuple[RiccatiFactors, Array]:
     """Factorise the Newton system with the smallest shift that makes it convex (Sec. 3.1)."""
     H, HN = problem.hessian(loop.w, loop.costates)
     weight = jax.tree.map(lambda z, s: z / s, loop.dual, loop.w.slack)
@@ -144,13 +144,15 @@ def _factor(problem: _Problem, m: Model, loop: Loop) -> tuple[Sweep, Array]:
         more = jnp.where(count == 1, jnp.maximum(first, 8 * shift), 8 * shift)
         shift = jnp.where(count == 0, shift, more)
         Hs = H + shift * jnp.eye(H.shape[-1])
-        blocks = Quadratic(Hs[:, :nx, :nx], Hs[:, nx:, :nx], Hs[:, nx:, nx:], m.A, m.B, HN + shift * jnp.eye(nx))
-        return shift, factor(blocks), count + 1
+        blocks = NewtonMatrices(Hs[:, :nx, :nx], Hs[:, nx:, :nx], Hs[:, nx:, nx:], m.A, m.B, HN + shift * jnp.eye(nx))
+        return shift, factorise(blocks), count + 1
 
     indefinite = lambda carry: ~carry[1].convex & (carry[0] < LARGEST_SHIFT)
-    none = Sweep(jnp.zeros((len(H), nu, nx)), jnp.zeros((len(H), nu, nu)), jnp.zeros_like(m.A), jnp.asarray(False))
-    shift, sweep, _ = lax.while_loop(indefinite, attempt, (loop.floor, none, jnp.zeros((), int)))
-    return sweep, shift
+    none = RiccatiFactors(
+        jnp.zeros((len(H), nu, nx)), jnp.zeros((len(H), nu, nu)), jnp.zeros_like(m.A), jnp.asarray(False)
+    )
+    shift, factors, _ = lax.while_loop(indefinite, attempt, (loop.floor, none, jnp.zeros((), int)))
+    return factors, shift
 
 
 def _to_boundary(values, steps, share: Array) -> Array:
@@ -168,9 +170,9 @@ class Step(NamedTuple):
     costates: Array  # after the full step
 
 
-def _step(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, dynamics: Array, misfit) -> Step:
+def _step(problem: _Problem, m: Model, factors: RiccatiFactors, loop: Loop, dynamics: Array, misfit) -> Step:
     hx, hu, hN = _gradient(problem, m, loop.w, loop.dual, misfit, loop.barrier)
-    dX, dU, costates = substitute(sweep, m.A, m.B, dynamics, hx, hu, hN)
+    dX, dU, costates = solve_factored(factors, m.A, m.B, dynamics, hx, hu, hN)
     d_slack = jax.tree.map(jnp.add, problem.gap_step(dX, dU), misfit)
     return Step(Point(dX, dU, d_slack), costates)
 
@@ -192,7 +194,7 @@ class Trial(NamedTuple):
     number: Array
 
 
-def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -> tuple[Trial, Array]:
+def _search(problem: _Problem, m: Model, factors: RiccatiFactors, loop: Loop, step: Step) -> tuple[Trial, Array]:
     """Run the filter line search (Sec. 2.3) and update the filter; the second trial may be a correction (Sec. 2.4)."""
     w, barrier, d = loop.w, loop.barrier, step.d
     theta, phi = _violation(m.dynamics, m.misfit), problem.barrier_objective(w, barrier)
@@ -215,7 +217,7 @@ def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -
     def corrected(last: Trial) -> tuple[Point, Array]:
         dynamics = longest * m.dynamics + last.dynamics
         misfit = jax.tree.map(lambda c, new: longest * c + new, m.misfit, last.misfit)
-        second = _step(problem, m, sweep, loop, dynamics, misfit).d
+        second = _step(problem, m, factors, loop, dynamics, misfit).d
         reach = _to_boundary(w.slack, second.slack, share)
         return _along(w, second, reach), reach
 
@@ -275,11 +277,11 @@ def _judge(problem: _Problem, m: Model, loop: Loop, options: Options) -> Loop:
 def _move(problem: _Problem, m: Model, loop: Loop) -> Loop:
     """Return the next iterate; the same one where no step was acceptable."""
     w, barrier = loop.w, loop.barrier
-    sweep, shift = _factor(problem, m, loop)
-    step = _step(problem, m, sweep, loop, m.dynamics, m.misfit)
+    factors, shift = _shifted_factors(problem, m, loop)
+    step = _step(problem, m, factors, loop, m.dynamics, m.misfit)
     share = jnp.maximum(0.99, 1 - barrier)
     d_dual = jax.tree.map(lambda s, z, ds: barrier / s - z - z / s * ds, w.slack, loop.dual, step.d.slack)
-    trial, entries = _search(problem, m, sweep, loop, step)
+    trial, entries = _search(problem, m, factors, loop, step)
     reach, ok = _to_boundary(loop.dual, d_dual, share), trial.ok
     dual = jax.tree.map(lambda z, dz: z + reach * dz, loop.dual, d_dual)
     dual = jax.tree.map(lambda z, s: jnp.clip(z, barrier / s / 1e10, barrier / s * 1e10), dual, trial.w.slack)
@@ -299,11 +301,14 @@ def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
     return lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
 
 
-def solve(ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, options: Options) -> Solution:
-    """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
+def solve_with_filter(
+    ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, options: Options
+) -> Solution:
+    """Solve one problem by a filter line search from the guess `X` (N+1, nx), `U` (N, nu).
 
-    Same problem and solution as `driftjax.solve.solve`. `result` is `successful` only where KKT residual and violation
-    are below the tolerance; `stalled` where no step is acceptable any more.
+    `params` has N+1 rows, the last for the end. Same problem and solution as `driftjax.solve.solve`. `result` is
+    `successful` only where KKT residual and violation are below the tolerance; `stalled` where no step is acceptable
+    any more.
     """
     stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
