@@ -105,21 +105,21 @@ class DriftOCP(AbstractOCP):
         """Return the mean input over the step (2,), scaled: the lag response to the command."""
         return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
-    def _motion(self, v: Array, p: Reference, around: Nearby | None = None) -> Array:
+    def _motion(self, v: Array, p: Reference, expansion: Nearby | None = None) -> Array:
         """Return (V, beta, r, e, theta) one step later from these and the mean input, `v` (7,); all scaled.
 
-        With the residual's expansion `around` this point it is cheap to differentiate, and exact to second order.
+        With the residual's local `expansion` about this point it is cheap to differentiate, and exact to second order.
         """
         y, acting = v[:5] * self.x_scale[:5], Control(*(v[5:] * self.u_scale))
         z = features(State(y[0], y[1], y[2]), acting)
-        d = self.residual(z) if around is None else around.at(z)
+        d = self.residual(z) if expansion is None else expansion.at(z)
 
         def rates(w: Array, _: Any = None) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), acting)
             _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
             return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
 
-        return (rk4_step if around is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
+        return (rk4_step if expansion is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Return the next state by one RK4 step of nominal car, residual and curvilinear frame."""
@@ -138,25 +138,25 @@ class DriftOCP(AbstractOCP):
         )
         return jnp.concatenate([path, acting]), jnp.concatenate([last, lagged_input])
 
-    def around(self, X: Array, U: Array, p: Reference) -> Nearby:
+    def local_expansion(self, X: Array, U: Array, p: Reference) -> Nearby:
         """Expand the residual to second order at all stages."""
         acting = jax.vmap(self._acting)(X, U) * self.u_scale
         return nearby(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
 
-    def linearise(self, x: Array, u: Array, p: Reference, around: Nearby) -> Linear:
+    def linearise(self, x: Array, u: Array, p: Reference, expansion: Nearby) -> Linear:
         """Return `step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
         taken, linear = self._selection()
-        motion = lambda v: (lambda y: (y, y))(self._motion(v, p, around))
+        motion = lambda v: (lambda y: (y, y))(self._motion(v, p, expansion))
         J, y = jax.jacfwd(motion, has_aux=True)(jnp.concatenate([x[:5], acting]))
         both = jnp.concatenate([J @ taken, linear])
         return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
 
-    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, around: Nearby) -> Array:
+    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, expansion: Nearby) -> Array:
         """Return the second derivative (11, 11) of `costate @ step`; convergence needs the residual's part."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()
-        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
+        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, expansion))(v) @ taken
 
     def _tracking(self, x: Array, p: Reference) -> Array:
         error = x[:5] * self.x_scale[:5] - p.states()

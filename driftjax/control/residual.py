@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from driftjax.gp import bound_mean
 from driftjax.gp.expansion import Expansion, expansions, pairs
-from driftjax.solve.lane_ocp import Components
-from driftjax.solve.sparse import Matrix, hessian
+from driftjax.solve.batch_ocp import Components
+from driftjax.solve.component_derivatives import Matrix, hessian
 from driftjax.vehicle import Residual
 
 NUM_INPUTS = 5  # V, beta, r, delta, Fxr

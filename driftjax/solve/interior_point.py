@@ -49,7 +49,7 @@ class Model(NamedTuple):
     cost_u: Array
     A: Array
     B: Array
-    around: PyTree
+    expansion: PyTree
     defect: Array
     gap: tuple[Array, Array]
     grad_N: Array
@@ -94,21 +94,21 @@ class Problem(eqx.Module):
 
     def linearise(self, X: Array, U: Array) -> Model:
         cost_x, cost_u = jax.vmap(jax.grad(self.ocp.cost, (0, 1)))(X[:-1], U, self.stages)
-        around = self.ocp.around(X[:-1], U, self.stages)
-        y, A, B = jax.vmap(self.ocp.linearise)(X[:-1], U, self.stages, around)
+        expansion = self.ocp.local_expansion(X[:-1], U, self.stages)
+        y, A, B = jax.vmap(self.ocp.linearise)(X[:-1], U, self.stages, expansion)
         grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
-        return Model(cost_x, cost_u, A, B, around, y - X[1:], self.gaps(X, U), grad_N)
+        return Model(cost_x, cost_u, A, B, expansion, y - X[1:], self.gaps(X, U), grad_N)
 
-    def hessian(self, it: Iterate, around: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
+    def hessian(self, it: Iterate, expansion: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
         """Return the blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
         nx = it.X.shape[1]
 
-        def stage(x, u, costate, p, around):
+        def stage(x, u, costate, p, expansion):
             H = jax.hessian(lambda w: self.ocp.cost(w[:nx], w[nx:], p))(jnp.concatenate([x, u]))
-            return H + curvature * self.ocp.curvature(x, u, costate, p, around)
+            return H + curvature * self.ocp.curvature(x, u, costate, p, expansion)
 
-        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages, around)
+        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages, expansion)
         return (
             H[:, :nx, :nx],
             H[:, nx:, :nx],
@@ -127,7 +127,7 @@ def problem_of(ocp: AbstractOCP, params: PyTree, X: Array, U: Array) -> Problem:
 def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
     """Return the Newton system with slacks and duals eliminated."""
     damping = jnp.asarray(DAMPING)[caution]
-    Hxx, Hux, Huu, HN = problem.hessian(it, m.around, jnp.asarray(CURVATURE)[caution])
+    Hxx, Hux, Huu, HN = problem.hessian(it, m.expansion, jnp.asarray(CURVATURE)[caution])
     weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
     pull = jax.tree.map(lambda w, g, s: w * (g - s) - barrier / s, weight, m.gap, it.slack)
 

@@ -231,7 +231,7 @@ def test_the_derivatives_of_the_problem_are_those_of_its_step():
     u, costate = np.array([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
     p = Reference(*map(jnp.asarray, (9.0, -0.5, 1.1, 0.0, 0.5, 0.06)))
     h = 1e-6
-    at = lambda w: jax.tree.map(lambda a: a[0], ocp.around(w[None, :9], w[None, 9:], p))
+    at = lambda w: jax.tree.map(lambda a: a[0], ocp.local_expansion(w[None, :9], w[None, 9:], p))
     jitted = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
     derivatives = lambda w: [np.asarray(a) for a in jitted(w)]
     step = lambda x, u, p: np.asarray(jitted_step(x, u, p))

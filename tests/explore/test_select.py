@@ -66,7 +66,7 @@ def test_a_candidate_at_the_reference_alone_has_distance_zero():
     assert out.distance[0] == 0 and out.variance[0] == 1 and out.candidate == 0
 
 
-def test_lanes_equal_single_calls():
+def test_a_batch_equals_single_calls():
     references = np.stack([Z_REF, CANDIDATES[2]])
     visited = np.stack([NONE, np.arange(4) == 2])
     batch = jax.jit(jax.vmap(lambda v, z: explore.select(CANDIDATES, v, z, GP, P, 0.5)))(visited, references)

@@ -120,7 +120,7 @@ def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
 
 
 @pytest.mark.parametrize("name", ["sedan", "dart"])
-def test_every_lane_is_on_the_plant_asked_for(name):
+def test_every_entry_is_on_the_requested_plant(name):
     """Of a car without plants of its own, such as dart, too."""
     case = load_case(Path(car(name)), load_vehicle(name))
     batch, plants, keys = lay_out(case.config, (case.name, case.plant), 20.0)
