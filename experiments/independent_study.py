@@ -62,17 +62,17 @@ def run_case(case: Case) -> Result:
 
 
 def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
-    """Return how hidden and named effects look at the nominal car, and the price of the truth beside what was named.
+    """Return the scores of hidden and named effects at the nominal car, and the penalised costs of truth and result.
 
     The truth is what is hidden and what the catalogue knows of `body`, which begins at a typical size; all are fitted.
     """
     problem, last = evidence.problem, evidence.selection.nominal_scores
     names = [effect.name for effect in problem.effects]
-    told = {}
+    scores = {}
     for name in {*case.hidden, *(names[i] for i in evidence.selection.selected)}:
         i = names.index(name)
         columns = problem.columns((i,))
-        told[name] = {
+        scores[name] = {
             "T": float(np.abs(last.T[columns]).max()), "gain": float(last.gain[i]),
             "rank": int((last.gain > last.gain[i]).sum()), "deviations": float(np.sqrt(np.diag(last.H)[columns].max())),
         }  # fmt: skip
@@ -83,9 +83,9 @@ def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
     sizes[problem.columns(body)] = 1.0
     true = evaluate(problem, sizes)
     true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
-    prices = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
-              "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
-    return {"looks": told, "prices": prices}
+    costs = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
+             "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
+    return {"looks": scores, "prices": costs}
 
 
 def read_results(path: Path) -> list[Result]:

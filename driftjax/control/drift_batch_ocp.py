@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import PyTree
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
-from driftjax.control.residual import Learnt, learnt
+from driftjax.control.residual import ResidualDerivatives, residual_derivatives
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components, Limits
@@ -88,15 +88,15 @@ class DriftBatchOCP(AbstractBatchOCP):
         held = [] if expansion is None else expansion.d
         return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
 
-    def local_expansion(self, x: Components, u: Components, p: Reference) -> Learnt | None:
+    def local_expansion(self, x: Components, u: Components, p: Reference) -> ResidualDerivatives | None:
         """Return the residual at all stages."""
         if self.residual is None:
             return None
         acting = self._actuated(x, u)[0]
-        return learnt(self.residual, [*x[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
+        return residual_derivatives(self.residual, [*x[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
     def linearise(
-        self, x: Components, u: Components, p: Reference, expansion: Learnt | None
+        self, x: Components, u: Components, p: Reference, expansion: ResidualDerivatives | None
     ) -> tuple[Components, Matrix, PyTree]:
         """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
         acting, end = self._actuated(x, u)
@@ -104,7 +104,7 @@ class DriftBatchOCP(AbstractBatchOCP):
         y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
         return [*y, *end], self._by_state_and_input(M, x, expansion), (y, M, expansion)
 
-    def _by_state_and_input(self, M: Matrix, x: Components, expansion: Learnt | None) -> Matrix:
+    def _by_state_and_input(self, M: Matrix, x: Components, expansion: ResidualDerivatives | None) -> Matrix:
         """Derivatives of the next state from those of what is tracked by (tracked, acting, residual's rates)."""
         n, m = len(self.Q), len(self.R)
         if expansion is not None:
@@ -133,7 +133,7 @@ class DriftBatchOCP(AbstractBatchOCP):
         columns = self._columns()
         return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
 
-    def _with_residual(self, H: Matrix, expansion: Learnt, weight: Components) -> Matrix:
+    def _with_residual(self, H: Matrix, expansion: ResidualDerivatives, weight: Components) -> Matrix:
         """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""
         m = len(self.Q) + 2
         J = self._wide(expansion.J)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.residual import Nearby, nearby
+from driftjax.control.residual import ResidualExpansion, expand_residual
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_loop, rk4_step
 from driftjax.solve import AbstractOCP, Linear, Options, Plan, solve
 from driftjax.track import curvilinear_rates
@@ -105,7 +105,7 @@ class DriftOCP(AbstractOCP):
         """Return the mean input over the step (2,), scaled: the lag response to the command."""
         return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
-    def _motion(self, v: Array, p: Reference, expansion: Nearby | None = None) -> Array:
+    def _motion(self, v: Array, p: Reference, expansion: ResidualExpansion | None = None) -> Array:
         """Return (V, beta, r, e, theta) one step later from these and the mean input, `v` (7,); all scaled.
 
         With the residual's local `expansion` about this point it is cheap to differentiate, and exact to second order.
@@ -138,12 +138,12 @@ class DriftOCP(AbstractOCP):
         )
         return jnp.concatenate([path, acting]), jnp.concatenate([last, lagged_input])
 
-    def local_expansion(self, X: Array, U: Array, p: Reference) -> Nearby:
+    def local_expansion(self, X: Array, U: Array, p: Reference) -> ResidualExpansion:
         """Expand the residual to second order at all stages."""
         acting = jax.vmap(self._acting)(X, U) * self.u_scale
-        return nearby(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
+        return expand_residual(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
 
-    def linearise(self, x: Array, u: Array, p: Reference, expansion: Nearby) -> Linear:
+    def linearise(self, x: Array, u: Array, p: Reference, expansion: ResidualExpansion) -> Linear:
         """Return `step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
         taken, linear = self._selection()
@@ -152,7 +152,7 @@ class DriftOCP(AbstractOCP):
         both = jnp.concatenate([J @ taken, linear])
         return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
 
-    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, expansion: Nearby) -> Array:
+    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, expansion: ResidualExpansion) -> Array:
         """Return the second derivative (11, 11) of `costate @ step`; convergence needs the residual's part."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()

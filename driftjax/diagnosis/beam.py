@@ -101,8 +101,8 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """
-    price = lambda effects: penalty * len(parameters_of(model, effects))
-    penalised = lambda one: one.gain - price(one.effects)
+    penalty_of = lambda effects: penalty * len(parameters_of(model, effects))
+    penalised = lambda one: one.gain - penalty_of(one.effects)
     found: list[EffectSet] = []
     beam = [EffectSet((), np.zeros(len(model.g)), 0.0)]
     for size in range(1, most + 1):
@@ -111,7 +111,7 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
             for i, gain in enumerate(gains_of_adding(model, one.effects)):
                 if np.isfinite(gain):
                     grown = tuple(sorted((*one.effects, i)))
-                    promised[grown] = one.gain + gain - price(grown)
+                    promised[grown] = one.gain + gain - penalty_of(grown)
         keep = len(promised) if size == 1 else width
         beam = []
         for grown in sorted(promised, key=lambda name: -promised[name]):

@@ -96,8 +96,8 @@ class Calibration:
     def vehicle(self) -> VehicleConfig:
         """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`; without dead effects."""
         alive = dict(zip(self.problem.columns(self.selected), self.identifiability, strict=True))
-        told = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
-        return extended_car(self.nominal, self.problem, told, self.fit.theta, self.scores)
+        identified = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
+        return extended_car(self.nominal, self.problem, identified, self.fit.theta, self.scores)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
@@ -205,11 +205,11 @@ def calibrate(
     last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
     known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
-    told = identifiability(known, prior[columns], precision[square], half_width)
+    identifiable = identifiability(known, prior[columns], precision[square], half_width)
     report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
     return Calibration(
-        vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain, lost_s
+        vehicle, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, gain, lost_s
     )
 
 

@@ -136,12 +136,12 @@ def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, .
     """
     model, selected = with_dispersion(contrast).cost, ()
     gain = lambda effects: gain_of(model, minimise(model, effects))
-    price = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
+    penalised = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
     while True:
         sets = beam_search(model, min(len(selected) + STRIDE, most), PARAMETER_PENALTY)
         best = next((one.effects for one in sets if is_material(model, one.psi, one.effects)), ())
         new = supported(contrast, best, seed)
-        if price(new) >= price(selected) - MARGIN:
+        if penalised(new) >= penalised(selected) - MARGIN:
             return selected
         selected = new
 

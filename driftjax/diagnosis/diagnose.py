@@ -25,7 +25,7 @@ from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.serialise import diagnosis_json, extended_car, found_noise
+from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.diagnosis.warm_up import compile_programs
@@ -110,7 +110,7 @@ class Diagnosis:
             return self.vehicle
         last, problem = self.evidence.selection, self.evidence.problem
         if self.evidence.answer == "nominal":
-            return replace(self.vehicle, noise=found_noise(problem))
+            return replace(self.vehicle, noise=estimated_noise(problem))
         if self.evidence.retuned is None:
             return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
         effects = retuned_effects(problem)

@@ -69,14 +69,14 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
     every = max(round(EVERY / (dt * (starts[1] - starts[0]))), 1) if len(starts) > 1 else 1
     starts = starts[::every]
     keep = thin_indices(findings.noise_floor.shape[0])
-    told = np.stack([ahead[name].readings[first][:, ::every][:, :, keep] for name in MODELS], axis=1)
+    predicted = np.stack([ahead[name].readings[first][:, ::every][:, :, keep] for name in MODELS], axis=1)
     rows = starts[:, None] + 1 + keep
     driven = (rows < y.shape[1]) & samples_in_run(valid)[:, np.minimum(rows, y.shape[1] - 1)]
     return {
         "panel": names, "sample_time": dt * np.arange(y.shape[1]), "measured": np.where(valid > 0, y, np.nan),
         "delta": commands[..., 0], "Fxr": commands[..., 1],
         "start_time": dt * starts, "ahead_time": dt * (keep + 1),
-        "predicted": np.where(driven[:, None, ..., None], told, np.nan),
+        "predicted": np.where(driven[:, None, ..., None], predicted, np.nan),
     }  # fmt: skip
 
 

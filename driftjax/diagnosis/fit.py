@@ -80,7 +80,7 @@ class Problem(NamedTuple):
 
     @property
     def not_judged(self) -> tuple[int, ...]:
-        """Return the effects that cannot be told where the force was estimated."""
+        """Return the effects that are not identifiable because the force was estimated."""
         return () if self.data.force_known else tuple(i for i, e in enumerate(self.effects) if depends_on_force(e))
 
     def columns(self, selected: tuple[int, ...]) -> np.ndarray:

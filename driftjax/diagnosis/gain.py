@@ -142,13 +142,13 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, las
     """
     data, (starts, num) = problem.data, prediction_starts(problem, last)
     path = run_observer(problem.model, data, theta, problem.gains)
-    told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
+    predicted = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
     valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None] & data.counts[-1]
-    off = told - np.asarray(path.y)[:, row]
+    off = predicted - np.asarray(path.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
-    return Predictions(starts, path.z, told, np.where(valid, off, np.nan))
+    return Predictions(starts, path.z, predicted, np.where(valid, off, np.nan))
 
 
 def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:

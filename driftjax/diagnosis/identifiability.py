@@ -10,7 +10,7 @@ import numpy as np
 
 DEAD = 0.1  # information over that of the prior, others known, below which the data say nothing
 FLAT = 1.0  # half-width of the 95 % interval from which a parameter is hardly known [typical sizes]
-TRADE_OFF = 0.95  # correlation from which a parameter is not told apart from others
+TRADE_OFF = 0.95  # correlation from which a parameter is not distinguishable from others
 PARTNERS = 3  # parameters that one is traded off with, at most
 
 
@@ -50,7 +50,7 @@ def stretch_shares(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def trade_offs(precision: np.ndarray, j: int) -> tuple[int, ...]:
-    """Return the fewest parameters that must be known for parameter `j` to be told apart, at most `PARTNERS`.
+    """Return the fewest parameters that must be known for parameter `j` to be distinguishable, at most `PARTNERS`.
 
     Its multiple correlation with them is above `TRADE_OFF`, and without them below.
     """

@@ -10,7 +10,7 @@ from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
 from driftjax.diagnosis.select import Selection
 
-SENSOR = 0.01  # standard deviation of the sideslip sensor whose worth is stated [rad]
+SENSOR = 0.01  # standard deviation of the sideslip sensor whose gain is stated [rad]
 WORTHWHILE = 1.5  # times by which an interval must be wider without it to be stated
 TOLD_APART = 3.0  # half the fall of the cost, by one effect beside the other, from which P exceeds 0.95
 

@@ -32,7 +32,7 @@ OUTLIER = 6.0  # standard deviations from which a window is an outlier
 TOO_GOOD = 0.5  # noise over that of V, beta, r below which a channel was computed from them and says nothing new
 REWEIGHTINGS = 3  # of the residuals by their noise in one step
 TINY = 1e-12  # where a scale is zero
-INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is told apart
+INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is distinguishable
 
 
 class Residuals(NamedTuple):

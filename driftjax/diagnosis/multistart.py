@@ -46,8 +46,8 @@ def search_multistart(
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
         late = search_from_late(problem, close, seed, most, report)
-        price = lambda one: penalised_cost(problem, one.fit, one.selected)
-        return problem, close if late is None or price(close) <= price(late) else late
+        penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
+        return problem, close if late is None or penalised(close) <= penalised(late) else late
     anew, selection = search_from_far(problem, seed, most, report)
     if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
         return problem, close

@@ -2,7 +2,7 @@
 
 The paper explores cornering speeds by the variance of its model; here every manoeuvre of the library is driven on the
 extended car, and the one whose data would tell the rivals apart best is proposed (Hunter and Reiner 1965; Box and
-Hill 1967): the information that it adds says what the rivals' prices would differ by.
+Hill 1967): the information that it adds says by how much the rivals' penalised costs would differ.
 """
 
 from typing import NamedTuple

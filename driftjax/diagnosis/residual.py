@@ -76,13 +76,13 @@ def residual_forces(
     u = np.asarray(path.u)
     forces = axle_forces(vehicle, x, u[..., 0], push)
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
-    over = explanatory_variables(vehicle, problem, x, u, runs)
+    over = variables(vehicle, problem, x, u, runs)
     return Residuals(
         forces[keep], {name: values[keep] for name, values in over.items()}, error_blocks(problem.data)[keep]
     )
 
 
-def explanatory_variables(
+def variables(
     vehicle: VehicleConfig, problem: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
 ) -> dict[str, np.ndarray]:
     """Return the explanatory variables (P, T); heading and position only where every run measured them."""

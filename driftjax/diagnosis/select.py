@@ -29,12 +29,12 @@ ROUGH = 0.1  # fall of the cost below which the fit of a set is good enough to c
 MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
 
 
-class Claim(NamedTuple):
-    """What the test of one named effect allows to say of it."""
+class Significance(NamedTuple):
+    """Result of the significance test of one named effect."""
 
     p_value: float  # that chance gives any effect a score as large as its own beside the other members
-    exploratory: bool  # whether it is not among those claimed at the family-wise rate
-    supported: bool  # whether it is claimed, or passes at the false discovery rate
+    exploratory: bool  # whether it is not significant at the family-wise rate
+    supported: bool  # whether it is significant at that rate or at the false discovery rate
 
 
 class Selection(NamedTuple):
@@ -50,7 +50,7 @@ class Selection(NamedTuple):
     free: int = FIRST  # effects that the test alone may name: the first ones, beside those of pose and accelerations
     dispersion: float | None = None  # of innovations, in whose units probabilities count costs; None: that of the fit
     replacements: dict[int, np.ndarray] | None = None  # costs (E,) with each effect in a member's place, where known
-    claims: dict[int, Claim] | None = None  # of each member, where known
+    significance: dict[int, Significance] | None = None  # of each member, where known
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:
@@ -195,14 +195,14 @@ def better_sets(
     for one in promising_sets(now, about, limit, barred):
         trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), at, num=1)
         trials.append((one.effects, trial))
-    price = lambda item: penalised_cost(problem, item[1], item[0])
-    trials.sort(key=price)
+    penalised = lambda item: penalised_cost(problem, item[1], item[0])
+    trials.sort(key=penalised)
     refitted = {}
     for effects, trial in trials[:REFITS]:
         trial, effects = refine_material(problem, trial, effects, at)
         refitted[effects] = min(refitted.get(effects, trial), trial, key=lambda fit: fit.cost)
-    now_price = price((now.selected, now.fit)) - MARGIN
-    return sorted((item for item in refitted.items() if price(item) < now_price), key=price)
+    cost_limit = penalised((now.selected, now.fit)) - MARGIN
+    return sorted((item for item in refitted.items() if penalised(item) < cost_limit), key=penalised)
 
 
 def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]) -> list[EffectSet]:
@@ -214,10 +214,10 @@ def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barr
     problem = now.problem
     model = quadratic_cost(problem, *about)
     model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
-    price = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
+    penalty = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
     there = about[0] is now.fit
     cost = now.fit.cost if there else model.cost - gain_of(model, minimise(model, now.selected))
-    better = lambda one: model.cost - one.gain + price(one.effects) < cost + price(now.selected) - MARGIN
+    better = lambda one: model.cost - one.gain + penalty(one.effects) < cost + penalty(now.selected) - MARGIN
     sets = beam_search(model, limit, PARAMETER_PENALTY)
     sets = [one for one in sets if better(one) and set(one.effects) != set(now.selected)]
     firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]

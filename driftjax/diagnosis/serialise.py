@@ -14,7 +14,7 @@ from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
-from driftjax.vehicle import EffectParameterValue, FoundNoise, PerChannel, VehicleConfig
+from driftjax.vehicle import EffectParameterValue, EstimatedNoise, PerChannel, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
 if TYPE_CHECKING:
@@ -60,18 +60,25 @@ def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
 
     `at_first` are the variables that drive all that the nominal car gets wrong.
     """
-    told = {
+    content = {
         "p_value": remaining.p_value,
         "channel": None,
         "drivers": [],
-        "at_first": list(remaining.nominal_drivers)[:2],
+        "at_first": list(remaining.nominal_variables)[:2],
     }
-    term, worth = (
-        (remaining.term, remaining.drivers) if remaining.significant else (remaining.simpler, remaining.nominal_drivers)
+    term, promised_gain = (
+        (remaining.term, remaining.variables)
+        if remaining.significant
+        else (remaining.simpler, remaining.nominal_variables)
     )
     if term is None:
-        return told
-    return told | {"channel": term.channel, "drivers": list(worth)[:2], "worth": worth, "term": term._asdict()}
+        return content
+    return content | {
+        "channel": term.channel,
+        "drivers": list(promised_gain)[:2],
+        "worth": promised_gain,
+        "term": term._asdict(),
+    }
 
 
 def gain_json(gain: Gain | None) -> dict[str, Any]:
@@ -109,12 +116,12 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
     }
 
 
-def found_noise(problem: Problem) -> FoundNoise | None:
+def estimated_noise(problem: Problem) -> EstimatedNoise | None:
     """Return estimated noise as vehicle files hold it; None where that of a channel could not be estimated."""
     if problem.data.skip or not problem.data.force_known:
         return None
     noise, channels = problem.noise, lambda row: PerChannel(*map(float, row))
-    return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation))
+    return EstimatedNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation))
 
 
 def extended_car(
@@ -136,7 +143,7 @@ def extended_car(
     before = [one for one in vehicle.effects if one.effect not in named]
     order = {name: i for i, name in enumerate(EFFECTS)}
     effects = tuple(sorted([*before, *found], key=lambda one: order[one.effect]))
-    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=found_noise(problem))
+    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=estimated_noise(problem))
     if before or not found:
         return vehicle
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])

@@ -114,11 +114,11 @@ def run_stages(
     """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
-    on each other, or that no car explains, are worth less than those of other stages. `begin` hears of every stage.
+    on each other, or that no car explains, count less than those of other stages. `begin` hears of every stage.
     """
     K, names = len(problem.owner), np.array([problem.effects[i].name for i in problem.owner])
     chosen, freed, dispersion = np.isin(np.arange(K), columns), np.zeros(K, bool), np.full(len(Stretch), np.inf)
-    own, spread, known, told = theta.copy(), np.ones(K), np.zeros((K, K)), np.zeros((K, K))
+    own, spread, known, own_information = theta.copy(), np.ones(K), np.zeros((K, K)), np.zeros((K, K))
     prior, weight = np.diag(problem.prior).copy(), np.diag(problem.prior).copy()
     for stage in STAGES:
         freed |= chosen & np.isin(names, list(stage.effects))
@@ -135,11 +135,14 @@ def run_stages(
         part = count_only(problem, counts)._replace(start=centre, precision=excess * precision)
         fit, at = refit_to_convergence(part, require_finite(evaluate(part, theta)), np.flatnonzero(freed))
         theta, H = fit.theta, information(at.J) / excess
-        known, told = consider(precision + H, freed), consider(told + np.diag(DEAD * prior) + H, freed)
+        known, own_information = (
+            consider(precision + H, freed),
+            consider(own_information + np.diag(DEAD * prior) + H, freed),
+        )
         prior[freed] = 0.0  # contained in what is known
         own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
         dispersion[list(stage.stretches)] = score_dispersion(part, at, np.flatnonzero(freed))
-    precision = told + np.diag(DEAD * prior)
+    precision = own_information + np.diag(DEAD * prior)
     return StageResult(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
 
 

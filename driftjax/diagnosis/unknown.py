@@ -45,18 +45,18 @@ class Term(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """Errors that remain beside the named effects."""
+    """Errors that the named effects do not explain."""
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
     gain: float  # fall of the cost that the best single term promises
-    drivers: dict[str, float]  # variables with the fall of the cost that their terms promise, the largest first
+    variables: dict[str, float]  # explanatory, with the promised fall of the cost, largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
-    nominal_drivers: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
+    nominal_variables: dict[str, float]  # as `variables`, for all errors of the nominal car
 
     @property
     def significant(self) -> bool:
-        """Return whether a significant error remains that is worth a parameter."""
+        """Return whether a significant error remains that justifies a parameter."""
         return self.p_value < LEVEL and self.gain > MIN_TERM_GAIN
 
 
@@ -191,11 +191,11 @@ def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: 
     """Return whitened derivatives (P, T, 3, terms) of the predictions by terms, three per function (P, T)."""
     size = {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
     push = steps.push * size["rate"]
-    moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
-    told = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
-    none = lambda like, num: jnp.zeros((*like.shape[:-1], num))
-    C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
-    F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
+    rate_columns = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
+    readings = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
+    zeros = lambda like, num: jnp.zeros((*like.shape[:-1], num))
+    C = jnp.concatenate([rate_columns, zeros(rate_columns, readings.shape[-1])], axis=-1)
+    F = jnp.concatenate([zeros(readings, rate_columns.shape[-1]), readings], axis=-1)
     terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
     # in the program of the catalogue's own derivatives
     return np.asarray(whitened_derivatives(terms, problem.gains, problem.data, len(problem.lower)))

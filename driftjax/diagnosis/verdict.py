@@ -136,7 +136,7 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     """Return what the named effects explain, and what the rest goes with."""
-    rest = f"rest goes most with {' and '.join(list(remaining.drivers)[:2])}." if remaining.significant else ""
+    rest = f"rest goes most with {' and '.join(list(remaining.variables)[:2])}." if remaining.significant else ""
     if explained is None:
         return [f"The {rest}"] if rest else []
     if not np.isfinite(explained.share):
@@ -155,13 +155,12 @@ def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained) -> st
     if remaining.significant:
         text = f"Something is missing that no effect of the catalogue explains (p = {remaining.p_value:.3f})"
         text += f", beside {names}" if named else ""
-        return (
-            f"{text}; it goes most with {' and '.join(list(remaining.drivers)[:2])}, such as {_words(remaining.term)}."
-        )
+        first = " and ".join(list(remaining.variables)[:2])
+        return f"{text}; it goes most with {first}, such as {_words(remaining.term)}."
     if remaining.simpler:
         text = f"Something is missing that no effect of the catalogue explains: {names} together explain no more than"
-        drivers = " and ".join(list(remaining.nominal_drivers)[:2])
-        return f"{text} {_words(remaining.simpler)}; it goes most with {drivers}."
+        first = " and ".join(list(remaining.nominal_variables)[:2])
+        return f"{text} {_words(remaining.simpler)}; it goes most with {first}."
     return f"Something is missing beside {names} that these data do not tell apart."
 
 

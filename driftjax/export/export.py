@@ -37,7 +37,7 @@ class Export:
     notes: tuple[str, ...]
     """How the target's model differs from any car of this package, and what was chosen for it."""
     loss: Loss | None
-    """What the lost effects are worth in open-loop predictions; None where nothing is lost or nothing is predicted."""
+    """Change of open-loop predictions by the lost effects; None where nothing is lost or nothing is predicted."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of export.json."""

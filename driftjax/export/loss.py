@@ -59,10 +59,10 @@ def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) ->
     if not windows:
         raise BadInput(f"log: no run has {num * dt:.3g} s of samples with a measured start; give longer runs.")
     stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *windows)
-    told = [np.asarray(call(_predict, car_with(car, names), stacked, dt)) for car in (full, reduced)]
+    predictions = [np.asarray(call(_predict, car_with(car, names), stacked, dt)) for car in (full, reduced)]
     if log is None:
-        return Loss("standard manoeuvre", num * dt, None, _rms(told[1] - told[0]))
-    errors = [(one - np.asarray(stacked.y)[:, 1:])[:, -1:] for one in told]
+        return Loss("standard manoeuvre", num * dt, None, _rms(predictions[1] - predictions[0]))
+    errors = [(one - np.asarray(stacked.y)[:, 1:])[:, -1:] for one in predictions]
     return Loss("log", num * dt, _rms(errors[0]), _rms(errors[1]))
 
 

@@ -204,13 +204,13 @@ def _problems(
 
 
 @eqx.filter_jit
-def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, price: float) -> ScheduledLQR:
+def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, rate_factor: float) -> ScheduledLQR:
     """Compute the gains of every entry (leading axis)."""
-    one = lambda of: schedule_lqr(of[0], of[1], num, jnp.asarray(lead), jnp.asarray(price))
+    one = lambda of: schedule_lqr(of[0], of[1], num, jnp.asarray(lead), jnp.asarray(rate_factor))
     return jax.lax.map(one, (ocp, table))
 
 
-def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
+def build_drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
     """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)

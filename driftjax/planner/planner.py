@@ -77,8 +77,8 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     nominal = build_car(vehicle)
     model = nominal if model is None else model
     fair = jnp.inf if config.V_fair is None else config.V_fair
-    prices = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
-    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *prices)
+    weights = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
+    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *weights)
 
 
 def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:

@@ -75,7 +75,7 @@ def results_content(evaluator: LapEvaluator, searches: dict[str, dict[str, Any]]
     error = np.asarray(driven.figures.lateral_error)
     settings = {
         kind: one
-        | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(evaluator.drivers, one["p"])}
+        | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(evaluator.untuned_drivers, one["p"])}
         for kind, one in searches.items()
     }
     per_plant = [

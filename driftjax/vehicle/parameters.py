@@ -42,7 +42,7 @@ class PerChannel:
 
 
 @dataclass(frozen=True)
-class FoundNoise:
+class EstimatedNoise:
     """Noise that a diagnosis or calibration found in the data: what no effect of the catalogue explains."""
 
     sigma: PerChannel
@@ -98,7 +98,7 @@ class VehicleConfig:
     """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
     covariance: tuple[tuple[float, ...], ...] = ()
     """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
-    noise: FoundNoise | None = None
+    noise: EstimatedNoise | None = None
     """Noise that a diagnosis found; None where the file gives none."""
 
     def __post_init__(self) -> None:

@@ -60,7 +60,7 @@ def test_information_is_that_of_the_other_samples(monkeypatch):
     assert whole.lost is None and whole.J is J
 
 
-def test_a_car_that_is_lost_most_of_the_time_is_told():
+def test_a_car_that_is_lost_most_of_the_time_is_reported():
     valid = np.ones((P, T, 3))
     problem: Any = SimpleNamespace(data=SimpleNamespace(padded=SimpleNamespace(valid=valid), dt=0.1))
     lost = np.zeros((P, T), bool)

@@ -117,9 +117,9 @@ def with_late_sensors():
 
 def test_whole_samples_of_delay_are_a_shift_of_the_data():
     (model, known), late = with_late_sensors(), 3
-    told = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
+    delayed = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
     theta = np.array([0.0, 0.0, 0.0, (late + 1e-9) * DT]) / np.asarray(model.scale)
-    data = pieces(sedan(), tuple(told))
+    data = pieces(sedan(), tuple(delayed))
     found, path = run_observer(model, data, theta, known), run_observer(model, watched()[0], np.zeros(4), known)
     np.testing.assert_array_equal(found.valid[:, : ROWS - late], path.valid[:, : ROWS - late])
     np.testing.assert_allclose(found.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)

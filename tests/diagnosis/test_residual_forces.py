@@ -132,7 +132,7 @@ def test_bins_find_the_driver_and_how_much_it_explains():
     assert "rear axle" in words and "rear slip angle" in words and " N RMS" in words
 
 
-def test_forces_that_go_with_nothing_are_rarely_told_to():
+def test_forces_that_go_with_nothing_are_rarely_reported_to():
     found = [summarise_forces(Residuals(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
              ((k, drawn(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
     assert sum(one.p_value < 0.05 for one in found) <= 6

@@ -65,7 +65,7 @@ def test_a_search_begins_where_the_file_of_the_car_does():
         )
 
 
-def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
+def test_no_more_is_named_than_requested_and_what_is_left_is_reported():
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
     found = search(problem, evaluate(problem, problem.start), most=1)
     assert len(found.selected) == 1 and ORDER[found.selected[0]] in ("drive_gain", "steer_lag")

@@ -115,14 +115,14 @@ def test_the_posterior_mean_has_a_gradient_by_its_input():
     np.testing.assert_allclose(jax.jit(jax.grad(gp.mean))(z), numbers, rtol=1e-5, atol=1e-8)
 
 
-def test_a_kernel_that_is_not_positive_definite_is_told():
+def test_a_kernel_that_is_not_positive_definite_is_reported():
     Z, y = scaled()
     distance = lambda p, a, b: p["amplitude"] ** 2 * separation(p, a, b)  # 0 on the diagonal
     gp = fit_kernel(distance, Z, y, *box(), noise=(1e-3, 1e-2), key=KEY)
     assert gp.result == RESULTS.not_positive_definite and not np.isfinite(gp.log_marginal_likelihood)
 
 
-def test_few_steps_and_bad_data_are_told():
+def test_few_steps_and_bad_data_are_reported():
     Z, y = scaled()
     assert fitted(squared_exponential, Z, y, max_steps=2).result == RESULTS.not_converged
     y[0] = np.nan

@@ -80,7 +80,7 @@ def test_held_out_targets_are_predicted_with_honest_variance():
     assert np.all(covered > 0.75)
 
 
-def test_no_data_and_bad_data_are_told_apart():
+def test_no_data_and_bad_data_are_distinguished():
     Z, Y, mask = padded(0, 0)
     empty = fit(Z, Y, mask, max_iterations=60, key=KEY)
     assert np.all(np.asarray(at(empty.gp.mean, Z[:1])) == 0) and jnp.all(empty.result == RESULTS.successful)

@@ -61,12 +61,12 @@ def test_no_end_is_above_its_start(steps):
     assert steps < 40 or jnp.all(ends.result == RESULTS.successful)
 
 
-def test_too_few_iterations_are_told():
+def test_too_few_iterations_are_reported():
     end = solved(valley, [-1.2, 1.0], max_iterations=3)
     assert end.result == RESULTS.not_converged and end.num_steps == 3 and end.error > 1e-3
 
 
-def test_a_start_without_a_value_is_told_and_a_trial_without_one_is_not_taken():
+def test_a_start_without_a_value_is_reported_and_a_trial_without_one_is_not_taken():
     def root(x):  # NaN left of 0: full steps from 4 go there
         value = lambda x: jnp.sum(-jnp.log(x) + 8 * x)
         return value(x), jax.grad(value)(x), 1e-3 * jnp.eye(x.size)

@@ -12,7 +12,7 @@ from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
 from driftjax.learning.run import run
-from driftjax.learning.scenario import build, drivers
+from driftjax.learning.scenario import build, build_drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal
 from driftjax.parallel import BatchExecutor
@@ -116,7 +116,7 @@ def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
     scenario = build(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
     initial = scenario.over_batch(empty(CONFIG.gp).residual)
-    everyone = drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
+    everyone = build_drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
     drive = lambda executor: run_stage(dataclasses.replace(scenario, executor=executor), everyone, 0).laps.trace
     batch, singles = drive(BatchExecutor(None)), drive(BatchExecutor(1))
     assert jnp.all(jnp.any(batch.decision.drifting, axis=1))

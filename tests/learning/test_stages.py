@@ -16,7 +16,7 @@ from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.run import _resume
-from driftjax.learning.scenario import build, drivers
+from driftjax.learning.scenario import build, build_drivers
 from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
 from driftjax.learning.stages import _layers, drive_stage, first_progress, stage_names
 from driftjax.learning.updates import update_progress
@@ -58,7 +58,7 @@ def pursued(scenario):
     """A lap of pure pursuit, and what is known before it."""
     residual = scenario.over_batch(empty(SHORT.gp).residual)
     table = scenario.over_batch(scenario.table)
-    return run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
+    return run_stage(scenario, build_drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
 
 
 def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
@@ -200,7 +200,7 @@ def test_the_arrival_is_measured_or_stays_the_planned_one(scenario, pursued):
 def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_path):
     trace, residual = pursued
     table = scenario.over_batch(scenario.table)
-    stage = run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0)
+    stage = run_stage(scenario, build_drivers(scenario, "pursuit", table, residual), 0)
     data = dataset(stage_values(scenario, stage, "pursuit"), {"codes": CODES})
     folder = RunFolder.create(tmp_path / "old", to_dict(SHORT))
     folder.write_stage("pursuit", data.drop_vars("lateral_error_measured"), b"")

@@ -185,7 +185,7 @@ def test_sensors_tell_the_yaw_rate_with_its_bias():
 
 
 @pytest.mark.parametrize("steps", [0.0, 0.3, 0.999, 1.0, 2.6])
-def test_what_is_late_is_told_as_it_was(steps):
+def test_what_is_late_is_reported_as_it_was(steps):
     """Less whole steps, and exactly where the state moves along a cubic."""
     model = universal_car(load_vehicle("sedan"), effects_by_name(("channel_delay",)))
     model = model.with_parameters(jnp.array([0.0, steps, 0.4 * steps]) * DT / model.scale)

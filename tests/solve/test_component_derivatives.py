@@ -1,4 +1,4 @@
-"""Derivatives by components against JAX's own, zeros told apart, values computed once."""
+"""Derivatives by components against JAX's own, zeros kept apart, values computed once."""
 
 import jax
 import jax.numpy as jnp

@@ -21,7 +21,7 @@ class MadeUp:
 
     def __init__(self, config, scenario):
         del scenario
-        self.config, self.drivers = config, None
+        self.config, self.untuned_drivers = config, None
         self.plants = [f"plant_{i}" for i in range(config.training + config.held_out)]
 
     def _aim(self, which):
@@ -51,7 +51,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_results_report_and_figure_are_written_and_the_gain_is_told(here, capsys):
+def test_results_report_and_figure_are_written_and_the_gain_is_reported(here, capsys):
     assert main(["tune", "--out", "r", "--held-out", "3", "--budget", "30", "--workers", "1"]) == 0
     out = capsys.readouterr().out
     results = json.loads((here / "r" / "results.json").read_text())

@@ -145,15 +145,15 @@ def _assigned(known: list[_Known], placed: dict[str, Placed], dt: float) -> dict
 
 def _scored(role: str, one: _Known, fits: list[Fit | None]) -> tuple[float, Fit | None, float]:
     """Return score, best relation and factor of a column as channel `role`."""
-    worth, allowed = one.said.worth[role], _allowed(role, one.said)
-    if not worth or (role in BY_NAME and worth < BY_NAME_LEAST):
+    name_score, allowed = one.said.name_score[role], _allowed(role, one.said)
+    if not name_score or (role in BY_NAME and name_score < BY_NAME_LEAST):
         return 0.0, None, 1.0
     there = [found for found in fits if found is not None]
     if not there:
-        return ONLY_NAMED * worth, None, _plain_factor(role, one, allowed)
+        return ONLY_NAMED * name_score, None, _plain_factor(role, one, allowed)
     best = max(there, key=lambda found: consistency(found, allowed))
     agreed = consistency(best, allowed)
-    score = NAMED * worth + FOLLOWS * agreed
+    score = NAMED * name_score + FOLLOWS * agreed
     if agreed == 0.0:
         return score, None, _plain_factor(role, one, allowed)
     size = _nearest(role, best, allowed, one)

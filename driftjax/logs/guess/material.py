@@ -19,9 +19,9 @@ FINEST = 0.02  # s, of the time base
 MOST = 10000  # samples; a longer log is read from its start
 GAP = 0.5  # s, over which values are interpolated
 FEW = 3  # different values up to which a column is a flag, unless its name says what it measures
-CLEAR = 0.9  # worth of such a name
+CLEAR = 0.9  # score of such a name
 NUMERIC = 0.9  # share of cells that must be numbers
-LEAST_TIME = 0.3  # worth of the name of a time
+LEAST_TIME = 0.3  # least score of the name of a time
 JUMP = 0.9  # share of a turn that is a jump of an angle
 
 
@@ -131,7 +131,7 @@ def _by_values(columns: list[tuple[str, str, np.ndarray]]) -> tuple[list[tuple],
     usable, flags, constant = [], [], []
     for name, unit, y in columns:
         different = np.unique(y[np.isfinite(y)])
-        clear = max(meaning(name, unit).worth.values()) >= CLEAR
+        clear = max(meaning(name, unit).name_score.values()) >= CLEAR
         if len(different) < 2 and not (clear and different.any()):  # a force may be constant; zeros fill up messages
             constant.append(name)
         elif len(different) <= FEW and not clear:
@@ -160,10 +160,14 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
         steps = np.diff(y)
         rising = float(np.mean(steps > 0)) if len(steps) else 0.0
         said = meaning(name)
-        if rising < 0.9 or said.worth["t"] < LEAST_TIME or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0]):
+        if (
+            rising < 0.9
+            or said.name_score["t"] < LEAST_TIME
+            or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0])
+        ):
             continue
         even = 1.0 - min(float(np.std(steps[steps > 0]) / np.mean(steps[steps > 0])), 1.0)
-        score = said.worth["t"] * rising * (0.5 + 0.5 * even)
+        score = said.name_score["t"] * rising * (0.5 + 0.5 * even)
         if score > best:
             fits = units_of_time(y)
             factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)

@@ -208,7 +208,7 @@ def _without_course(placed: dict[str, Placed], v: dict[str, Signal], dt: float, 
 
 
 def _note_turned(placed: dict[str, Placed], left: list[str]) -> None:
-    if {"ax", "ay"} <= set(placed) and meaning(placed["ay"].column.name).worth["ax"] > LEAST:
+    if {"ax", "ay"} <= set(placed) and meaning(placed["ay"].column.name).name_score["ax"] > LEAST:
         left.append(f"'{placed['ay'].column.name}' follows the acceleration to the left, '{placed['ax'].column.name}' "
                     "that forwards or backwards: the sensor is mounted a quarter turn to the side.")  # fmt: skip
 
@@ -225,7 +225,7 @@ def _one_pair_of_speeds(placed: dict[str, Placed]) -> dict[str, Placed]:
         drop = {"vx", "vy", "V", "beta"} - set(best)
     elif "vx" in placed:
         ahead, speed = placed["vx"]._replace(role="V"), placed.get("V")
-        named = speed is not None and meaning(speed.column.name, speed.column.unit).worth["V"] > UNKNOWN
+        named = speed is not None and meaning(speed.column.name, speed.column.unit).name_score["V"] > UNKNOWN
         placed = placed | {"V": max(speed, ahead, key=lambda one: one.score) if speed and named else ahead}
         drop = {"vx"}
     else:

@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth
 from driftjax.logs.guess.names import DEG, G
 
-EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # what a relation is worth: of rigid bodies, without sideslip, of cars as a rule
+EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # weight of a relation: of rigid bodies, without sideslip, of cars as a rule
 EVERY = 4  # sample that the size of the values is taken from
 WEAK = 0.6  # correlation that says nothing
 ALIKE = (0.8, 1.25)  # ratio to the factor of a unit

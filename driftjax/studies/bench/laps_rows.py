@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.control.driver import Driver
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.learning.scenario import Scenario, build, drivers
+from driftjax.learning.scenario import Scenario, build, build_drivers
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal, first_progress
 from driftjax.learning.updates import update_progress
@@ -66,7 +66,7 @@ def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
 def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
     """Build scenario and drivers of `num` plants, all with the same residual."""
     scenario = build(lap_options(num), executor)
-    return scenario, drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
+    return scenario, build_drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
 def measure(cfg: BenchConfig) -> PartResult:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import kstest
 
 from driftjax.diagnosis.select import PARAMETER_PENALTY
-from driftjax.studies.hidden_effects.drivers import DRIVERS
+from driftjax.studies.hidden_effects.driving_variables import DRIVING_VARIABLES
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 BINS = 5  # of the probability
@@ -76,13 +76,13 @@ def imitates_truth(result: Result) -> bool:
     return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + PARAMETER_PENALTY
 
 
-def driver_found(result: Result) -> bool:
-    """Return whether one of the two reported variables drives the missing effect.
+def names_driving_variable(result: Result) -> bool:
+    """Return whether the diagnosis reports a variable that drives the missing effect, among its first two.
 
     They are those of what remains, or of all errors of the nominal car where nothing does.
     """
     reported = result["unexplained"]["drivers"] or result["unexplained"]["at_first"]
-    return any(variable in DRIVERS[name] for name in hidden_in(result) for variable in reported)
+    return any(variable in DRIVING_VARIABLES[name] for name in hidden_in(result) for variable in reported)
 
 
 def height_within_tolerance(result: Result) -> bool:

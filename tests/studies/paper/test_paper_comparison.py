@@ -197,9 +197,9 @@ def ends(nominal: float, gpr: float, explored: float, spread: float, num: int = 
     [(60.0, [10.0, 80.0], True), (60.0, [-5.0, 90.0], False), (40.0, [30.0, 50.0], False), (60.0, [None, None], False)],
 )
 def test_a_gain_is_shown_by_its_size_and_its_interval(value, ci95, met):
-    told = {"value": value, "ci95": ci95}
+    gain = {"value": value, "ci95": ci95}
     rows = ends(0.5, 0.3, 0.2, 0.01)
-    gains = {name: told for name in GAINS}
+    gains = {name: gain for name in GAINS}
     found = {row["name"]: row for row in targets("sedan", gains, {"paper": rows})}
     assert found["gpr"]["met"] is met and found["gpr"]["aim"] == 52.8
     assert found["best_error"]["of"] == ("paper", "explore-best") and found["best_error"]["met"]
@@ -262,7 +262,7 @@ def test_states_far_from_the_data_are_counted(tmp_path):
     assert extrapolated(run, "paper", SECTION) == {"gpr-best": pytest.approx(0.5)}
 
 
-def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
+def test_bad_input_is_reported_in_one_sentence(tmp_path, capsys):
     RunFolder.create(tmp_path / "learn", {}, "learn")
     assert main(["paper", "--resume", str(tmp_path / "learn")]) == 2
     assert "not of `driftjax paper`" in capsys.readouterr().err
