@@ -64,7 +64,7 @@ class FittedParameter(NamedTuple):
 
     @property
     def remarks(self) -> str:
-        """Return what is to be said of it in the table."""
+        """Return the remarks on its identifiability for the table."""
         if self.dead:
             return "dead: these data say nothing of it"
         found = ["at its bound: these data ask for more"] if self.at_bound else []

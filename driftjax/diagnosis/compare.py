@@ -262,7 +262,7 @@ def judge(
     gaps = [f"{gap_sentence(one, names, bool(differences))}" for one, names in zip(gap, ("BA", "AB"), strict=True)]
     force_known = pair.problems[0].data.force_known
     limits = range_sentence(overlap) + ([] if force_known else [NO_FORCE])
-    if any(left_open(one, config.unexplained) for one in gap):
+    if any(exceeds_tolerance(one, config.unexplained) for one in gap):
         named = ", ".join(one.effect for one in differences)
         text = f"Something differs that no effect of the catalogue explains{', beside ' + named if named else ''}."
         return Judgement(Verdict.UNKNOWN, " ".join([text, *words, gaps[1], gaps[0], *limits]))
@@ -279,12 +279,12 @@ def judge(
     return Judgement(Verdict.NAMED if sure else Verdict.SET, " ".join([*words, gaps[1], *limits]))
 
 
-def left_open(gap: Gap, tolerated: float) -> bool:
+def exceeds_tolerance(gap: Gap, tolerated: float) -> bool:
     """Return whether more than `tolerated` of the gap is left beyond doubt, or it is in doubt that most is closed."""
     if gap.closed is None:
         return False
     one = gap.closed
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).too_little(tolerated)
+    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).unexplained_exceeds(tolerated)
 
 
 def describe(one: Difference) -> str:

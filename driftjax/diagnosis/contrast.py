@@ -24,7 +24,7 @@ from driftjax.diagnosis.score import (
     joint_score,
     null_max_scores,
     partial_out,
-    studentised,
+    studentised_scores,
     sum_by_block,
 )
 from driftjax.diagnosis.select import LEVEL, MARGIN, MIN_SIZE, PARAMETER_PENALTY, STRIDE
@@ -107,7 +107,7 @@ def difference_scores(contrast: Contrast, d: np.ndarray, selected: tuple[int, ..
     own = np.diag(left) > CONDITION * np.maximum(np.diag(H), 1.0)
     own[columns] = False
     own &= np.isin(np.arange(len(d)), np.concatenate(model.columns))
-    T, U = studentised(effective, own), effective.sum(axis=0)
+    T, U = studentised_scores(effective, own), effective.sum(axis=0)
     several = {i: k for i, k in enumerate(model.columns) if len(k) > 1 and own[k].all()}
     joint = np.zeros(len(model.columns))
     for i, k in several.items():
@@ -140,7 +140,7 @@ def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, .
     while True:
         sets = beam_search(model, min(len(selected) + STRIDE, most), PARAMETER_PENALTY)
         best = next((one.effects for one in sets if is_material(model, one.psi, one.effects)), ())
-        new = supported(contrast, best, seed)
+        new = eliminate_insignificant(contrast, best, seed)
         if penalised(new) >= penalised(selected) - MARGIN:
             return selected
         selected = new
@@ -151,10 +151,10 @@ def is_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...])
     return all(np.abs(psi[model.columns[i]]).max() >= MIN_SIZE for i in effects)
 
 
-def supported(contrast: Contrast, selected: tuple[int, ...], seed: int) -> tuple[int, ...]:
-    """Return those of `selected` whose own difference is significant beside the others; the least is left out first.
+def eliminate_insignificant(contrast: Contrast, selected: tuple[int, ...], seed: int) -> tuple[int, ...]:
+    """Eliminate differences one by one, the least significant first, until all of `selected` are significant.
 
-    It must also exceed what sizes vary by from run to run, at a family-wise rate of 5 % too.
+    Each must also exceed the variation of sizes from run to run, at a family-wise rate of 5 % too.
     """
     num = sum(len(k) > 0 for k in contrast.cost.columns)
     while selected:

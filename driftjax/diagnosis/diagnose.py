@@ -20,7 +20,7 @@ from driftjax.diagnosis.held_out import (
     refit_retuned,
     retuned_effects,
 )
-from driftjax.diagnosis.missing import Lost, lost_by_missing
+from driftjax.diagnosis.missing import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose
@@ -59,7 +59,7 @@ class Evidence:
     explained: Explained | None  # None where no run is long enough
     answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
     retuned: Fit | None  # the re-tuned car on all runs, where that is the answer
-    lost: Lost  # what the log cannot say for want of channels
+    unidentifiable: Unidentifiable  # what the log leaves unidentifiable, since channels are missing
 
 
 @dataclass(frozen=True)
@@ -211,10 +211,10 @@ def _conclude(
     judgement = decide_verdict(problem, selection, causes, remaining, duration, explained, config.unexplained)
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
-    lost = lost_by_missing(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
-    judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {lost.sentence}".strip())
+    unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
+    judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {unidentifiable.sentence}".strip())
     proposal = propose(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
-        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, lost
+        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable
     )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

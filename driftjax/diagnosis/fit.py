@@ -76,10 +76,10 @@ class Problem(NamedTuple):
     @property
     def measured(self) -> np.ndarray:
         """Return which of V, beta, r (3,) predictions can be compared with."""
-        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.counts[-1]
+        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.informative[-1]
 
     @property
-    def not_judged(self) -> tuple[int, ...]:
+    def unidentifiable_effects(self) -> tuple[int, ...]:
         """Return the effects that are not identifiable because the force was estimated."""
         return () if self.data.force_known else tuple(i for i, e in enumerate(self.effects) if depends_on_force(e))
 
@@ -96,7 +96,7 @@ class Problem(NamedTuple):
     def num_measurements(self) -> int:
         """Number of measurements whose residuals the cost sums."""
         windows = 0 if self.motion is None else self.motion.used.sum()
-        return int(np.sum(np.asarray(self.data.padded.valid) * self.data.counts) + windows)
+        return int(np.sum(np.asarray(self.data.padded.valid) * self.data.informative) + windows)
 
 
 class Fit(NamedTuple):
@@ -189,7 +189,7 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
     model, data, fixed = problem.model, problem.data, fixed_gain(problem.data)
     path = run_observer(model, data, theta, fixed)
     steps = step_derivatives(model, data, theta, path, profiled)
-    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.counts)
+    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.informative)
     return with_noise(with_motion_noise(problem), theta, noise)
 
 
@@ -255,7 +255,7 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
-    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.counts - used))
+    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.informative - used))
     if problem.motion is not None:
         further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing

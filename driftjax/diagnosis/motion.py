@@ -18,7 +18,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
-from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces, room_for
+from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces, padded_size
 from driftjax.parallel import call
 from driftjax.sim.record import road_acceleration
 from driftjax.vehicle.universal import Universal
@@ -171,7 +171,7 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
     """Apply `function` to all pieces, with room for windows of few sizes, and return those windows that there are."""
     W, where = window_size(model, data.dt), jnp.asarray(theta)
     n = (data.size - 1) // W
-    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), room_for(n, ROOM), data.dt)
+    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), padded_size(n, ROOM), data.dt)
     found = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
     return jax.tree.map(lambda a: a[:, :n], found)
 

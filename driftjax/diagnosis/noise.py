@@ -60,18 +60,18 @@ def robust_deviation(values: np.ndarray) -> float:
 
 
 def restricted_likelihood(
-    logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    logs: Float[Array, "7"], steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> Float[Array, ""]:
     """Return minus twice the restricted log-likelihood for the logarithms of `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
-    where `counts` (T, 3) is 1 do.
+    where `informative` (T, 3) is 1 do.
     """
     noise = jnp.exp(logs)
     decay = jnp.exp(-dt / noise[6])
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt, counts)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, noise[:3], noise[3:6], decay, dt, informative)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -90,7 +90,7 @@ def restricted_likelihood(
 
 
 def _search(
-    first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    first: Array, low: Array, high: Array, steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> Minimum:
     """Minimise `restricted_likelihood` per measurement within bounds, in scaled logarithms."""
     rows, stiff = jnp.maximum(jnp.sum(steps.valid), 1.0), jnp.asarray(LOG_SCALES)
@@ -100,7 +100,7 @@ def _search(
         (high - first) * stiff,
         {"tolerance": GRADIENT_TOLERANCE, "max_steps": ITERATIONS},
     )
-    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, counts, **options)
+    found = minimise_within(value, 0 * first, lower, upper, first, steps, e, L, informative, **options)
     return eqx.tree_at(lambda m: m.x, found, first + found.x / stiff)
 
 
@@ -113,19 +113,19 @@ def spread_pieces(trees: tuple[Steps, Array, Array]) -> tuple[Steps, Array, Arra
     return jax.tree.map(pad, trees)
 
 
-def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, counts: np.ndarray) -> Noise:
+def estimate_noise(steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, informative: np.ndarray) -> Noise:
     """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
     measurement: seven numbers need no more, and one program serves all logs. Only innovations where
-    `counts` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`.
+    `informative` (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`.
     """
     steps, e, L = spread_pieces((steps, e, gains.L))
     low = np.concatenate([0.2 * start.sigma, 1e-3 * start.disturbance, [2 * dt]])
     high = np.concatenate([5 * start.sigma, 1e3 * start.disturbance, [5.0]])
-    tells = counts.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
+    tells = informative.any(axis=0) & np.asarray(steps.valid).any(axis=(0, 1))  # channels that say what they err by
     low[:3], high[:3] = np.where(tells, low[:3], start.sigma), np.where(tells, high[:3], start.sigma)
     high[3:6] = np.where(tells, high[3:6], UNSEEN * start.disturbance)
     first, lower, upper = (jnp.asarray(np.log(row)) for row in (start.as_vector(), low, high))
-    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(counts, float)).x)
+    best = np.exp(call(_search, first, lower, upper, steps, e, L, dt, jnp.asarray(informative, float)).x)
     return Noise(best[:3], best[3:6], float(best[6]))

@@ -15,7 +15,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
-from driftjax.sim.rollout import acting, begin, move, sensor_reading
+from driftjax.sim.rollout import actuator_response, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
@@ -94,7 +94,7 @@ def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun
 
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
     """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
-    u = acting(model, run.commands, run.V, dt)
+    u = actuator_response(model, run.commands, run.V, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
@@ -127,11 +127,17 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
 
 
 def kalman_gains(
-    A: Float[Array, "T 3 3"], valid: Array, sigma: Array, disturbance: Array, decay: Array, dt: float, counts: Array
+    A: Float[Array, "T 3 3"],
+    valid: Array,
+    sigma: Array,
+    disturbance: Array,
+    decay: Array,
+    dt: float,
+    informative: Array,
 ) -> Gains:
     """Return the Kalman gains of one run for transitions `A`, white measurement noise and disturbances of the rates.
 
-    All measurements update the state, but only innovations where `counts` (T, 3) is 1 are whitened: the others are
+    All measurements update the state, but only innovations where `informative` (T, 3) is 1 are whitened: the others are
     conditioned on.
     """
     R, grown, zero = jnp.diag(sigma**2), jnp.diag(disturbance**2), jnp.zeros((3, 3))
@@ -139,7 +145,7 @@ def kalman_gains(
     Q = disturbance_covariance(disturbance, decay)
 
     def on(P, row):
-        A, valid, alive, counts = row
+        A, valid, alive, informative = row
         H = jnp.concatenate([jnp.diag(valid), zero], axis=1)
         S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
         factor = jnp.linalg.cholesky(S)
@@ -148,10 +154,10 @@ def kalman_gains(
         known = P - L @ S @ L.T
         F = transition(A, decay, dt)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
-        log_det = jnp.sum(counts * jnp.log(jnp.diagonal(factor)))
-        return (P + P.T) / 2, (L, counts[:, None] * whitening, known, log_det)
+        log_det = jnp.sum(informative * jnp.log(jnp.diagonal(factor)))
+        return (P + P.T) / 2, (L, informative[:, None] * whitening, known, log_det)
 
-    rows = A, valid, in_run(valid), counts
+    rows = A, valid, in_run(valid), informative
     L, whitening, known, log_det = jax.lax.scan(on, start, rows)[1]
     return Gains(L, whitening, decay, known, jnp.sum(log_det))
 

@@ -64,7 +64,7 @@ def observer_path(problem: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
 def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
     """Estimate the noise that the nominal car needs on `path` when no effect explains its errors."""
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
-    return estimate_noise(bare, path.e, problem.gains, problem.noise, problem.data.dt, problem.data.counts)
+    return estimate_noise(bare, path.e, problem.gains, problem.noise, problem.data.dt, problem.data.informative)
 
 
 def residual_forces(

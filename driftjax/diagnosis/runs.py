@@ -72,8 +72,8 @@ class Pieces(NamedTuple):
         return self.block.shape[1]
 
     @property
-    def counts(self) -> np.ndarray:
-        """Return which innovations (T, 3) of a piece say something about the car."""
+    def informative(self) -> np.ndarray:
+        """Return which innovations (T, 3) of a piece are informative about the car."""
         channels = np.array([self.force_known, True, True])
         return (np.arange(self.size) >= self.skip)[:, None] & channels
 
@@ -172,12 +172,12 @@ def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> Pa
     )
 
 
-def _riccati(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
-    return kalman_gains(A, valid, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt, counts)
+def _riccati(A: Array, valid: Array, noise: Array, dt: float, informative: Array) -> Gains:
+    return kalman_gains(A, valid, noise[:3], noise[3:6], jnp.exp(-dt / noise[6]), dt, informative)
 
 
-def _riccatis(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
-    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None, None))(A, valid, noise, dt, counts)
+def _riccatis(A: Array, valid: Array, noise: Array, dt: float, informative: Array) -> Gains:
+    return eqx.filter_vmap(_riccati, in_axes=(0, 0, None, None, None))(A, valid, noise, dt, informative)
 
 
 def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
@@ -202,8 +202,8 @@ def batches(num: int, size: int) -> list[np.ndarray]:
     return [np.minimum(np.arange(k, k + size), num - 1) for k in range(0, num, size)]
 
 
-def room_for(num: int, least: int) -> int:
-    """Return the rows to keep for `num` results, at least `least`: of few sizes, so that one program serves many."""
+def padded_size(num: int, least: int) -> int:
+    """Return the padded size for `num` rows: a power of two, at least `least`, so that one program serves many."""
     return max(least, 1 << (num - 1).bit_length())
 
 
@@ -246,8 +246,8 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
 
 def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
     """Return the gains for transitions `A` (P, T, 3, 3) and measurements that are `valid` (P, T, 3)."""
-    counts = jnp.asarray(data.counts, float)
-    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, counts)
+    informative = jnp.asarray(data.informative, float)
+    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, informative)
     return map_pieces(riccati_of, len(data.run), A, valid)
 
 

@@ -50,7 +50,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         },
         "process_sigma": dict(zip(MEASURED, map(float, noise.disturbance), strict=True)),
         "process_correlation_s": noise.correlation,
-        "missing": evidence.lost._asdict() | {"sentence": evidence.lost.sentence},
+        "missing": evidence.unidentifiable._asdict() | {"sentence": evidence.unidentifiable.sentence},
     }
     return content
 

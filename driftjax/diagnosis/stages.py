@@ -122,8 +122,8 @@ def run_stages(
     prior, weight = np.diag(problem.prior).copy(), np.diag(problem.prior).copy()
     for stage in STAGES:
         freed |= chosen & np.isin(names, list(stage.effects))
-        counts = np.isin(stretch, stage.stretches)
-        if not freed.any() or np.sum(counts) < least_samples(problem):
+        active = np.isin(stretch, stage.stretches)
+        if not freed.any() or np.sum(active) < least_samples(problem):
             continue
         begin(stage)
         excess = expected[stage.stretches[0]]
@@ -132,12 +132,12 @@ def run_stages(
         weight[first] = prior[first]
         precision = known + np.diag(prior)
         centre = np.linalg.solve(precision, known @ theta + prior * problem.start)
-        part = count_only(problem, counts)._replace(start=centre, precision=excess * precision)
+        part = restrict_to_samples(problem, active)._replace(start=centre, precision=excess * precision)
         fit, at = refit_to_convergence(part, require_finite(evaluate(part, theta)), np.flatnonzero(freed))
         theta, H = fit.theta, information(at.J) / excess
         known, own_information = (
-            consider(precision + H, freed),
-            consider(own_information + np.diag(DEAD * prior) + H, freed),
+            marginal_precision(precision + H, freed),
+            marginal_precision(own_information + np.diag(DEAD * prior) + H, freed),
         )
         prior[freed] = 0.0  # contained in what is known
         own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
@@ -158,25 +158,25 @@ def score_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> f
     return overdispersion(H + np.eye(len(H)) / PRIOR**2, blocks[some], columns)
 
 
-def count_only(problem: Problem, counts: np.ndarray) -> Problem:
-    """Return the problem in which only what is measured at the samples `counts` (P, T) counts.
+def restrict_to_samples(problem: Problem, active: np.ndarray) -> Problem:
+    """Restrict the cost to the innovations at the `active` samples (P, T).
 
-    All else is conditioned on as before: the observer is the same. Pieces without such samples are left out.
+    The observer is the same: it uses all measurements as before. Pieces without such samples are left out.
     """
-    keep = np.flatnonzero(counts.any(axis=1))
-    counts, gains, motion = counts[keep], take(problem.gains, keep), problem.motion
-    gains = gains._replace(whitening=gains.whitening * counts[..., None, None])
+    keep = np.flatnonzero(active.any(axis=1))
+    active, gains, motion = active[keep], take(problem.gains, keep), problem.motion
+    gains = gains._replace(whitening=gains.whitening * active[..., None, None])
     if motion is not None:
-        used = motion.used[keep] & counts[:, window_ends(problem.model, problem.data)][..., None]
+        used = motion.used[keep] & active[:, window_ends(problem.model, problem.data)][..., None]
         motion = motion._replace(used=used) if used.any() else None
     return problem._replace(data=problem.data.subset(keep), gains=gains, motion=motion)
 
 
-def consider(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
-    """Return what is known (K, K) of all parameters after a stage that estimated those `freed` (K,).
+def marginal_precision(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
+    """Return the precision (K, K) of all parameters after a stage that estimated those `freed` (K,).
 
-    `precision` (K, K) holds all that was known before, and the information of the stage. Whatever the other parameters
-    are, the freed ones lie about the minimum of the stage's cost at these; of the others nothing is learnt.
+    `precision` (K, K) is the sum of the prior one and the information of the stage. Whatever the other parameters
+    are, the freed ones lie about the minimum of the stage's cost at these; about the others the stage says nothing.
     """
     row = precision[freed]
     return row.T @ np.linalg.solve(row[:, freed], row)

@@ -61,7 +61,7 @@ def find_stretches(problem: Problem) -> np.ndarray:
     kind = np.where(np.abs(lateral).max(axis=2) < STRAIGHT_BELOW, kind, Stretch.CORNERING)
     kind = np.where(used < LIMIT_FROM, kind, Stretch.LIMIT)
     kind = causal(maximum_filter1d, kind, steps(HOLD))
-    within = samples_in_run(np.asarray(data.padded.valid)) & data.counts.any(axis=1)
+    within = samples_in_run(np.asarray(data.padded.valid)) & data.informative.any(axis=1)
     return np.where(within, kind, NOWHERE)
 
 

@@ -20,7 +20,7 @@ from driftjax.diagnosis.score import (
     half_widths_from,
     null_max_scores,
     partial_out,
-    studentised,
+    studentised_scores,
     sums_by_block,
 )
 from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, penalised_cost
@@ -153,7 +153,7 @@ def generic_terms(
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
     own[:K] &= tested.T != 0
-    T = studentised(effective, own)
+    T = studentised_scores(effective, own)
     chance = null_max_scores(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
     U, e = effective.sum(axis=0)[K:], np.asarray(at.e)

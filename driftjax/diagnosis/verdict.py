@@ -53,7 +53,7 @@ class Explained(NamedTuple):
     horizon: float  # [s]
     held_out: bool  # whether measured on runs without which the effects were named
 
-    def too_little(self, tolerated: float) -> bool:
+    def unexplained_exceeds(self, tolerated: float) -> bool:
         """Return whether more than `tolerated` is left beyond doubt, or it is in doubt that most is explained.
 
         In either case what is left must be that share of the model's own error too: a small excess is no reason to
@@ -81,7 +81,11 @@ def decide_verdict(
     and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
     no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
     """
-    large = explained.too_little(tolerated) if explained else remaining.significant or remaining.simpler is not None
+    large = (
+        explained.unexplained_exceeds(tolerated)
+        if explained
+        else remaining.significant or remaining.simpler is not None
+    )
     if large and (remaining.significant or remaining.simpler or named):
         return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from driftjax.core import BadInput, Control, State
-from driftjax.export.target import Format, Kept, car_with, write_text
+from driftjax.export.target import Format, ReducedCar, car_with, write_text
 from driftjax.sim.step import LaggedState
 from driftjax.sim.travel import Travel, travel
 from driftjax.vehicle import VehicleConfig, actuator_lags, build_car
@@ -83,7 +83,7 @@ def substeps(vehicle: VehicleConfig, dt: float) -> int:
     return max(math.ceil(dt / (FINEST * reference(vehicle, "time"))), 1)
 
 
-def write_casadi(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_casadi(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write rates.casadi, step.casadi (for `casadi.Function.load`) and casadi.json, which names their states."""
     try:
         import casadi as ca
@@ -94,7 +94,7 @@ def write_casadi(kept: Kept, folder: Path) -> tuple[str, ...]:
             "--to casadi needs the extra 'casadi'; install it with pip install 'driftjax[casadi]'."
         ) from None
 
-    full, dt = kept.full, kept.options.dt
+    full, dt = reduced.full, reduced.options.dt
     num, lap = substeps(full, dt), 1000.0
     rates, fine = rates_model(full), step_model(full, dt / num, lap)
 

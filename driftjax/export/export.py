@@ -9,7 +9,7 @@ from driftjax.export.casadi_car import CASADI
 from driftjax.export.loss import Loss, loss
 from driftjax.export.racing import GYM, RACE_STACK, TUM
 from driftjax.export.simulators import AUTOWARE, COMMONROAD, OPEN_CAR_DYNAMICS
-from driftjax.export.target import Format, Options, keep
+from driftjax.export.target import Format, Options, restrict_effects
 from driftjax.logs import Log
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
@@ -73,17 +73,17 @@ def export_car(
         if value is not None and not 0 < value < float("inf"):
             raise BadInput(f"{name} is {value}; it must be positive.")
     target, folder = FORMATS[to], Path(folder)
-    kept = keep(vehicle, target.holds, Options(top_speed, dt))
+    reduced = restrict_effects(vehicle, target.holds, Options(top_speed, dt))
     named = [name for name in EFFECTS if any(one.effect == name for one in vehicle.effects)]
     lost = tuple(name for name in named if name not in target.holds)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files = target.write(kept, folder)
+        files = target.write(reduced, folder)
     except OSError as error:
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another --out.") from None
     return Export(
         to, target.title, tuple(folder / name for name in files), tuple(n for n in named if n not in lost), lost,
-        target.notes, loss(vehicle, kept.vehicle, log) if lost and target.predicts else None,
+        target.notes, loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from driftjax.export.target import car_with
 from driftjax.logs import Log, Run
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.parallel import call
-from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
+from driftjax.sim.rollout import SETTLE, actuator_response, begin, move, sensor_reading
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Place, reference
 from driftjax.vehicle.universal import Universal
@@ -75,7 +75,7 @@ def _rms(off: np.ndarray) -> tuple[float, ...]:
 def _predict(model: Universal, windows: Window, dt: float) -> Float[Array, "S n 3"]:
     def one(window: Window) -> Array:
         num = len(window.y) - 1
-        inputs = acting(model, window.commands, window.V, dt)
+        inputs = actuator_response(model, window.commands, window.V, dt)
         before, u = inputs[-num - 1], inputs[-num:]
         place = lambda k: jax.tree.map(lambda a: a[k], window.place)
 

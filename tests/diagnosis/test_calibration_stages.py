@@ -15,7 +15,7 @@ from driftjax.diagnosis import stages
 from driftjax.diagnosis.fit import Fit
 from driftjax.diagnosis.identifiability import identifiability, stretch_shares
 from driftjax.diagnosis.noise import PRIOR
-from driftjax.diagnosis.stages import STAGES, consider, count_only, run_stages
+from driftjax.diagnosis.stages import STAGES, marginal_precision, restrict_to_samples, run_stages
 from driftjax.diagnosis.stretches import NOWHERE, Stretch, axle_forces, find_stretches, tyre_use
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.universal import base_car
@@ -31,7 +31,7 @@ def test_a_parameter_that_trades_off_with_a_later_one_waits_for_it():
     J1, J2, y1, y2 = np.array([[5.0, 5.0]]), np.array([[0.0, 4.0]]), np.array([10.0]), np.array([4.0])
     prior = np.eye(2) / PRIOR**2
     first = np.array([J1[0, 0] * y1[0] / (J1[0, 0] ** 2 + 1 / PRIOR**2), 0.0])  # b stays 0
-    known = consider(prior + J1.T @ J1, np.array([True, False]))
+    known = marginal_precision(prior + J1.T @ J1, np.array([True, False]))
     P = np.linalg.inv(known + np.diag([0.0, 1 / PRIOR**2]))
     assert P[0, 0] > 0.9 * PRIOR**2 and P[0, 1] < -0.9 * PRIOR**2  # nearly unknown, but tied to b
     assert P[1, 1] == pytest.approx(PRIOR**2)  # of which stage 1 says nothing
@@ -71,7 +71,7 @@ def _solve(part: Linear, fit: Fit, columns: np.ndarray) -> tuple[Fit, Any]:
 @pytest.mark.parametrize("kinds", [(1, 2, 3), (3, 3, 3), (1, 3, 3)])
 def test_stages_find_the_truth_and_say_where_harder_stretches_disagree(kinds, monkeypatch):
     monkeypatch.setattr(stages, "evaluate", lambda part, theta: Fit(theta, 0.0, part.y))
-    monkeypatch.setattr(stages, "count_only", lambda problem, counts: problem._replace(use=counts))
+    monkeypatch.setattr(stages, "restrict_to_samples", lambda problem, counts: problem._replace(use=counts))
     monkeypatch.setattr(stages, "refit_to_convergence", _solve)
     monkeypatch.setattr(stages, "score_dispersion", lambda *_: 1.0)
     J = 5 * np.random.default_rng(2).standard_normal((1, 60, 1, 3))
@@ -143,7 +143,7 @@ def test_only_what_is_measured_in_a_stretch_counts():
     problem = problem_of(21, 22, steer_lag=1.0)
     counts = find_stretches(problem) == Stretch.LIMIT
     counts[0] = False
-    part = count_only(problem, counts)
+    part = restrict_to_samples(problem, counts)
     assert len(part.data.run) == int(counts.any(axis=1).sum()) < len(problem.data.run)
     whitening = np.asarray(part.gains.whitening)
     assert not whitening[~counts[counts.any(axis=1)]].any() and whitening[counts[counts.any(axis=1)]].any()

@@ -9,7 +9,7 @@ import pytest
 import driftjax as dj
 from driftjax.core import BadInput
 from driftjax.diagnosis import fit
-from driftjax.diagnosis.missing import Lost
+from driftjax.diagnosis.missing import Unidentifiable
 from driftjax.diagnosis.runs import Linearisation
 
 P, T, K = 5, 40, 3
@@ -74,8 +74,11 @@ def test_a_car_that_is_lost_most_of_the_time_is_reported():
 
 
 def test_the_sentence_says_how_long_the_car_was_lost():
-    assert "The observer loses the car in 12.5 s of the log, which do not count." in Lost((), {}, {}, (), 12.5).sentence
-    assert Lost((), {}, {}, ()).sentence == ""
+    assert (
+        "The observer loses the car in 12.5 s of the log, which do not count."
+        in Unidentifiable((), {}, {}, (), 12.5).sentence
+    )
+    assert Unidentifiable((), {}, {}, ()).sentence == ""
 
 
 def run_at(V: np.ndarray) -> dj.Run:
