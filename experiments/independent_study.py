@@ -21,7 +21,7 @@ import tyro
 import driftjax as dj
 from driftjax.core import write_atomically
 from driftjax.diagnosis.diagnose import Evidence
-from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.select import penalised_cost
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
@@ -81,7 +81,7 @@ def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
     hidden = tuple(sorted((*map(names.index, case.hidden), *body)))
     sizes = np.array(theta) / np.asarray(problem.model.scale)
     sizes[problem.columns(body)] = 1.0
-    true = evaluate(problem, sizes)
+    true = evaluate_fit(problem, sizes)
     true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
     costs = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
              "truth": penalised_cost(problem, true, hidden)}  # fmt: skip

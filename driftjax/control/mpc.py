@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from driftjax.control.residual import ResidualExpansion, expand_residual
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_loop, rk4_step
-from driftjax.solve import AbstractOCP, Linear, Options, Plan, solve
+from driftjax.solve import AbstractOCP, Linear, Options, Solution, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, build_car
 
@@ -244,7 +244,7 @@ class MPCSolution(eqx.Module):
     u: Control  # first input of the plan
     X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
     U: Float[Array, "N 2"]  # planned delta, Fxr
-    plan: Plan  # scaled solution with its residuals
+    plan: Solution  # scaled solution with its residuals
 
 
 def solve_mpc(

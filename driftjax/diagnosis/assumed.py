@@ -5,7 +5,7 @@ import numpy as np
 
 from driftjax.core import Control, State
 from driftjax.logs import Run
-from driftjax.logs.agreement import WINDOW, smooth
+from driftjax.logs.agreement import WINDOW, smooth_with_rate
 from driftjax.logs.sampling import fill_gaps
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
@@ -60,4 +60,4 @@ def acceleration(run: Run, beta: np.ndarray) -> np.ndarray:
         ax, ay = (fill_gaps(run.extra[name]) for name in ("ax", "ay"))
         at_once, window = ax * np.cos(beta) + ay * np.sin(beta), SLOW
     rest = run.V - np.cumsum(at_once) * run.dt
-    return fill_gaps(smooth(rest, run.dt, window)[1]) + at_once
+    return fill_gaps(smooth_with_rate(rest, run.dt, window)[1]) + at_once

@@ -52,7 +52,7 @@ def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray
     )
 
 
-def minimise(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
+def best_parameters(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
     """Return the minimiser (K,) over the parameters of `effects` within their bounds, zero elsewhere."""
     columns, psi = parameters_of(model, effects), np.zeros(len(model.g))
     H = model.H[np.ix_(columns, columns)]
@@ -67,7 +67,7 @@ def gain_of(model: QuadraticCost, psi: np.ndarray) -> float:
 
 def minimise_over(model: QuadraticCost, effects: tuple[int, ...]) -> EffectSet | None:
     """Return the set of `effects` at its minimum; None where one of them is not needed there."""
-    psi = minimise(model, effects)
+    psi = best_parameters(model, effects)
     needed = all(psi[model.columns[i]].any() for i in effects)
     return EffectSet(effects, psi, gain_of(model, psi)) if needed else None
 

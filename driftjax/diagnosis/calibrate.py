@@ -14,7 +14,7 @@ from driftjax.diagnosis.fit import (
     Fit,
     Problem,
     at_bound,
-    evaluate,
+    evaluate_fit,
     information,
     initial_problem,
     linearise,
@@ -24,9 +24,9 @@ from driftjax.diagnosis.fit import (
     with_noise,
 )
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_runs
+from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_models, split_runs
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
-from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
+from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
@@ -89,7 +89,7 @@ class Calibration:
     moved: np.ndarray  # (k,) by later stages, in standard deviations
     stretch: np.ndarray  # (P, T) kind of stretch of each sample
     staged: bool
-    gain: Gain | None  # on runs held out, of a car fitted without them; None where there are too few
+    gain: PredictionGain | None  # on runs held out, of a car fitted without them; None where there are too few
     lost_s: float  # of the runs, in which the observer loses the car [s]
 
     @property
@@ -222,7 +222,7 @@ def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ..
 
 def calibration_gain(
     problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int, staged: bool
-) -> Gain | None:
+) -> PredictionGain | None:
     """Return the gain on every `held_out`-th run of the effects `selected`, fitted without those runs.
 
     Noise and observer are those of the other runs too.
@@ -235,7 +235,7 @@ def calibration_gain(
     bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, fit.theta, near.noise)
     ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
     comparison = Comparison(test, ahead, noise_floor(test, fit.theta, ahead["fitted"], seed))
-    return compare(comparison, tuple(names[i] for i in held), selected, seed)
+    return compare_models(comparison, tuple(names[i] for i in held), selected, seed)
 
 
 def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
@@ -244,6 +244,6 @@ def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit
     The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """
     columns = loose.columns(selected)
-    rough, _ = refit_to_convergence(loose, require_finite(nominal_fit(loose)), columns)
+    rough, _ = refit_to_convergence(loose, require_finite_cost(nominal_fit(loose)), columns)
     anew = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
-    return anew, *refit_to_convergence(anew, require_finite(evaluate(anew, rough.theta)), columns)
+    return anew, *refit_to_convergence(anew, require_finite_cost(evaluate_fit(anew, rough.theta)), columns)

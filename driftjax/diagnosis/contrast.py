@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from driftjax.diagnosis.beam import QuadraticCost, beam_search, gain_of, minimise, parameters_of
+from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
 from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, information, linearise, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise, refit_to_convergence
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
@@ -122,7 +122,7 @@ def with_dispersion(contrast: Contrast) -> Contrast:
     That of all scores where every difference is at its best.
     """
     every = tuple(range(len(contrast.cost.columns)))
-    best = difference_scores(contrast, minimise(contrast.cost, every), (), 0)
+    best = difference_scores(contrast, best_parameters(contrast.cost, every), (), 0)
     own = np.diag(best.H) > 1.0
     excess = max(float(np.mean((best.blocks**2).sum(axis=0)[own] / np.diag(best.H)[own])), 1.0) if own.any() else 1.0
     model = contrast.cost
@@ -135,18 +135,18 @@ def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, .
     None is less than material, and each is significant beside the others, at a family-wise rate of 5 %.
     """
     model, selected = with_dispersion(contrast).cost, ()
-    gain = lambda effects: gain_of(model, minimise(model, effects))
+    gain = lambda effects: gain_of(model, best_parameters(model, effects))
     penalised = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
     while True:
         sets = beam_search(model, min(len(selected) + STRIDE, most), PARAMETER_PENALTY)
-        best = next((one.effects for one in sets if is_material(model, one.psi, one.effects)), ())
+        best = next((one.effects for one in sets if all_material(model, one.psi, one.effects)), ())
         new = eliminate_insignificant(contrast, best, seed)
         if penalised(new) >= penalised(selected) - MARGIN:
             return selected
         selected = new
 
 
-def is_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...]) -> bool:
+def all_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...]) -> bool:
     """Return whether every one of `effects` differs materially at `psi` (K,)."""
     return all(np.abs(psi[model.columns[i]]).max() >= MIN_SIZE for i in effects)
 
@@ -175,7 +175,7 @@ def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed:
     The difference over its robust standard error against the largest score that random signs give, both where all are
     at their best: a score where a large difference is left out would drown in what it spoils.
     """
-    psi, own = minimise(contrast.cost, selected), contrast.cost.columns[member]
+    psi, own = best_parameters(contrast.cost, selected), contrast.cost.columns[member]
     rest = tuple(i for i in selected if i != member)
     found = difference_scores(contrast, psi, rest, seed)
     P = partial_out(found.H, parameters_of(contrast.cost, rest))
@@ -193,7 +193,7 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
     Robust to dependence within blocks of time and, where both logs have several runs, to sizes that vary from run to
     run (at `run_level`): the wider one counts.
     """
-    psi, columns = minimise(contrast.cost, selected), parameters_of(contrast.cost, selected)
+    psi, columns = best_parameters(contrast.cost, selected), parameters_of(contrast.cost, selected)
     found = difference_scores(contrast, psi, selected, 0)
     width = half_widths_from(found.H, found.blocks, columns)
     runs = [np.unique(one.run, return_inverse=True)[1] for one in (contrast.first, contrast.second)]
@@ -210,7 +210,7 @@ def probabilities(contrast: Contrast, selected: tuple[int, ...], member: int) ->
     """Return the probabilities (E,) that `member` differs, or another effect in its place."""
     model = with_dispersion(contrast).cost
     costs = -rival_gains(model, tuple(i for i in selected if i != member))
-    costs[member] = -gain_of(model, minimise(model, selected))
+    costs[member] = -gain_of(model, best_parameters(model, selected))
     return hypothesis_probabilities(costs, np.array([max(len(k), 1) for k in model.columns]), 1.0)
 
 
@@ -228,7 +228,7 @@ def fit_pair(problems: tuple[Problem, Problem], effects: tuple[int, ...], starts
     """Fit `effects` to each log by itself, from the parameters `starts`."""
     columns = problems[0].columns(effects)
     each = [
-        refit_to_convergence(problem, evaluate(problem, theta), columns)
+        refit_to_convergence(problem, evaluate_fit(problem, theta), columns)
         for problem, theta in zip(problems, starts, strict=True)
     ]
     (fit_a, at_a), (fit_b, at_b) = each
@@ -261,7 +261,7 @@ def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes
         moved = max(
             np.abs(t - one.theta).max() for t, one in zip(thetas, (contrast.first, contrast.second), strict=True)
         )
-        fits = [evaluate(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
+        fits = [evaluate_fit(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
         known = [information_of(p, fit, linearise(p, fit)) for p, fit in zip(problems, fits, strict=True)]
         contrast = contrast_of(problems[0], *known)
         if moved < SETTLED:

@@ -13,7 +13,7 @@ from driftjax.diagnosis.fit import Fit, Problem, initial_problem, with_estimated
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
-    Gain,
+    PredictionGain,
     compare_on_all_runs,
     comparison_shares,
     measure_gain,
@@ -23,7 +23,7 @@ from driftjax.diagnosis.held_out import (
 from driftjax.diagnosis.missing import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
-from driftjax.diagnosis.propose import Proposal, propose
+from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
@@ -54,7 +54,7 @@ class Evidence:
     causes: list[Cause]
     unexplained: Unexplained
     proposal: Proposal | None
-    gain: Gain | None  # None where there are too few runs to hold any out
+    gain: PredictionGain | None  # None where there are too few runs to hold any out
     comparison: Comparison  # of the models on the runs held out, or on all
     explained: Explained | None  # None where no run is long enough
     answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
@@ -90,7 +90,7 @@ class Diagnosis:
         return named_effects(self.evidence.problem, self.evidence.causes) if self.evidence else ()
 
     @property
-    def gain(self) -> Gain | None:
+    def gain(self) -> PredictionGain | None:
         """Return the prediction errors on held-out runs, of effects named and fitted without them; None without any."""
         return self.evidence.gain if self.evidence else None
 
@@ -201,7 +201,12 @@ def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str
 
 
 def _conclude(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, duration: float, named: _Named, gain: Gain | None
+    vehicle: VehicleConfig,
+    log: Log,
+    config: DiagnoseConfig,
+    duration: float,
+    named: _Named,
+    gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of what is left, the car to go on with, the next manoeuvre."""
     problem, selection, causes, remaining = named
@@ -213,7 +218,7 @@ def _conclude(
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
     judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {unidentifiable.sentence}".strip())
-    proposal = propose(vehicle, problem, selection, causes, judgement, config.seed)
+    proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
         problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable
     )  # fmt: skip

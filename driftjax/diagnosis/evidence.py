@@ -7,15 +7,15 @@ from scipy.stats import chi2
 
 from driftjax.diagnosis.beam import (
     QuadraticCost,
+    best_parameters,
     ends_at_bound,
     gain_of,
     gains_of_adding,
-    minimise,
     minimise_over,
     quadratic_cost,
 )
 from driftjax.diagnosis.curves import AxleCurve, axle_curve
-from driftjax.diagnosis.fit import Problem, at_bound, evaluate, information, refine
+from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fit, information, refine
 from driftjax.diagnosis.score import (
     CONDITION,
     Scores,
@@ -237,7 +237,7 @@ def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCo
         promised.remove(best)
         one, costs[best] = minimise_over(model, (*rest, best)), np.inf
         if one is not None:
-            start = evaluate(problem, problem.start + one.psi)
+            start = evaluate_fit(problem, problem.start + one.psi)
             fit = refine(problem, start, problem.columns(one.effects), selection.linearisation)
             ends = at_bound(problem, fit.theta)[problem.columns((best,))].any()
             costs[best] = np.inf if ends else fit.cost
@@ -249,7 +249,7 @@ def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
 
     -inf for members, and for what ends at its bound, which is no explanation.
     """
-    promised = gains_of_adding(model, rest) + gain_of(model, minimise(model, rest))
+    promised = gains_of_adding(model, rest) + gain_of(model, best_parameters(model, rest))
     for i in np.argsort(-promised)[:BOUNDED]:  # bounds only make a gain less
         if np.isfinite(promised[i]):
             one = minimise_over(model, (*rest, int(i)))
@@ -264,7 +264,7 @@ def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, mem
     Their p-values are adjusted for all effects, but not for the search itself.
     """
     rest = tuple(i for i in selection.selected if i != member)
-    psi, at = minimise(model, rest), selection.linearisation
+    psi, at = best_parameters(model, rest), selection.linearisation
     back = psi - (selection.fit.theta - problem.start)
     e = np.asarray(at.e) - np.asarray(at.J) @ back
     return scores(problem, at._replace(e=e), problem.start + psi, rest, 0)

@@ -7,7 +7,7 @@ from driftjax.diagnosis.binned import BINS
 from driftjax.diagnosis.findings import Findings
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import root_mean_square
-from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.residual import FORCES
 from driftjax.diagnosis.select import Selection
@@ -20,7 +20,9 @@ POINTS = 100  # of a curve over the horizon at most
 MODELS = ("nominal", "extended")
 
 
-def figure_data(car: str, problem: Problem, selection: Selection, findings: Findings, gain: Gain | None) -> xr.Dataset:
+def figure_data(
+    car: str, problem: Problem, selection: Selection, findings: Findings, gain: PredictionGain | None
+) -> xr.Dataset:
     """Return the dataset of `diagnosis.nc`, in single precision; `car` is the vehicle's name."""
     dt = problem.data.dt
     values = (

@@ -115,7 +115,7 @@ def initial_problem(
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
-    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, substeps(vehicle, runs))
+    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, stable_substeps(vehicle, runs))
     start = initial_theta(vehicle, model)
     data = pieces(vehicle, runs) if known else pieces_with_assumed_force(vehicle, model, start, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
@@ -147,7 +147,7 @@ def pieces_with_assumed_force(
     return data._replace(force_known=False)
 
 
-def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
+def stable_substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
     """Return the number of integration steps per sample, for stability at the slowest speed of `runs` but for outliers.
 
     On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates. A few slow
@@ -246,7 +246,7 @@ def time_lost(problem: Problem, at: Linearisation) -> float:
     return float(np.sum(at.lost & there) * problem.data.dt)
 
 
-def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
+def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
     """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
     Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
@@ -330,7 +330,7 @@ def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:
     for length in STEP_LENGTHS:
         # a whole step ends on a bound exactly
         theta = goal if length == 1 else fit.theta + length * (goal - fit.theta)
-        trial = evaluate(problem, theta)
+        trial = evaluate_fit(problem, theta)
         if trial.cost < fit.cost:
             return trial
     return fit

@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.diagnosis.contrast import Pair
 from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.gain import (
     DECISIVE,
     RESAMPLES,
@@ -51,7 +51,7 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
     buffer = int(np.ceil(horizon_steps(problem)[DECISIVE] * problem.data.dt / BLOCK))
     out = left_out_blocks(problem.data, buffer)
     about = problem._replace(start=theta)
-    corrected, at = refit_to_convergence(about, evaluate(about, theta), problem.columns(selected))
+    corrected, at = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
     thetas = {
         "nominal": problem.start,
         "other": theta,

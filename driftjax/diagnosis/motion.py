@@ -18,7 +18,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
-from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces, padded_size
+from driftjax.diagnosis.runs import FURTHER, MeasuredMotion, Pieces, map_pieces, padded_size
 from driftjax.parallel import call
 from driftjax.sim.record import road_acceleration
 from driftjax.vehicle.universal import Universal
@@ -35,7 +35,7 @@ TINY = 1e-12  # where a scale is zero
 INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is distinguishable
 
 
-class Residuals(NamedTuple):
+class MotionResiduals(NamedTuple):
     """Differences of n windows in heading rate [rad/s], velocity along and across [m/s], ax and ay [m/s^2]."""
 
     e: Array  # (n, 5) measured less computed from V, beta and r
@@ -78,8 +78,8 @@ def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Arr
 
 
 def motion_residuals(
-    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: Array, room: int, dt: float
-) -> Residuals:
+    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: MeasuredMotion, W: Array, room: int, dt: float
+) -> MotionResiduals:
     """Compare one run with its further channels over consecutive windows of `W` samples.
 
     There are `room` rows; those from the first window on that the run does not hold whole count for nothing.
@@ -124,10 +124,12 @@ def motion_residuals(
         [bend(mean(r)), zero, zero, zero, zero], [zero, bend(mean(vx)), zero, zero, zero],
         [zero, zero, bend(mean(vy)), zero, zero], [zero, zero, zero, bend(along), bend(left)],
     ]  # fmt: skip
-    return Residuals(e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n))
+    return MotionResiduals(
+        e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n)
+    )
 
 
-def _whole_windows(known: Array, motion: Motion, W: Array, n: int) -> Array:
+def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Array:
     """Return in which windows (n, 5) all is measured that each channel is compared with."""
     begin = jnp.arange(n) * W
 
@@ -157,7 +159,7 @@ def batched_derivatives(model, theta, runs, motion, W, room, dt):
     return jnp.zeros((*by.shape[:-1], len(theta))).at[..., columns].set(-by)
 
 
-def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> Residuals:
+def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> MotionResiduals:
     """Compare all pieces with their further channels; leading axes (P, n)."""
     return _map_windows(batched_residuals, model, data, theta)
 
@@ -284,7 +286,7 @@ def whitened_motion_derivatives(
     return _at_ends(J, model, data)
 
 
-def _whitened(found: Residuals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitened(found: MotionResiduals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residuals (P, n, 5), a basis (P, n, 5, q) of own errors, and which windows there are."""
     there = noise.used & (np.asarray(found.valid) > 0)
     e = np.where(there, np.asarray(found.e) / noise.sigma, 0.0)

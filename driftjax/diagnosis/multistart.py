@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence, with_estimated_noise
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
 LOST_MISFIT = (
@@ -18,7 +18,7 @@ POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects e
 
 def nominal_fit(problem: Problem) -> Fit:
     """Return the fit of the nominal car, with no effect named."""
-    return evaluate(problem, problem.start)
+    return evaluate_fit(problem, problem.start)
 
 
 def misfit(problem: Problem, fit: Fit) -> float:
@@ -26,7 +26,7 @@ def misfit(problem: Problem, fit: Fit) -> float:
     return fit.cost / problem.num_measurements
 
 
-def require_finite(fit: Fit) -> Fit:
+def require_finite_cost(fit: Fit) -> Fit:
     """Return `fit` if its cost is finite; raise `BadInput` where its observer diverged."""
     if not np.isfinite(fit.cost):
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
@@ -66,7 +66,7 @@ def search_from_late(
         return None
     unit, scale = float(problem.model.base.unit_time), np.asarray(problem.model.scale)[columns]
     at = lambda delay: np.where(np.isin(np.arange(len(problem.start)), columns), delay * unit / scale, problem.start)
-    best = min((evaluate(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
+    best = min((evaluate_fit(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     fit = refit_to_convergence(problem, best, columns)[0]
@@ -84,9 +84,9 @@ def search_from_far(
 ) -> tuple[Problem, Selection]:
     """Search with the noise of the nominal car, then search again with that of the fitted car."""
     loose = with_nominal_noise(problem)
-    start = require_finite(nominal_fit(loose))
+    start = require_finite_cost(nominal_fit(loose))
     rough = search(loose, start, seed, most=most, report=report)
     anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
-    fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
-    selection = search(anew, require_finite(fit), seed, rough.selected, most, report)
+    fit = refit_to_convergence(anew, evaluate_fit(anew, rough.fit.theta), anew.columns(rough.selected))[0]
+    selection = search(anew, require_finite_cost(fit), seed, rough.selected, most, report)
     return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores, free=rough.free)

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from driftjax.diagnosis.beam import QuadraticCost, minimise, minimise_over, quadratic_cost
+from driftjax.diagnosis.beam import QuadraticCost, best_parameters, minimise_over, quadratic_cost
 from driftjax.diagnosis.evidence import fit_dispersion, replacement_costs, significance
-from driftjax.diagnosis.fit import Problem, evaluate, refine, refit_to_convergence
+from driftjax.diagnosis.fit import Problem, evaluate_fit, refine, refit_to_convergence
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
@@ -30,7 +30,7 @@ def name_effects(
         if (weak := unsupported(selection, shares)) is None:
             return problem, selection
         rest = tuple(i for i in selection.selected if i != weak)
-        selection = refitted(problem, selection, rest, minimise(model, rest), seed)
+        selection = refitted(problem, selection, rest, best_parameters(model, rest), seed)
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
@@ -90,7 +90,7 @@ def refitted(
 ) -> Selection:
     """Return the selection with the effects `selected` in place of its own, fitted from `psi` (K,)."""
     columns = problem.columns(selected)
-    fit = refine(problem, evaluate(problem, problem.start + psi), columns, selection.linearisation)
+    fit = refine(problem, evaluate_fit(problem, problem.start + psi), columns, selection.linearisation)
     fit, at = refit_to_convergence(problem, fit, columns)
     last = scores(problem, at, fit.theta, selected, seed + len(selected))
     return selection._replace(

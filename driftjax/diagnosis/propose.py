@@ -46,7 +46,7 @@ class Proposal(NamedTuple):
     sentence: str
 
 
-def propose(
+def propose_manoeuvre(
     vehicle: VehicleConfig, problem: Problem, selection: Selection, named: list[Cause], judgement: Judgement, seed: int
 ) -> Proposal | None:
     """Propose the manoeuvre that should resolve a SET or insufficient data; None for other verdicts.

@@ -15,7 +15,7 @@ from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.noise import Noise, estimate_noise
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, step_derivatives
-from driftjax.diagnosis.smooth import smooth
+from driftjax.diagnosis.smooth import smooth_disturbances
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect.flow import Car
@@ -25,7 +25,7 @@ FORCES = ("Fx", "Fyf", "Fyr")
 SKIPPED_START = 0.5  # time after a run's start that is left out: commands before it are not known [s]
 
 
-class Residuals(NamedTuple):
+class ResidualForces(NamedTuple):
     """Residual forces of one model at n samples, with explanatory variables."""
 
     forces: np.ndarray  # (n, 3) drive force, lateral force of front and of rear axle [N], left positive
@@ -33,7 +33,7 @@ class Residuals(NamedTuple):
     block: np.ndarray  # (n,) number of the block of time
 
 
-def axle_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
+def disturbance_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
     """Return the forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
@@ -69,15 +69,15 @@ def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
 
 def residual_forces(
     vehicle: VehicleConfig, problem: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
-) -> Residuals:
+) -> ResidualForces:
     """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`."""
     valid = np.asarray(path.valid)
-    x, push = smooth(path, steps, valid, noise, problem.data.dt)
+    x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
-    forces = axle_forces(vehicle, x, u[..., 0], push)
+    forces = disturbance_forces(vehicle, x, u[..., 0], push)
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
     over = variables(vehicle, problem, x, u, runs)
-    return Residuals(
+    return ResidualForces(
         forces[keep], {name: values[keep] for name, values in over.items()}, error_blocks(problem.data)[keep]
     )
 

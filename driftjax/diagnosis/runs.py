@@ -47,7 +47,7 @@ FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 FURTHER = ("psi", "x", "y", "ax", "ay")  # columns that say what the sensors of V, beta and r err by
 
 
-class Motion(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """Further measurements of the motion along pieces, in the order of `FURTHER`."""
 
     y: np.ndarray  # (P, T, 5), zero where missing
@@ -62,7 +62,7 @@ class Pieces(NamedTuple):
     block: np.ndarray  # (P, T) number of the block of each sample
     num_blocks: int
     dt: float
-    motion: Motion | None = None  # where runs have any of these channels
+    motion: MeasuredMotion | None = None  # where runs have any of these channels
     skip: int = 0  # samples from the start of a piece in which the observer finds a state that is not measured
     force_known: bool = True  # where not, it was estimated from V, whose innovations then say nothing
 
@@ -137,7 +137,7 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     block = np.array([[names[b] for b in row] for row in blocks])
     motion = np.stack(further)
     valid = np.isfinite(motion)
-    known = Motion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
+    known = MeasuredMotion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
     padded = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *rows)
     unknown = not all(map(has_sideslip, runs))
     skip = round(UNKNOWN_START * np.sqrt((vehicle.a + vehicle.b) / G) / dt) if unknown else 0

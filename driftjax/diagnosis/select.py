@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import EffectSet, beam_search, ends_at_bound, gain_of, minimise, quadratic_cost
+from driftjax.diagnosis.beam import EffectSet, beam_search, best_parameters, ends_at_bound, gain_of, quadratic_cost
 from driftjax.diagnosis.cross_validate import change_of, held_out_errors
-from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate_fit, linearise, refine, refit_to_convergence
 from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
@@ -64,7 +64,7 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One stage of a search: a set of effects, fitted."""
 
     problem: Problem
@@ -77,7 +77,7 @@ class Step:
         """Open-loop errors on parts left out of the fit; None where the log is too short for that."""
         return held_out_errors(self.problem, self.fit, self.at, self.selected)
 
-    def improves(self, before: "Step") -> bool:
+    def improves(self, before: "SelectionStep") -> bool:
         """Return whether parts left out are predicted better than by `before`, or the log is too short to tell."""
         return self.errors is None or before.errors is None or change_of(before.errors, self.errors).improves
 
@@ -105,9 +105,9 @@ def search(
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = advance(now, (now.fit, now.at), limit, free, barred)
+        new = extend_selection(now, (now.fit, now.at), limit, free, barred)
         if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
-            new = advance(now, (start, first_at), limit, free, barred)
+            new = extend_selection(now, (start, first_at), limit, free, barred)
         if new is None:
             new, barred = drop_bounded(now, free, barred)
         if new is None:
@@ -116,19 +116,21 @@ def search(
         remaining = scores(problem, now.at, now.fit.theta, now.selected, seed + len(now.selected))
 
 
-def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> Step:
+def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> SelectionStep:
     """Return the step with the effects `selected` fitted from `start`, whose linearisation is `at` where known."""
     fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
-    return Step(problem, selected, fit, at)
+    return SelectionStep(problem, selected, fit, at)
 
 
-def bounded(step: Step) -> list[int]:
+def bounded(step: SelectionStep) -> list[int]:
     """Return the selected effects that end at a bound."""
     ends = at_bound(step.problem, step.fit.theta)
     return [i for i in step.selected if ends[step.problem.columns((i,))].any()]
 
 
-def advance(now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]) -> Step | None:
+def extend_selection(
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
+) -> SelectionStep | None:
     """Return the best set without `barred` effects that costs less than that of `now`, None where there is none.
 
     One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
@@ -141,7 +143,7 @@ def advance(now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, 
     return None
 
 
-def drop_bounded(now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
+def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
     """Return the step without an effect at its bound, or with another in its place, and what is barred.
 
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
@@ -151,10 +153,10 @@ def drop_bounded(now: Step, free: int, barred: frozenset[int]) -> tuple[Step | N
     for i in bounded(now) if now.errors is not None else []:
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
-        less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
+        less, out = fitted(problem, evaluate_fit(problem, theta), rest), barred | {i}
         if not now.improves(less):
             return less, out
-        other = advance(less, (less.fit, less.at), len(now.selected), free, out)
+        other = extend_selection(less, (less.fit, less.at), len(now.selected), free, out)
         if other is not None and not now.improves(other):
             return other, out
     return None, barred
@@ -171,7 +173,7 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
     sensors = at._replace(e=e, J=J)
     model, selected = quadratic_cost(problem, start, sensors), ()
     while len(selected) < most:
-        psi = minimise(model, selected)
+        psi = best_parameters(model, selected)
         left = scores(problem, sensors._replace(e=e - J @ psi), start.theta + psi, selected, seed + len(selected))
         if left.p_value >= LEVEL:
             break
@@ -185,7 +187,7 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
 
 
 def better_sets(
-    now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
 ) -> list[tuple[tuple[int, ...], Fit]]:
     """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the least first.
 
@@ -205,7 +207,9 @@ def better_sets(
     return sorted((item for item in refitted.items() if penalised(item) < cost_limit), key=penalised)
 
 
-def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]) -> list[EffectSet]:
+def promising_sets(
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+) -> list[EffectSet]:
     """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
@@ -216,7 +220,7 @@ def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barr
     model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
     penalty = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
     there = about[0] is now.fit
-    cost = now.fit.cost if there else model.cost - gain_of(model, minimise(model, now.selected))
+    cost = now.fit.cost if there else model.cost - gain_of(model, best_parameters(model, now.selected))
     better = lambda one: model.cost - one.gain + penalty(one.effects) < cost + penalty(now.selected) - MARGIN
     sets = beam_search(model, limit, PARAMETER_PENALTY)
     sets = [one for one in sets if better(one) and set(one.effects) != set(now.selected)]
@@ -233,7 +237,9 @@ def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
     columns = problem.columns(one.effects)
     kept = problem.start.copy()
     kept[columns] = fit.theta[columns]
-    return min((evaluate(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost)
+    return min(
+        (evaluate_fit(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost
+    )
 
 
 def refine_material(
@@ -247,4 +253,4 @@ def refine_material(
             return trial, effects
         theta, effects = problem.start.copy(), left
         theta[problem.columns(left)] = trial.theta[problem.columns(left)]
-        trial = evaluate(problem, theta)
+        trial = evaluate_fit(problem, theta)

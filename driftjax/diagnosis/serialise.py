@@ -9,7 +9,7 @@ from driftjax.diagnosis.evidence import half_widths
 from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
-from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
@@ -81,7 +81,7 @@ def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
     }
 
 
-def gain_json(gain: Gain | None) -> dict[str, Any]:
+def gain_json(gain: PredictionGain | None) -> dict[str, Any]:
     """Return the gain on the held-out runs, per model, horizon and channel."""
     if gain is None:
         return {

@@ -14,14 +14,14 @@ import numpy as np
 from driftjax.diagnosis.fit import (
     Fit,
     Problem,
-    evaluate,
+    evaluate_fit,
     information,
     refit_to_convergence,
     with_estimated_noise,
 )
 from driftjax.diagnosis.identifiability import DEAD
 from driftjax.diagnosis.motion import window_ends
-from driftjax.diagnosis.multistart import require_finite
+from driftjax.diagnosis.multistart import require_finite_cost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation, take
 from driftjax.diagnosis.score import overdispersion, sums_by_block
@@ -32,7 +32,7 @@ PASSES = 3  # through all stages at most, once the noise of the fitted car is kn
 SETTLED = 0.2  # largest change of a parameter in a pass, in its standard deviations, from which another is worthwhile
 
 
-class Stage(NamedTuple):
+class CalibrationStage(NamedTuple):
     """One stage of a calibration."""
 
     stretches: tuple[Stretch, ...]  # whose innovations count
@@ -45,19 +45,19 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage(
+    CalibrationStage(
         (Stretch.COASTING, Stretch.STRAIGHT),
         frozenset({"drive_gain", "drive_lag", "power_limit", "engine_drag", "rolling_resistance", "aero_drag", "mass",
                    "speed_scale", "gyro_bias", "sideslip_bias", "road_grade"}),
     ),
-    Stage(
+    CalibrationStage(
         (Stretch.CORNERING,),
         frozenset({"steer_offset", "steer_gain", "steer_lag", "steer_delay", "steer_backlash", "steer_compliance",
                    "stiffness_front", "stiffness_rear", "relaxation_length", "roll_steer", "roll_lag", "yaw_inertia",
                    "cog_shift", "yaw_moment", "torque_vectoring", "gyro_scale", "imu_lever_arm", "channel_delay",
                    "road_bank", "side_wind"}),
     ),
-    Stage(
+    CalibrationStage(
         (Stretch.LIMIT,),
         frozenset({"friction", "friction_front", "friction_rear", "tyre_shape", "sliding_friction", "friction_fade",
                    "tyre_curve_front", "tyre_curve_rear",
@@ -68,7 +68,7 @@ STAGES = (
 )  # fmt: skip
 
 
-class StageResult(NamedTuple):
+class StagedFit(NamedTuple):
     """Result of all stages."""
 
     theta: np.ndarray  # (K,) in typical sizes
@@ -86,7 +86,7 @@ class StageResult(NamedTuple):
 
 def fit_staged(
     loose: Problem, selected: tuple[int, ...], report: Callable[[str], None] = lambda text: None
-) -> tuple[Problem, Fit, StageResult]:
+) -> tuple[Problem, Fit, StagedFit]:
     """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
 
     `loose` has the noise of the nominal car, as for a fit at once. `report` hears of every pass and stage.
@@ -100,7 +100,7 @@ def fit_staged(
         spread = np.sqrt(np.diag(np.linalg.inv(last.precision)))
         if np.abs((last.theta - before.theta) / spread).max() < SETTLED:
             break
-    return near, require_finite(evaluate(near, last.theta)), last
+    return near, require_finite_cost(evaluate_fit(near, last.theta)), last
 
 
 def run_stages(
@@ -109,8 +109,8 @@ def run_stages(
     columns: np.ndarray,
     theta: np.ndarray,
     expected: np.ndarray,
-    begin: Callable[[Stage], None] = lambda stage: None,
-) -> StageResult:
+    begin: Callable[[CalibrationStage], None] = lambda stage: None,
+) -> StagedFit:
     """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
@@ -133,7 +133,7 @@ def run_stages(
         precision = known + np.diag(prior)
         centre = np.linalg.solve(precision, known @ theta + prior * problem.start)
         part = restrict_to_samples(problem, active)._replace(start=centre, precision=excess * precision)
-        fit, at = refit_to_convergence(part, require_finite(evaluate(part, theta)), np.flatnonzero(freed))
+        fit, at = refit_to_convergence(part, require_finite_cost(evaluate_fit(part, theta)), np.flatnonzero(freed))
         theta, H = fit.theta, information(at.J) / excess
         known, own_information = (
             marginal_precision(precision + H, freed),
@@ -141,9 +141,9 @@ def run_stages(
         )
         prior[freed] = 0.0  # contained in what is known
         own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
-        dispersion[list(stage.stretches)] = score_dispersion(part, at, np.flatnonzero(freed))
+        dispersion[list(stage.stretches)] = stage_dispersion(part, at, np.flatnonzero(freed))
     precision = own_information + np.diag(DEAD * prior)
-    return StageResult(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
+    return StagedFit(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
 
 
 def least_samples(problem: Problem) -> float:
@@ -151,7 +151,7 @@ def least_samples(problem: Problem) -> float:
     return LEAST * float(problem.model.base.unit_time) / problem.data.dt
 
 
-def score_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
+def stage_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
     """Return how many times their information the scores of the `columns` vary by, over blocks that have any."""
     H, blocks = sums_by_block(part, at.e, at.J)
     some = blocks[:, columns].any(axis=1)

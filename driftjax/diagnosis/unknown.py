@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.diagnosis.fit import Problem, evaluate, linearise
+from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise
 from driftjax.diagnosis.observer import Path, Steps, slip_angles
 from driftjax.diagnosis.runs import Linearisation, whitened_derivatives
 from driftjax.diagnosis.score import (
@@ -129,7 +129,9 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
     most, force = best_term(problem, whole)
     simpler = None
     if len(selection.selected) > 1:
-        earned = selection.nominal.cost - penalised_cost(base, evaluate(base, selection.fit.theta), selection.selected)
+        earned = selection.nominal.cost - penalised_cost(
+            base, evaluate_fit(base, selection.fit.theta), selection.selected
+        )
         simpler = force if most - PARAMETER_PENALTY >= earned else None
     return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(whole))
 

@@ -9,7 +9,7 @@ from driftjax.export.casadi_car import CASADI
 from driftjax.export.loss import Loss, loss
 from driftjax.export.racing import GYM, RACE_STACK, TUM
 from driftjax.export.simulators import AUTOWARE, COMMONROAD, OPEN_CAR_DYNAMICS
-from driftjax.export.target import Format, Options, restrict_effects
+from driftjax.export.target import Format, TargetOptions, restrict_effects
 from driftjax.logs import Log
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
@@ -73,7 +73,7 @@ def export_car(
         if value is not None and not 0 < value < float("inf"):
             raise BadInput(f"{name} is {value}; it must be positive.")
     target, folder = FORMATS[to], Path(folder)
-    reduced = restrict_effects(vehicle, target.holds, Options(top_speed, dt))
+    reduced = restrict_effects(vehicle, target.holds, TargetOptions(top_speed, dt))
     named = [name for name in EFFECTS if any(one.effect == name for one in vehicle.effects)]
     lost = tuple(name for name in named if name not in target.holds)
     try:

@@ -23,7 +23,7 @@ TOP_SPEED = 9.0  # default top speed over sqrt(g L) [-]
 
 
 @dataclass(frozen=True)
-class Options:
+class TargetOptions:
     """Options of a target beyond the car."""
 
     top_speed: float | None = None
@@ -37,7 +37,7 @@ class ReducedCar(NamedTuple):
 
     vehicle: VehicleConfig
     full: VehicleConfig  # the car with all its effects
-    options: Options
+    options: TargetOptions
 
     @property
     def name(self) -> str:
@@ -89,7 +89,7 @@ def _in_floats(car: Car) -> Any:
     return jax.tree.map(float, car)
 
 
-def restrict_effects(vehicle: VehicleConfig, holds: frozenset[str], options: Options) -> ReducedCar:
+def restrict_effects(vehicle: VehicleConfig, holds: frozenset[str], options: TargetOptions) -> ReducedCar:
     """Reduce the car to the effects in `holds`."""
     effects = tuple(one for one in vehicle.effects if one.effect in holds)
     return ReducedCar(dataclasses.replace(vehicle, effects=effects, covariance=()), vehicle, options)

@@ -12,7 +12,7 @@ from driftjax.parallel import CompileAheadExecutor
 ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 
-def compile_ahead(scenario: Scenario, names: list[str], before_stage: Callable[[str], object]) -> None:
+def compile_stages(scenario: Scenario, names: list[str], before_stage: Callable[[str], object]) -> None:
     """Compile in the workers what the stages `names` need; does nothing without workers."""
     if scenario.executor.pool is None:
         return

@@ -13,7 +13,7 @@ from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS, Aim, Planned
 from driftjax.learning.scenario import Scenario, build_drivers
 from driftjax.learning.stage import CODES, StageResult, gp_deviation, run_stage, stage_values
-from driftjax.learning.updates import Progress, plan_reference, start, update_progress
+from driftjax.learning.updates import Progress, initial_progress, plan_reference, update_progress
 from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.vehicle import Residual
@@ -42,7 +42,7 @@ def first_progress(scenario: Scenario) -> Progress:
     curve = jnp.zeros((batch, AIM_POINTS))
     sets = jnp.zeros((batch, K, AIM_POINTS))
     none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((batch, K), bool))
-    return start(scenario, none)
+    return initial_progress(scenario, none)
 
 
 def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):

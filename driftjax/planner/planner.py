@@ -16,8 +16,7 @@ from driftjax.planner.config import PlanConfig, load_plan_config
 from driftjax.planner.nodes import nodes
 from driftjax.planner.problem import Limits, MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
-from driftjax.solve import Options, solve_with_filter
-from driftjax.solve import Plan as Solution
+from driftjax.solve import Options, Solution, solve_with_filter
 from driftjax.track import Track, check_width, resample
 from driftjax.vehicle import VehicleConfig, build_car
 

@@ -11,7 +11,7 @@ from driftjax.report.error_share import plot_error_shares
 from driftjax.report.evidence import plot_confusability, plot_posterior, plot_scores
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
 from driftjax.report.residuals import plot_residual_forces, plot_whiteness
-from driftjax.report.table import aligned, interval, number, with_interval
+from driftjax.report.table import aligned, format_interval, number, with_interval
 from driftjax.report.tyre_curve import plot_tyre_curves
 from driftjax.store import RunFolder
 
@@ -106,7 +106,7 @@ def closed_loop_rows(driven: dict[str, Any]) -> list[tuple[str, ...]]:
         means = (number(laps[key]["mean"], ".3f") for key in CLOSED_LOOP)
         rows.append((name, *means, f"{done}/{of}", ", ".join(failed) or "none"))
     if driven["difference"]:
-        apart = (interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
+        apart = (format_interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
         rows.append(("extended less nominal", *apart, "", ""))
     return rows
 

@@ -26,7 +26,7 @@ from driftjax.report.html import (
     collapsible,
     document,
     figures,
-    heading,
+    html_heading,
     image,
     paragraph,
     section,
@@ -106,7 +106,7 @@ def _verdict(content: dict[str, Any]) -> str:
         *([paragraph(first, "lead")] if first else []),
         paragraph(content["sentence"], "" if first else "lead"),
         paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
-        heading("What to drive next"),
+        html_heading("What to drive next"),
     ]
     if not proposal:
         return section(f"Verdict: {verdict}", [*parts, paragraph(NEXT.get(verdict, ""))])
@@ -202,7 +202,7 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
         parts.append(paragraph(f"Looks alike in these data: {', '.join(confusable)}."))
     if cause_errors(cause, content["gain"])["channels"]:
         parts.append(stage_for(f"cause-{place}", f"Error of the predictions without {name}, over the noise floor"))
-    return "\n".join([heading(name), *parts])
+    return "\n".join([html_heading(name), *parts])
 
 
 def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[str]:

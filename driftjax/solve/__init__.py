@@ -9,4 +9,4 @@ from driftjax.solve.interior_point import shift as shift
 from driftjax.solve.ocp import AbstractOCP as AbstractOCP
 from driftjax.solve.ocp import Linear as Linear
 from driftjax.solve.ocp import Options as Options
-from driftjax.solve.ocp import Plan as Plan
+from driftjax.solve.ocp import Solution as Solution

@@ -16,13 +16,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
-from driftjax.solve.interior_point import Iterate, Problem, minimise, problem_of, quadratic
-from driftjax.solve.ocp import AbstractOCP, Options, Plan
+from driftjax.solve.interior_point import Iterate, OCPInstance, problem_of, quadratic, solve_interior_point
+from driftjax.solve.ocp import AbstractOCP, Options, Solution
 from driftjax.solve.riccati import Quadratic
 from driftjax.solve.riccati_factors import RiccatiFactors
 
 
-def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Plan:
+def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Solution:
     """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
 
     Returns the last iterate with its residuals. `result` is `successful` only where KKT residual and violation are
@@ -36,8 +36,8 @@ def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, optio
 
 
 @eqx.filter_custom_jvp
-def _solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> Plan:
-    return minimise(ocp, x0, params, X, U, options)[0]
+def _solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> Solution:
+    return solve_interior_point(ocp, x0, params, X, U, options)[0]
 
 
 class ConditionsTangent(NamedTuple):
@@ -53,7 +53,7 @@ class ConditionsTangent(NamedTuple):
 @_solve.def_jvp
 def _tangent(primals, tangents):
     ocp, x0, params, *_, options = primals
-    plan, it = minimise(*primals)
+    plan, it = solve_interior_point(*primals)
     d_ocp, d_x0, d_params, *_ = tangents
     problem = problem_of(ocp, params, it.X, it.U)
     m = problem.linearise(it.X, it.U)
@@ -68,10 +68,10 @@ def _tangent(primals, tangents):
     known = jnp.maximum(plan.kkt, plan.violation) <= options.implicit * options.tolerance  # False on NaN
     mark = jnp.where(known & factors.convex, 1.0, jnp.nan)
     none = jax.tree.map(lambda _: None, plan.result)
-    return plan, Plan(mark * dX, mark * dU, mark * d_cost, None, None, None, none)  # pyright: ignore
+    return plan, Solution(mark * dX, mark * dU, mark * d_cost, None, None, None, none)  # pyright: ignore
 
 
-def _conditions_tangent(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> ConditionsTangent:
+def _conditions_tangent(problem: OCPInstance, it: Iterate, theta: tuple, d_theta: tuple) -> ConditionsTangent:
     """Return the derivative of the conditions along `d_theta`; multipliers and slacks are eliminated."""
 
     def conditions(ocp, params):

@@ -80,7 +80,7 @@ class Options(eqx.Module):
     implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which there are derivatives
 
 
-class Plan(eqx.Module):
+class Solution(eqx.Module):
     """Solution of one problem with its residuals."""
 
     X: Float[Array, "N+1 nx"]  # states

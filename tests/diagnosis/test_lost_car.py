@@ -90,10 +90,14 @@ def test_steps_are_small_enough_for_the_slowest_stretch():
     """A stiff tyre at a few slow samples diverges by itself; a single wrong sample asks for nothing."""
     car, slow = dj.load_vehicle("f1tenth"), np.full(100, 1.3)
     slow[40:44] = 0.5
-    steps = fit.substeps(car, (run_at(np.full(100, 1.3)), run_at(slow)))
-    assert steps == fit.substeps(car, (run_at(np.full(100, 0.5)),)) > fit.substeps(car, (run_at(np.full(100, 1.3)),))
+    steps = fit.stable_substeps(car, (run_at(np.full(100, 1.3)), run_at(slow)))
+    assert (
+        steps
+        == fit.stable_substeps(car, (run_at(np.full(100, 0.5)),))
+        > fit.stable_substeps(car, (run_at(np.full(100, 1.3)),))
+    )
     wrong = np.full(100, 1.3)
     wrong[[7, 50]] = 0.0, np.nan
-    assert fit.substeps(car, (run_at(wrong),)) == fit.substeps(car, (run_at(np.full(100, 1.3)),))
+    assert fit.stable_substeps(car, (run_at(wrong),)) == fit.stable_substeps(car, (run_at(np.full(100, 1.3)),))
     rate = car.mu * car.B * car.C * 9.81 / 0.5 * car.m * car.a * car.b / car.Iz
     assert 0.0625 * rate / steps < 2.78  # what the Runge-Kutta method bears

@@ -10,8 +10,8 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
-from driftjax.diagnosis.fit import Problem, evaluate, linearise, refit_to_convergence, with_noise
-from driftjax.diagnosis.propose import in_full_catalogue, propose
+from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
@@ -31,7 +31,7 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     """Runs with an effect that the catalogue lacks, and a search that has named nothing."""
     theta = hidden(**{name: size}) if size else hidden()
     problem = build_problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
-    fit = evaluate(problem, np.zeros(len(ORDER)))
+    fit = evaluate_fit(problem, np.zeros(len(ORDER)))
     at = linearise(problem, fit)
     remaining = scores(problem, at, fit.theta, (), 0)
     return problem, Selection((), fit, at, remaining, problem, fit, remaining)
@@ -127,7 +127,7 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
     columns = problem.columns((member,))
     third = problem.noise._replace(sigma=problem.noise.sigma / 3, disturbance=problem.noise.disturbance / 3)
     for one in (problem, with_noise(problem, problem.start, third)):
-        fit, at = refit_to_convergence(one, evaluate(one, problem.start), columns)
+        fit, at = refit_to_convergence(one, evaluate_fit(one, problem.start), columns)
         remaining = scores(one, at, fit.theta, (member,), 0)
         whole = Selection((member,), fit, at, remaining, one, fit, remaining)
         model = quadratic_cost(one, fit, at)
@@ -155,7 +155,7 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
     found = found._replace(selected=(own,), fit=fit)
     cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL, FREE)
-    ask = lambda verdict: propose(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
+    ask = lambda verdict: propose_manoeuvre(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     proposal = ask(Verdict.SET)
     assert proposal is not None and proposal.now == pytest.approx(0.6) and proposal.now < proposal.after <= 1

@@ -16,7 +16,7 @@ from driftjax.core import RESULTS
 from driftjax.gp import Hyper, data_scales, fit_kernel
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import condition, squared_differences
-from driftjax.gp.optimise import minimise
+from driftjax.gp.optimise import minimise_batch
 
 KEY, N = jax.random.key(0), 40
 BOUNDS = {"amplitude": (0.05, 20.0), "length": (0.1, 20.0)}  # as `gp.fit`
@@ -65,7 +65,7 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
     low, high = (np.log([BOUNDS["length"][i]] * 3 + [BOUNDS["amplitude"][i], NOISE[i]]) for i in (0, 1))
     start = np.log([1.0, 1.0, 1.0, 1.0, 0.1])
     other = eqx.filter_jit(
-        lambda start, low, high: minimise(closed, start, low, high, max_iterations=100, tolerance=1e-6)
+        lambda start, low, high: minimise_batch(closed, start, low, high, max_iterations=100, tolerance=1e-6)
     )(start, low, high)
     assert other.result == RESULTS.successful
     found = np.log([*ours.parameters["length"], ours.parameters["amplitude"], ours.noise])

@@ -12,7 +12,7 @@ import pytest
 from driftjax.core import Control, State
 from driftjax.equilibrium import Branch
 from driftjax.learning.config import GPConfig, load_learn_config
-from driftjax.learning.model import empty, learn
+from driftjax.learning.model import empty, update_model
 from driftjax.learning.reference import Corner
 from driftjax.learning.residual import known_effect_basis
 from driftjax.learning.scenario import nominal_drift
@@ -28,7 +28,7 @@ MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2
 LAGS = jnp.asarray([0.05, 0.1])
 claims, means = jax.jit(CLAIM), eqx.filter_jit(lambda gp, Z: jax.vmap(gp.mean)(Z))
 learnt = eqx.filter_jit(
-    lambda Z, Y, known_basis: learn(
+    lambda Z, Y, known_basis: update_model(
         empty(CONFIG), Z, Y, jnp.ones(len(Z), bool), LAGS, CONFIG, jax.random.key(0), known_basis
     )
 )

@@ -16,7 +16,7 @@ from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.run import _resume
-from driftjax.learning.scenario import build, build_drivers
+from driftjax.learning.scenario import build_drivers, build_scenario
 from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
 from driftjax.learning.stages import _layers, drive_stage, first_progress, stage_names
 from driftjax.learning.updates import update_progress
@@ -32,7 +32,7 @@ SHORT = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return build(SHORT, BatchExecutor())
+    return build_scenario(SHORT, BatchExecutor())
 
 
 def exploring(scenario, **changes):
@@ -48,7 +48,7 @@ def test_there_are_as_many_exploration_laps_as_asked_for_and_none_without_sets()
 
 
 def test_plants_are_numbered_on_and_keep_their_noise(scenario):
-    later = build(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
+    later = build_scenario(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
     assert later.batch[0] == scenario.batch[1]
     assert bool(jnp.all(later.keys[0] == scenario.keys[1]))
 

@@ -44,9 +44,9 @@ class MadeUp:
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("driftjax.tune.run.LapEvaluator", MadeUp)
-    monkeypatch.setattr("driftjax.tune.run.build", lambda learn, executor: None)
+    monkeypatch.setattr("driftjax.tune.run.build_scenario", lambda learn, executor: None)
     monkeypatch.setattr(
-        "driftjax.tune.run.values", lambda drivers, p: dict(zip(NAMES, np.exp(p).tolist(), strict=True))
+        "driftjax.tune.run.parameter_values", lambda drivers, p: dict(zip(NAMES, np.exp(p).tolist(), strict=True))
     )
     return tmp_path
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth
+from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth_with_rate
 from driftjax.logs.guess.names import DEG, G
 
 EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # weight of a relation: of rigid bodies, without sideslip, of cars as a rule
@@ -33,7 +33,7 @@ class Signal(NamedTuple):
 
 def smoothed(y: np.ndarray, dt: float) -> Signal:
     """Return values and rates by parabolas over a quarter of a second."""
-    return Signal(*smooth(y, dt))
+    return Signal(*smooth_with_rate(y, dt))
 
 
 class Relation(NamedTuple):

@@ -22,7 +22,7 @@ from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.laps import per_plant
 from driftjax.studies.paper.run import start_run
 from driftjax.studies.paper.statistics import GAINS, METHODS, paired_gain, summarise_figures, targets
-from driftjax.studies.paper.table import comparison_page
+from driftjax.studies.paper.table import paper_page
 
 SECTION = (10.0, 20.0)
 SERIES = ("s", "e", "e_ref", "beta", "beta_ref", "r", "r_ref", "V", "delta", "Fxr")
@@ -232,7 +232,7 @@ def results() -> dict:
 
 
 def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
-    words = comparison_page(results())
+    words = paper_page(results())
     missed = [line for line in words.splitlines() if line.endswith("| no |")]
     assert any("lateral error of the best method" in line for line in missed)
     assert "Plants 16 to 31 (seed 6, half: held out), 2 noise seeds each" in words and "abababab" in words
@@ -295,5 +295,5 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
     assert json.loads((out / "results.json").read_text()) == whole
     (out / "results.md").unlink()
-    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == comparison_page(whole)
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(whole)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
