@@ -82,7 +82,7 @@ class DriftBatchOCP(AbstractBatchOCP):
                 *((n + i, 1 - share) for i, share in enumerate(mean))]  # fmt: skip
 
     def step(self, x: Components, u: Components, p: Reference) -> Components:
-        """Next state by one RK4 step."""
+        """Return the next state by one RK4 step."""
         n, (acting, end) = len(self.Q), self._actuated(x, u)
         expansion, rates = self.local_expansion(x, u, p), self._rates(p.kappa)
         held = [] if expansion is None else expansion.d
@@ -105,7 +105,7 @@ class DriftBatchOCP(AbstractBatchOCP):
         return [*y, *end], self._by_state_and_input(M, x, expansion), (y, M, expansion)
 
     def _by_state_and_input(self, M: Matrix, x: Components, expansion: ResidualDerivatives | None) -> Matrix:
-        """Derivatives of the next state from those of what is tracked by (tracked, acting, residual's rates)."""
+        """Return derivatives of the next state by (x, u) from those by (tracked, acting, residual's rates)."""
         n, m = len(self.Q), len(self.R)
         if expansion is not None:
             J = self._wide(expansion.J)
@@ -118,11 +118,11 @@ class DriftBatchOCP(AbstractBatchOCP):
         return M
 
     def _wide(self, J: Matrix) -> Matrix:
-        """Derivatives by (V, beta, r, acting) as those by (tracked, acting)."""
+        """Pad derivatives by (V, beta, r, acting) to derivatives by (tracked, acting)."""
         return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
 
     def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
-        """Second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
+        """Return second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
         (y, M, expansion), n = more, len(self.Q)
         held = [] if expansion is None else expansion.d
         acting = self._actuated(x, u)[0]
@@ -134,7 +134,7 @@ class DriftBatchOCP(AbstractBatchOCP):
         return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
 
     def _with_residual(self, H: Matrix, expansion: ResidualDerivatives, weight: Components) -> Matrix:
-        """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""
+        """Return second derivatives by (tracked, acting), with the chain rule through the residual's rates."""
         m = len(self.Q) + 2
         J = self._wide(expansion.J)
         bend = [self._wide([*self._wide_rows(h)]) for h in expansion.H]

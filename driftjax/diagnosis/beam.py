@@ -83,7 +83,7 @@ def parameters_of(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
 
 
 def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
-    """Return the further fall (E,) of the cost by each effect beside `effects`, bounds ignored; -inf for members."""
+    """Return the further cost decrease (E,) by adding each effect to `effects`, without bounds; -inf for members."""
     columns, g, H = parameters_of(model, effects), model.g, model.H
     if len(columns):
         taken = np.linalg.solve(H[np.ix_(columns, columns)], np.column_stack([H[columns], g[columns]]))

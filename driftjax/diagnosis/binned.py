@@ -40,7 +40,7 @@ class ForceSummary(NamedTuple):
 
 
 def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
-    """Bin `forces` (n, 3) over the variable `values` (n,); None where it hardly varies.
+    """Bin `forces` (n, 3) over the variable `values` (n,); None where it is nearly constant.
 
     The mean of a bin is taken as that of independent blocks: its error sums the squares of the blocks' sums.
     """

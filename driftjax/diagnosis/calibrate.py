@@ -77,7 +77,7 @@ class FittedParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A car fitted to data, with its gain on held-out runs; `str` gives its table."""
+    """Car fitted to data, with its gain on held-out runs; `str` gives its table."""
 
     nominal: VehicleConfig
     problem: Problem  # with noise and observer of the fitted car

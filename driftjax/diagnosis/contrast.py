@@ -1,4 +1,4 @@
-"""Contrast of two logs of one car: differences of all parameters, with what both logs share profiled out.
+"""Contrast two logs of one car: differences of all parameters, with the shared parameters profiled out.
 
 Each log is linearised about a fit of its own. With parameters c in the first log and c + d in the second one, the cost
 of d with all c at their best (Neyman 1959, C(alpha)) is again quadratic, and so is its score a sum over blocks of time:
@@ -35,7 +35,7 @@ SETTLED = 0.01  # largest change of a parameter, in typical sizes, from which th
 
 
 class Information(NamedTuple):
-    """What one log says of all parameters about one fit."""
+    """Information of one log on all parameters, linearised at one fit."""
 
     theta: np.ndarray  # (K,) of the fit
     H: np.ndarray  # (C, K, K) information by block of time
@@ -43,7 +43,7 @@ class Information(NamedTuple):
     run: np.ndarray  # (C,) number of the run of each block
 
     def total(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the information (K, K) of the log, and H theta + score (K,): what its own minimum solves."""
+        """Return the information H (K, K) of the log, and H theta + score (K,), the right-hand side of its minimum."""
         H = self.H.sum(axis=0)
         return H, self.score.sum(axis=0) + H @ self.theta
 
@@ -248,7 +248,7 @@ class Sizes(NamedTuple):
 
 
 def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes]:
-    """Fit both logs together: sizes of `pair.effects` shared, those of `selected` apart.
+    """Fit both logs together: sizes of `pair.effects` shared, those of `selected` separate.
 
     Returns the contrast about that fit. Differences and their intervals are those with all shared parameters profiled
     out, sizes in each log those with the parameters of `pair.effects` only.

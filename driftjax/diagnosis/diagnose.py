@@ -64,7 +64,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a diagnosis: what the model of a car gets wrong, why, and the gain of correcting it."""
+    """Result of a diagnosis: errors of the model of a car, their causes, and the gain of correcting them."""
 
     vehicle: VehicleConfig
     """The nominal car."""
@@ -76,7 +76,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
+        """Return the verdict: NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
         return self.judgement.verdict
 
     @property
@@ -149,7 +149,7 @@ def diagnose(
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] | None = None,
 ) -> Diagnosis:
-    """Name what `log` says the model of `vehicle` gets wrong, from measurements in SI and radians, left positive.
+    """Diagnose the errors of the model of `vehicle` from `log`, measured in SI and radians, left positive.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
     no part in the noise and the observer either. `effects` is the catalogue to choose from: all but those on

@@ -59,12 +59,12 @@ class Cause(NamedTuple):
 
     @property
     def varies(self) -> bool:
-        """Whether its size differs from run to run, as that of no cause does."""
+        """Return whether its size differs from run to run; that of a cause does not."""
         return self.invariance < INVARIANCE_LEVEL
 
     @property
     def stands_in(self) -> bool:
-        """Whether it stands for something else: it ends at a bound of its own, or its size differs from run to run."""
+        """Return whether it imitates another cause: it ends at its bound, or its size differs from run to run."""
         return bool(self.at_bound.any()) or self.varies
 
 

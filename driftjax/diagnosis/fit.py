@@ -94,13 +94,13 @@ class Problem(NamedTuple):
 
     @property
     def num_measurements(self) -> int:
-        """Number of measurements whose residuals the cost sums."""
+        """Return the number of measurements in the cost."""
         windows = 0 if self.motion is None else self.motion.used.sum()
         return int(np.sum(np.asarray(self.data.padded.valid) * self.data.informative) + windows)
 
 
 class Fit(NamedTuple):
-    """One fitted hypothesis."""
+    """Fit of one hypothesis."""
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
@@ -129,7 +129,7 @@ def initial_problem(
 
 
 def depends_on_force(effect: Effect) -> bool:
-    """Return whether an effect changes what the drive force does: an estimated force stands for it."""
+    """Return whether an effect changes the drive force, so that an estimated force absorbs it."""
     return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
 
 
@@ -148,7 +148,7 @@ def pieces_with_assumed_force(
 
 
 def stable_substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
-    """Return the number of integration steps per sample, for stability at the slowest speed of `runs` but for outliers.
+    """Return the integration steps per sample that are stable at the slowest speed of `runs`, outliers excluded.
 
     On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates. A few slow
     samples are enough for an unstable step to diverge, however fast the rest is.
@@ -194,7 +194,7 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
 
 
 def with_motion_noise(problem: Problem) -> Problem:
-    """Return the problem in which pose and accelerations count, where it has them, with their noise estimated.
+    """Add the residuals of pose and accelerations, if measured, with their estimated noise.
 
     That noise depends on no car: a problem that has it keeps it.
     """
@@ -265,7 +265,7 @@ def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
 
 
 def at_bound(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Return whether each parameter (K,) lies on a bound of its own: the data ask for more than it may be."""
+    """Return whether each parameter (K,) is at an active bound of its own."""
     return (theta == problem.lower) & (problem.lower != 0) | (theta == problem.upper)
 
 

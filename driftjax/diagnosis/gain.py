@@ -1,4 +1,4 @@
-"""Open-loop prediction errors on held-out runs: what naming the causes gains."""
+"""Measure open-loop prediction errors on held-out runs: the gain of naming the causes."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -102,7 +102,7 @@ def _ratio(own: Errors, other: Errors, seed: int) -> np.ndarray:
 
 
 class Overlap(NamedTuple):
-    """Ranges of one channel in two logs (5th to 95th percentile, SI), and what share of their samples they share."""
+    """Ranges of one channel in two logs (5th to 95th percentile, SI), and the share of samples within both."""
 
     first: tuple[float, float]
     second: tuple[float, float]
@@ -110,7 +110,7 @@ class Overlap(NamedTuple):
 
 
 def overlaps(first: tuple[Run, ...], second: tuple[Run, ...]) -> dict[str, Overlap]:
-    """Return the overlap of V, beta, r and both commands, without what either log lacks."""
+    """Return the overlap of V, beta, r and both commands, as far as both logs have them."""
     found = {}
     for name in CHANNELS[1:]:
         a, b = (np.concatenate([getattr(run, name) for run in runs]) for runs in (first, second))

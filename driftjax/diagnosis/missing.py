@@ -16,7 +16,7 @@ DISTINGUISHED = 3.0  # half the fall of the cost, by one effect beside the other
 
 
 class Unidentifiable(NamedTuple):
-    """What a log leaves unidentifiable, and why."""
+    """Unidentifiable quantities of a log, and the reasons."""
 
     channels: tuple[str, ...]  # of the log format that it lacks
     wider: dict[str, float]  # named effect: its interval over that with a sideslip sensor

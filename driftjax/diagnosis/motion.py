@@ -1,4 +1,4 @@
-"""Compare the measured motion with pose and accelerations: what sensors err by, without any parameter of the car.
+"""Compare the measured motion with pose and accelerations: sensor errors, without any parameter of the car.
 
 Heading and position are integrals of V, beta and r, and accelerometers measure their rates: psi' = r,
 x' = V cos(psi + beta), ax = vx' - r vy and ay = vy' + r vx hold for any car (Ryu and Gerdes 2004; Bevly, Ryu and
@@ -56,7 +56,7 @@ def central_difference(f: Array) -> Array:
 
 
 def central_difference_of_first(f: Array, num: Array) -> Array:
-    """Return the `central_difference` of the first `num` values of `f` (n,); what follows means nothing."""
+    """Return the `central_difference` of the first `num` values of `f` (n,); later values are meaningless."""
     return central_difference(f).at[num - 1].set(f[num - 1] - f[num - 2])
 
 
@@ -152,7 +152,7 @@ def batched_residuals(model, theta, runs, motion, W, room, dt):
 
 
 def batched_derivatives(model, theta, runs, motion, W, room, dt):
-    """Return the derivatives (P, n, 5, K) of what is computed from V, beta and r by theta."""
+    """Return the derivatives (P, n, 5, K) by theta of the pose and accelerations predicted from V, beta and r."""
     columns = np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
     value = lambda theta: batched_residuals(model, theta, runs, motion, W, room, dt).e
     by = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1], out_axes=-1)(jnp.eye(len(theta))[columns])
@@ -193,7 +193,7 @@ def estimate_motion_noise(
     model: Universal, data: Pieces, start: np.ndarray, limits: tuple[np.ndarray, np.ndarray], active: np.ndarray,
     sigma: np.ndarray,
 ) -> MotionNoise:  # fmt: skip
-    """Estimate the noise of the windows as what no error of a sensor explains; `sigma` (3,) is that of V, beta, r.
+    """Estimate the noise of the windows as the part that no sensor error explains; `sigma` (3,) is that of V, beta, r.
 
     Errors of the sensors and of the further channels are fitted together, outliers are left out. A channel that
     agrees better than the noise of V, beta and r lets it was computed from them, and is not used.
@@ -255,7 +255,7 @@ def noise_of_sensors(data: Pieces, W: int, sigma: np.ndarray) -> np.ndarray:
 
 
 def orthonormal(own: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis (P, n, 5, q) of what the columns of `own` (P, n, 5, Q) span."""
+    """Return an orthonormal basis (P, n, 5, q) of the span of the columns of `own` (P, n, 5, Q)."""
     A = own.reshape(-1, own.shape[-1])
     size = np.sqrt((A**2).sum(axis=0))
     U, s, _ = np.linalg.svd(A[:, size > 0] / size[size > 0], full_matrices=False)
@@ -275,7 +275,7 @@ def whitened_residuals(model: Universal, data: Pieces, theta: np.ndarray, noise:
 def whitened_motion_derivatives(
     model: Universal, data: Pieces, theta: np.ndarray, noise: MotionNoise, active: np.ndarray
 ) -> np.ndarray:
-    """Return the derivatives (P, T, 5, K) of what is computed by the `active` parameters, as `whitened_residuals`.
+    """Return the whitened derivatives (P, T, 5, K) of the predictions by the `active` parameters.
 
     Those of the projection are left out (Kaufman 1975).
     """

@@ -1,4 +1,4 @@
-"""Search from far: with disturbances that absorb the errors of the nominal car, and from a large steering delay."""
+"""Start the search far from the optimum: with disturbances that absorb errors, and from a large steering delay."""
 
 from collections.abc import Callable
 
@@ -36,7 +36,7 @@ def require_finite_cost(fit: Fit) -> Fit:
 def search_multistart(
     problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
 ) -> tuple[Problem, Selection]:
-    """Search for effects, from far where that fails; return the problem searched in and the selection.
+    """Search for effects, from other starts if that fails; return the problem and the selection.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about. Where the steering is late by as much as a manoeuvre takes,

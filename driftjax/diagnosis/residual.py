@@ -34,7 +34,7 @@ class ResidualForces(NamedTuple):
 
 
 def disturbance_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Return the forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
+    """Return the axle forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
     dY = dFyf cos delta + dFyr, dN = a dFyf cos delta - b dFyr, dX = dFx - dFyf sin delta.

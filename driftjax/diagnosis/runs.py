@@ -68,7 +68,7 @@ class Pieces(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of samples T of one piece."""
+        """Return the number of samples T of one piece."""
         return self.block.shape[1]
 
     @property
@@ -115,13 +115,13 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 
 def piece_size(lengths: list[int]) -> int:
-    """Return the samples of one piece for runs of these `lengths`: short where that leaves far fewer to follow."""
+    """Return the samples of one piece for runs of these `lengths`: short where that leaves much less to compute."""
     whole = lambda size: sum(-(-n // size) * size for n in lengths)
     return SHORT_PIECE_LENGTH if whole(SHORT_PIECE_LENGTH) <= WORTHWHILE * whole(PIECE_LENGTH) else PIECE_LENGTH
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Cut runs into pieces, without outliers; before its first command a run is assumed to have held that command."""
+    """Cut runs into pieces, without outliers; before its first command a run is assumed to keep that command."""
     runs = tuple(without_outliers(run, vehicle.a + vehicle.b) for run in runs)
     dt, rows, blocks, number, further = runs[0].dt, [], [], [], []
     size = piece_size([len(run.t) for run in runs])

@@ -74,11 +74,11 @@ class SelectionStep:
 
     @cached_property
     def errors(self) -> Errors | None:
-        """Open-loop errors on parts left out of the fit; None where the log is too short for that."""
+        """Return open-loop errors on parts left out of the fit; None where the log is too short."""
         return held_out_errors(self.problem, self.fit, self.at, self.selected)
 
     def improves(self, before: "SelectionStep") -> bool:
-        """Return whether parts left out are predicted better than by `before`, or the log is too short to tell."""
+        """Return whether left-out parts are predicted better than by `before`, or the log is too short to test."""
         return self.errors is None or before.errors is None or change_of(before.errors, self.errors).improves
 
 
@@ -144,7 +144,7 @@ def extend_selection(
 
 
 def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
-    """Return the step without an effect at its bound, or with another in its place, and what is barred.
+    """Remove or replace an effect at its bound; return the step and the barred effects.
 
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.

@@ -56,7 +56,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
 
 
 def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
-    """Return what remains unexplained, or what effects only imitate; channel None where nothing does.
+    """Return the unexplained errors, or those that effects only imitate; channel None without any.
 
     `at_first` are the variables that drive all that the nominal car gets wrong.
     """

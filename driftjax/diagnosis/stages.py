@@ -1,4 +1,4 @@
-"""Fit effects stage by stage: gentle stretches of a log decide what they can before harder ones are looked at.
+"""Fit effects stage by stage: gentle stretches of a log are used before harder ones.
 
 A stage frees the effects of its own kind and those of earlier stages, and counts only innovations of its own
 stretches. Effects of later stages are considered: they are not estimated, but what is estimated depends on them, and

@@ -40,7 +40,7 @@ class Stretch(IntEnum):
 
 
 def find_stretches(problem: Problem) -> np.ndarray:
-    """Return the kind (P, T) of stretch that each sample lies in; `NOWHERE` for those that do not count.
+    """Return the kind of stretch of each sample (P, T); `NOWHERE` for those that do not count.
 
     A sample belongs to the hardest kind of the time `HOLD` before it, so that the tyres and the observer have settled.
     """

@@ -61,7 +61,7 @@ class Unexplained(NamedTuple):
 
 
 class GenericTerms(NamedTuple):
-    """Scores of the generic terms beside one hypothesis, whose effects are projected out."""
+    """Scores of the generic terms, with the effects of one hypothesis projected out."""
 
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
     U: np.ndarray  # (n,)
@@ -114,7 +114,7 @@ def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array
 
 
 def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
-    """Test what remains beside the named effects, and rank the variables that explain it.
+    """Test the errors that remain after the named effects, and rank the variables that explain them.
 
     Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
     """

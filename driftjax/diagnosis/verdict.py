@@ -64,7 +64,7 @@ class Explained(NamedTuple):
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
-    """Return what the extended car explains; None where no run is long enough to tell."""
+    """Return the error that the extended car explains; None where no run is long enough."""
     if "extended" not in shares:
         return None
     one = shares["extended"]
@@ -75,7 +75,7 @@ def decide_verdict(
     problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float,
     explained: Explained | None, tolerated: float,
 ) -> Judgement:  # fmt: skip
-    """Decide the verdict on a search by the size of what it leaves, and state its reason.
+    """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:

@@ -28,7 +28,7 @@ STEADY = tuple(name for name, effect in EFFECTS.items() if name in LAGS or not e
 
 
 class CasadiModel(NamedTuple):
-    """A function of state and input (delta [rad], Fxr [N]) in JAX, and what its state is."""
+    """Function of state and input (delta [rad], Fxr [N]) in JAX, with the names of its state."""
 
     function: Callable[[Array, Array], Array]
     start: Float[np.ndarray, " n"]  # state of a car that rolls straight at 1 sqrt(g L), steering and drive at rest

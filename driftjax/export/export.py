@@ -1,4 +1,4 @@
-"""Write a car in another tool's format, and say what that format cannot hold of it."""
+"""Write a car in another tool's format, and report the effects that it cannot represent."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ FORMATS: dict[str, Format] = {
 
 @dataclass(frozen=True)
 class Export:
-    """Files of a car in another tool's format, and what they lack of it."""
+    """Files of a car in another tool's format, and the effects that they lack."""
 
     to: str
     """Name of the format."""
@@ -60,7 +60,7 @@ def export_car(
     vehicle: VehicleConfig, to: str, folder: str | Path, *, log: Log | None = None, top_speed: float | None = None,
     dt: float = 0.02,
 ) -> Export:  # fmt: skip
-    """Write `vehicle` with its effects into `folder` in the format `to`, and measure what that format loses.
+    """Write `vehicle` with its effects into `folder` in the format `to`, and measure the loss of that format.
 
     `to` is race_stack, tum, f1tenth_gym, commonroad, autoware, open_car_dynamics or casadi. The loss is how much worse
     the car predicts without the lost effects: on `log`, or else in a standard manoeuvre. `top_speed` [m/s] bounds

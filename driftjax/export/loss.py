@@ -1,4 +1,4 @@
-"""What a target loses: open-loop predictions of the car with and without the effects that the target cannot hold."""
+"""Measure the loss of a target: predict with and without the effects that it cannot represent."""
 
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ CHANNELS = ("V", "beta", "r")
 
 
 class Window(NamedTuple):
-    """Commands of a prediction and what came before."""
+    """Commands of a prediction, and the history before it."""
 
     commands: Float[Array, "w 2"]  # from SETTLE before the start to the horizon
     V: Float[Array, " w"]
@@ -34,7 +34,7 @@ class Window(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """Root-mean-square of what predictions of V [m/s], beta [rad] and r [rad/s] are off by."""
+    """Root-mean-square prediction errors of V [m/s], beta [rad] and r [rad/s]."""
 
     of: str  # the log, or the standard manoeuvre
     horizon_s: float
@@ -43,7 +43,7 @@ class Loss(NamedTuple):
 
 
 def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) -> Loss:
-    """Measure what `reduced`, which lacks some effects of `full`, predicts worse.
+    """Measure the prediction error that `reduced`, which lacks some effects of `full`, adds.
 
     On a log: errors at a horizon of 2 sqrt(L/g), from starts 1 sqrt(L/g) apart, of predictions that start at the
     measured state. Without one: how far the two cars get apart in an open-loop slalom and in steps of drive and brake.

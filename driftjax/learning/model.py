@@ -18,7 +18,7 @@ GAP = 5  # rows excluded next to a stretch: smoothing over so many samples corre
 
 
 class ModelState(eqx.Module):
-    """Rows of the dictionary and the residual learnt from them, for one batch entry."""
+    """Dictionary rows and the residual learnt from them, for one batch entry."""
 
     Z: Array  # (M, 5)
     Y: Array  # (M, 3)

@@ -1,4 +1,4 @@
-"""Stages of `driftjax learn`, each one lap per batch entry: what is driven, and what is learnt from it."""
+"""Stages of `driftjax learn`: drive one lap per batch entry, and update the model from it."""
 
 import dataclasses
 

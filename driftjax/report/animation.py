@@ -107,7 +107,7 @@ def add_car(axis: Axes, strip: Axes, drive: CarDrive, times: Sequence[float], gh
 def build_animation(
     vehicle: VehicleConfig, pairs: Sequence[Sequence[CarDrive]], times: Sequence[float], plan: xr.Dataset | None
 ) -> tuple[Figure, list[Panel]]:
-    """Draw what does not move and create what does: a panel per pair of a car and, perhaps, its ghost."""
+    """Draw the static parts and create the moving ones: a panel per car and, if given, its ghost."""
     figure, axes = new_figure(2, len(pairs), (4.2 * len(pairs), 5.6), height_ratios=[3.4, 1.0])
     for axis in axes[1]:
         axis.remove()

@@ -112,7 +112,7 @@ def closed_loop_rows(driven: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def closed_loop_notes(driven: dict[str, Any]) -> list[str]:
-    """Return what was driven, models that were not, and how to read the errors."""
+    """Return notes: the laps driven, models without laps, and the meaning of the errors."""
     notes = [
         f"closed loop: the {driven['corner']} corner on {driven['plant']}, path-tracking drift MPC before any learning"
     ]

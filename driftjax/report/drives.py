@@ -24,7 +24,7 @@ POINTS = 4000  # of a measured run at most
 
 
 class CarDrive(NamedTuple):
-    """One car to show: a lap, a measured run, or the predictions of it, each from its own start."""
+    """Car in the player: a lap, a measured run, or its predictions, each from its own start."""
 
     group: str  # plant or run: what is shown together
     name: str
@@ -100,7 +100,7 @@ def shown_together(drives: Sequence[CarDrive], name: str | None) -> list[CarDriv
 
 
 def film_pairs(drives: Sequence[CarDrive]) -> list[list[CarDrive]]:
-    """Return what is shown side by side: the first and the best lap, or a measured run with each prediction."""
+    """Return the pairs shown side by side: first and best lap, or a measured run and each prediction."""
     measured = [drive for drive in drives if drive.kind == "measured"]
     if measured:
         return [[measured[0], drive] for drive in drives if drive.kind != "measured"] or [measured]

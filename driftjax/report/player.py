@@ -16,7 +16,7 @@ BEFORE, AFTER = 15.0, 12.0  # around the planned drift, in the view of the corne
 
 
 def player_data(vehicle: VehicleConfig, drives: Sequence[CarDrive], plan: xr.Dataset | None = None) -> dict[str, Any]:
-    """Return what the player shows: as many of `drives`, from the first, as there is room for."""
+    """Return the data of the player: the first of `drives`, up to its size limit."""
     shown, size = [], 0
     for drive in drives:
         size += sum(len(a) for piece in drive.pieces for a in piece.values()) * 8 // 3  # 2 bytes each, as base64

@@ -46,7 +46,7 @@ def tuning_summary(results: dict[str, Any]) -> str:
 
 
 def sentences(results: dict[str, Any]) -> list[str]:
-    """Return sentences about who won, on what, and which laps failed."""
+    """Return sentences on the winner of each comparison and on failed laps."""
     held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
     return [
         f"Against the default, tuning by gradients {_verdict(held, 'tuned - default')}.",

@@ -69,7 +69,7 @@ class AbstractBatchOCP(eqx.Module):
     def linearise(
         self, x: Components, u: Components, p: PyTree, expansion: PyTree
     ) -> tuple[Components, Matrix, PyTree]:
-        """Return the next state, its derivatives [state][state and input], and what `curvature` reads.
+        """Return the next state, its derivatives [state][state and input], and the data that `curvature` reads.
 
         Override for a cheaper computation.
         """

@@ -15,7 +15,7 @@ GIVE_UP = 2  # rounds of trials in a row without a better point
 
 
 class Search(NamedTuple):
-    """Best point found, and the history of the search."""
+    """Best point, and the history of the search."""
 
     p: Float[np.ndarray, " P"]
     loss: float

@@ -43,7 +43,7 @@ class PerChannel:
 
 @dataclass(frozen=True)
 class EstimatedNoise:
-    """Noise that a diagnosis or calibration found in the data: what no effect of the catalogue explains."""
+    """Noise that a diagnosis or calibration estimated: the part that no effect of the catalogue explains."""
 
     sigma: PerChannel
     """Standard deviation of the measured V, beta, r."""

@@ -1,4 +1,4 @@
-"""What the name and the unit of a column say: which channel it may be, and how it converts to SI."""
+"""Interpret the name and unit of a column: which channel it may be, and its factor to SI."""
 
 import re
 from typing import NamedTuple
@@ -101,7 +101,7 @@ UNKNOWN = 0.05  # score of a name without information, for every channel
 
 
 class Meaning(NamedTuple):
-    """What name and unit of a column say."""
+    """Meaning of the name and unit of a column."""
 
     unit: Unit | None
     name_score: dict[str, float]
@@ -109,7 +109,7 @@ class Meaning(NamedTuple):
 
 
 def meaning(name: str, unit: str = "") -> Meaning:
-    """Return what `name` and, where the file states one, `unit` say of a column."""
+    """Interpret the `name` and, if the file states one, the `unit` of a column."""
     words, in_name = _split_unit(name)
     last, _ = _split_unit(re.sub(r"\.\d+$", "", name).rpartition(".")[2])  # without the struct or topic that it is in
     known = parse_unit(unit) or in_name

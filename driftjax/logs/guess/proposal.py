@@ -1,4 +1,4 @@
-"""The proposed column map of a log, with a certainty per channel and what is left open."""
+"""Propose the column map of a log, with a certainty per channel and open questions."""
 
 import re
 from dataclasses import asdict, dataclass, field
@@ -100,7 +100,7 @@ class Guess:
         return asdict(self) | {"path": str(self.path)}
 
     def yaml(self) -> str:
-        """Return the column map as YAML, with what is left open as comments."""
+        """Return the column map as YAML, with open questions as comments."""
         lines = [f"# Proposed for {self.path.name}; look it over before you use it.", "columns:"]
         earth = {one.channel: one for one in self.channels if one.channel in ("latitude", "longitude")}
         for one in self.channels:

@@ -10,7 +10,7 @@ TURNED = 1.5  # correlation of the axis to the left with ax, over that with ay
 
 
 def source_of(name: str) -> str:
-    """Return topic, file or struct that a column comes from; empty if its name says none."""
+    """Return topic, file or struct that a column comes from; empty if its name has none."""
     return name.partition(".")[0] if "." in name else ""
 
 

@@ -72,7 +72,7 @@ def removed_shares(results: list[Result]) -> list[float]:
 
 
 def imitates_truth(result: Result) -> bool:
-    """Return whether what was named for a missing effect fits as well as the truth, within one parameter."""
+    """Return whether the effects named for a missing one fit as well as the truth, within one parameter."""
     return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + PARAMETER_PENALTY
 
 
@@ -126,7 +126,7 @@ def uniformity_p_value(none: list[Result]) -> float:
 
 
 def confusions(results: list[Result]) -> list[str]:
-    """Return one line per wrong case: group, truth, what was named, and how the truth scored."""
+    """Return one line per wrong case: group, truth, named effects, and the score of the truth."""
     wrong: list[str] = []
     tests: dict[str, Callable[[Result], bool]] = {
         "single": named_first,

@@ -154,7 +154,7 @@ def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.nd
 
 
 def penalised_costs(evidence: Evidence, case: Case) -> dict[str, float]:
-    """Return the penalised costs of what was named and of the truth refitted: was the search or the evidence wrong?"""
+    """Return the penalised costs of the named effects and of the refitted truth, to separate search from evidence."""
     problem = evidence.problem
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
     true = evaluate_fit(problem, case.theta(problem.effects))
