@@ -13,7 +13,7 @@ X = jnp.linspace(0.1, 0.9, elementary.MIN_VECTOR_SIZE)
 
 
 def helped(x):
-    """Calls of every kind that `materialise` opens: jit, custom_jvp and custom_vjp."""
+    """Calls of every kind that `compute_once` opens: jit, custom_jvp and custom_vjp."""
     rule = jax.custom_vjp(lambda x: x * x)
     rule.defvjp(lambda x: (x * x, x), lambda x, g: (2 * x * g,))
     return jax.jit(jnp.sin)(x) + jax.nn.relu(x) + rule(x)
@@ -29,7 +29,7 @@ def primitives():
 
 
 def opened_calls():
-    """`materialise` evaluates a jaxpr, opens calls by the names of their primitives and sets barriers."""
+    """`compute_once` evaluates a jaxpr, opens calls by the names of their primitives and sets barriers."""
     names = lambda f: [eqn.primitive.name for eqn in jax.make_jaxpr(f)(X).jaxpr.eqns]
     assert {"jit", "pjit"} & set(names(helped))  # else there is nothing to open
     assert not {"jit", "pjit", "custom_jvp_call", "custom_vjp_call"} & set(names(compute_once(helped)))
