@@ -76,7 +76,7 @@ class Driver(eqx.Module):
 
     @property
     def horizon(self) -> int:
-        """Horizon of the MPC [steps]."""
+        """Return the horizon of the MPC [steps]."""
         return self.ocp.horizon
 
     def start(self) -> DriverState:

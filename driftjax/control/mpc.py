@@ -98,7 +98,7 @@ class DriftOCP(AbstractOCP):
 
     @property
     def u_scale(self) -> Array:
-        """Scales (2,) of delta [rad] and Fxr [N]."""
+        """Return the scales (2,) of delta [rad] and Fxr [N]."""
         return self.x_scale[5:7]
 
     def _acting(self, x: Array, u: Array) -> Array:

@@ -46,7 +46,7 @@ class ReducedCar(NamedTuple):
 
     @property
     def top_speed(self) -> float:
-        """Top speed [m/s]."""
+        """Return the top speed [m/s]."""
         return self.options.top_speed or TOP_SPEED * reference(self.vehicle, "speed")
 
     def value(self, name: str) -> float:
@@ -55,7 +55,7 @@ class ReducedCar(NamedTuple):
 
     @property
     def car(self) -> Any:
-        """`Car` of floats, with the effects of the station `car` and the gains of friction."""
+        """Return the `Car` of floats, with the effects of the station `car` and the gains of friction."""
         car = _in_floats(base_car(self.vehicle.build()))
         for name, effect in EFFECTS.items():
             found = tuple(one.value for one in self.vehicle.effects if one.effect == name)
@@ -65,13 +65,13 @@ class ReducedCar(NamedTuple):
 
     @property
     def forces(self) -> tuple[float, float]:
-        """Strongest brake force (negative) and drive force, after the gain of the drive [N]."""
+        """Return the strongest brake force (negative) and drive force, after the gain of the drive [N]."""
         gain = 1 + self.value("drive_gain.p")
         return gain * self.vehicle.Fxr_min, gain * self.vehicle.Fxr_max
 
     @property
     def wheel_radius(self) -> float:
-        """Rolling radius that a car of this size usually has [m]."""
+        """Return the rolling radius that a car of this size usually has [m]."""
         return WHEEL * (self.vehicle.a + self.vehicle.b)
 
 

@@ -71,7 +71,7 @@ class Scenario:
 
     @property
     def batch_size(self) -> int:
-        """Number of batch entries."""
+        """Return the number of batch entries."""
         return len(self.batch)
 
     def over_batch(self, tree):

@@ -66,7 +66,7 @@ class MinimumTime(AbstractOCP):
 
     @property
     def scale(self) -> Array:
-        """SI value of one unit of each state."""
+        """Return the SI value of one unit of each state."""
         one = jnp.ones_like(self.V0)
         r0, F0 = self.V0 / self.L0, self.limits.Fxr_max
         return jnp.stack([self.V0, one, r0, self.e0, one, one, F0])

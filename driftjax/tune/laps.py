@@ -49,7 +49,7 @@ class LapEvaluator:
 
     @cached_property
     def plants(self) -> list[str]:
-        """Names of the plants: the training plants, then the held-out ones."""
+        """Return the names of the plants: the training plants, then the held-out ones."""
         return [entry.plant for entry in self.scenario.batch]
 
     def batch(self, p: Float[np.ndarray, " 6"], which: slice):

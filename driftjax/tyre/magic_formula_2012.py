@@ -48,7 +48,7 @@ class Curve(NamedTuple):
 
     @property
     def force(self) -> Array:
-        """The force."""
+        """Return the force."""
         return self.D * jnp.sin(self.C * jnp.arctan(bent(self.B * self.x, self.E))) + self.V
 
 

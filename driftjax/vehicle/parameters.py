@@ -21,7 +21,7 @@ class EffectParameterValue:
 
     @property
     def name(self) -> str:
-        """Qualified name `effect.parameter`, as on the command line of `driftjax simulate`."""
+        """Return the qualified name `effect.parameter`, as on the command line of `driftjax simulate`."""
         return f"{self.effect}.{self.parameter}"
 
 

@@ -43,12 +43,12 @@ class SolveCase:
 
     @property
     def what(self) -> str:
-        """Description in the table."""
+        """Return the description in the table."""
         return f"{NAMES[self.kind]}, {'one problem alone' if self.num == 1 else f'batch {self.num}'}, {self.dtype}"
 
     @property
     def target(self) -> float | None:
-        """Target speed-up over one converged solve of FATROP."""
+        """Return the target speed-up over one converged solve of FATROP."""
         if self.num > 1:
             return BATCH[self.kind][self.dtype]
         return ALONE[self.kind] if self.dtype == "float64" else None

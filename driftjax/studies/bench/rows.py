@@ -23,7 +23,7 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """Median of the runs [s]."""
+        """Return the median of the runs [s]."""
         return float(np.median(self.runs))
 
     @property
@@ -62,7 +62,7 @@ class Row:
 
     @property
     def ratio(self) -> Timing | None:
-        """Ratio of the runs, pair by pair; None without a peer."""
+        """Return the ratio of the runs, pair by pair; None without a peer."""
         if self.sense == "seconds":
             return self.ours
         if self.theirs is None:
