@@ -21,7 +21,7 @@ import tyro
 import driftjax as dj
 from driftjax.core import write_atomically
 from driftjax.diagnosis.diagnose import Evidence
-from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.select import penalised_cost
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
@@ -62,17 +62,17 @@ def run_case(case: Case) -> Result:
 
 
 def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
-    """Return how hidden and named effects look at the nominal car, and the price of the truth beside what was named.
+    """Return the scores of hidden and named effects at the nominal car, and the penalised costs of truth and result.
 
     The truth is what is hidden and what the catalogue knows of `body`, which begins at a typical size; all are fitted.
     """
     problem, last = evidence.problem, evidence.selection.nominal_scores
     names = [effect.name for effect in problem.effects]
-    told = {}
+    scores = {}
     for name in {*case.hidden, *(names[i] for i in evidence.selection.selected)}:
         i = names.index(name)
         columns = problem.columns((i,))
-        told[name] = {
+        scores[name] = {
             "T": float(np.abs(last.T[columns]).max()), "gain": float(last.gain[i]),
             "rank": int((last.gain > last.gain[i]).sum()), "deviations": float(np.sqrt(np.diag(last.H)[columns].max())),
         }  # fmt: skip
@@ -81,11 +81,11 @@ def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
     hidden = tuple(sorted((*map(names.index, case.hidden), *body)))
     sizes = np.array(theta) / np.asarray(problem.model.scale)
     sizes[problem.columns(body)] = 1.0
-    true = evaluate(problem, sizes)
+    true = evaluate_fit(problem, sizes)
     true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
-    prices = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
-              "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
-    return {"looks": told, "prices": prices}
+    costs = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
+             "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
+    return {"looks": scores, "prices": costs}
 
 
 def read_results(path: Path) -> list[Result]:

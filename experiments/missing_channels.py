@@ -110,9 +110,9 @@ def outcomes(row: dict[str, Any]) -> list[str]:
     (hidden,), named = row["hidden"], row["named"]
     inside = any(hidden in one for one in row["sets"])
     claimed = row["verdict"] in ("NAMED", "SET")
-    told = {"first": named[:1] == [hidden], "beside": hidden in named and len(named) > 1, "in a set": inside,
+    outcomes = {"first": named[:1] == [hidden], "beside": hidden in named and len(named) > 1, "in a set": inside,
             "false": claimed and not inside}  # fmt: skip
-    return ["one hidden", *(key for key, true in told.items() if true)]
+    return ["one hidden", *(key for key, true in outcomes.items() if true)]
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import driftjax as dj
 from driftjax.core.config import to_dict
 from driftjax.studies.paper.config import PaperConfig
 from driftjax.studies.paper.run import run_comparison
-from driftjax.studies.paper.table import comparison_page
+from driftjax.studies.paper.table import paper_page
 
 
 def compare(
@@ -21,7 +21,7 @@ def compare(
     if folder.config != config:
         raise SystemExit(f"{out}: holds a comparison with other options; give another --out.")
     report = lambda text, done, total: print(f"{done}/{total} {text}", flush=True)
-    print(comparison_page(run_comparison(options, folder, report, workers)), end="")
+    print(paper_page(run_comparison(options, folder, report, workers)), end="")
 
 
 if __name__ == "__main__":

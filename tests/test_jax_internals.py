@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from driftjax.core import elementary
-from driftjax.solve.materialise import materialised
-from driftjax.solve.sparse import jacobian
+from driftjax.solve.component_derivatives import jacobian
+from driftjax.solve.compute_once import compute_once
 
 X = jnp.linspace(0.1, 0.9, elementary.MIN_VECTOR_SIZE)
 
 
 def helped(x):
-    """Calls of every kind that `materialise` opens: jit, custom_jvp and custom_vjp."""
+    """Calls of every kind that `compute_once` opens: jit, custom_jvp and custom_vjp."""
     rule = jax.custom_vjp(lambda x: x * x)
     rule.defvjp(lambda x: (x * x, x), lambda x, g: (2 * x * g,))
     return jax.jit(jnp.sin)(x) + jax.nn.relu(x) + rule(x)
@@ -29,12 +29,12 @@ def primitives():
 
 
 def opened_calls():
-    """`materialise` evaluates a jaxpr, opens calls by the names of their primitives and sets barriers."""
+    """`compute_once` evaluates a jaxpr, opens calls by the names of their primitives and sets barriers."""
     names = lambda f: [eqn.primitive.name for eqn in jax.make_jaxpr(f)(X).jaxpr.eqns]
     assert {"jit", "pjit"} & set(names(helped))  # else there is nothing to open
-    assert not {"jit", "pjit", "custom_jvp_call", "custom_vjp_call"} & set(names(materialised(helped)))
-    assert "optimization_barrier" in names(materialised(lambda x: jnp.exp(jnp.sin(x)) * jnp.sin(x)))
-    np.testing.assert_array_equal(materialised(helped)(X), helped(X))
+    assert not {"jit", "pjit", "custom_jvp_call", "custom_vjp_call"} & set(names(compute_once(helped)))
+    assert "optimization_barrier" in names(compute_once(lambda x: jnp.exp(jnp.sin(x)) * jnp.sin(x)))
+    np.testing.assert_array_equal(compute_once(helped)(X), helped(X))
 
 
 def known_primitives():

@@ -96,12 +96,12 @@ def _title(group: str) -> str:
 
 
 def _option(action: argparse.Action) -> tuple[str, str, str]:
-    told = re.fullmatch(r"(.*?)\s*(?:\((default: .*|required|optional|repeatable)\))?", action.help or "", re.DOTALL)
-    assert told is not None
-    default = (told[2] or "").removeprefix("default:").strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\((default: .*|required|optional|repeatable)\))?", action.help or "", re.DOTALL)
+    assert match is not None
+    default = (match[2] or "").removeprefix("default:").strip()
     value = str(action.metavar or "").replace("{None}|", "")
     names = ", ".join(action.option_strings) or action.dest
-    return f"`{cell(f'{names} {value}')}`", cell(told[1]), "" if default in ("", "None") else f"`{cell(default)}`"
+    return f"`{cell(f'{names} {value}')}`", cell(match[1]), "" if default in ("", "None") else f"`{cell(default)}`"
 
 
 def _class_tables(cls: type, prefix: str, named: bool) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import Any
 from tables import table
 
 from driftjax.report.style import COMPARED, stage_label
-from driftjax.report.table import CONTROLLERS, REDUCTIONS, interval, number, with_interval
+from driftjax.report.table import CONTROLLERS, REDUCTIONS, format_interval, number, with_interval
 from driftjax.studies.hidden_effects.score import rate_interval
 
 # rates of `pytest -m statistics`: what a column is called, and the kind of cases that it is a share of
@@ -29,11 +29,11 @@ def learn_tables(docs: Path) -> str:
         for controller, found in stage["controllers"].items():
             done, of = found["completed"]
             rows.append((stage_label(stage["name"]), CONTROLLERS.get(controller, controller),
-                         interval(found["lateral_error"]), interval(found["velocity_rmse"]),
+                         format_interval(found["lateral_error"]), format_interval(found["velocity_rmse"]),
                          number(found["drift_share"]["mean"]), f"{done}/{of}"))  # fmt: skip
     head = ("stage", "controller", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed")
     summary = results["summary"]["path"]
-    reductions = [(words, interval(summary[key], ".1f"), number(summary[key]["paper"], ".1f"))
+    reductions = [(words, format_interval(summary[key], ".1f"), number(summary[key]["paper"], ".1f"))
                   for key, words in REDUCTIONS.items()]  # fmt: skip
     tables = table(head, rows), table(("reduction [%]", "this run", "Wu et al. 2025"), reductions)
     return "\n".join([f"Measured {_origin(versions)}.", "", *tables])

@@ -13,7 +13,7 @@ from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.parallel import num_workers
-from driftjax.report import closed_loop_table, gain_table, parity_statement, worth_table, write_diagnosis
+from driftjax.report import closed_loop_table, error_share_table, gain_table, parity_statement, write_diagnosis
 from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
@@ -111,8 +111,8 @@ def work(
         step("done")
     content = folder.read_json("diagnosis")
     print(f"\n{diagnosis.verdict}: {diagnosis.sentence}\n")
-    if worth := worth_table(content):
-        print(worth)
+    if table := error_share_table(content):
+        print(table)
     if diagnosis.proposal:
         print(diagnosis.proposal.sentence + "\n")
     if content["show"]:

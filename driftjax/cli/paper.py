@@ -54,13 +54,13 @@ def work(options: PaperConfig, folder: RunFolder, workers: int | None) -> int:
     """Run the comparison into `folder` and print its tables."""
     from driftjax.studies.paper.arms import arms
     from driftjax.studies.paper.run import run_comparison
-    from driftjax.studies.paper.table import comparison_page
+    from driftjax.studies.paper.table import paper_page
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:
         num = num_workers(options.plants) if workers is None else workers
         results = run_comparison(options, folder, report, num if num > 1 else 0)
-    print(comparison_page(results), end="")
+    print(paper_page(results), end="")
     print(f"paper: {folder.path}")
     first = folder.path / arms(options)[0].folder
     print(f"next: see {folder.path / 'figures'}; `driftjax play {shlex.quote(str(first))}` shows the laps.")

@@ -38,8 +38,8 @@ def _paper(folder: RunFolder) -> int:
     """Rebuild tables and figures of a comparison."""
     from driftjax.studies.paper.config import PaperConfig
     from driftjax.studies.paper.run import rebuild
-    from driftjax.studies.paper.table import comparison_page
+    from driftjax.studies.paper.table import paper_page
 
     found = rebuild(from_dict(PaperConfig, folder.config, str(folder.path / "config.yaml")), folder)
-    print(comparison_page(found), end="")
+    print(paper_page(found), end="")
     return 0

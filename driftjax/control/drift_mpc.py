@@ -77,7 +77,7 @@ class DriftMPC(eqx.Module):
 
     @property
     def horizon(self) -> int:
-        """Number of prediction steps."""
+        """Return the number of prediction steps."""
         return self.ocp.horizon
 
     def solve(

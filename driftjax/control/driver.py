@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.lane_solve import MPCProblem, MPCResult, acceptable, solve_batch
+from driftjax.control.batch_solve import MPCProblem, MPCResult, acceptable, solve_mpc_batch
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
@@ -76,7 +76,7 @@ class Driver(eqx.Module):
 
     @property
     def horizon(self) -> int:
-        """Horizon of the MPC [steps]."""
+        """Return the horizon of the MPC [steps]."""
         return self.ocp.horizon
 
     def start(self) -> DriverState:
@@ -158,7 +158,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -
     def drift():
         if drivers.kind == "mpc":
             problem = vmap_batch(lambda d, x, m, needed: d.mpc_problem(x, m, needed))(drivers, sensed, memory, engaged)
-            found = solve_batch(drivers.ocp, problem, engaged)
+            found = solve_mpc_batch(drivers.ocp, problem, engaged)
             return vmap_batch(lambda d, p, a, m: d.apply_result(p, a, m))(drivers, problem, found, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))

@@ -60,14 +60,14 @@ class ScheduledLQR(eqx.Module):
         return x_ref[5:7] - (K @ ((x - x_ref) / ocp.x_scale)) * ocp.u_scale
 
 
-def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, price: Array) -> ScheduledLQR:
+def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
     """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
 
     Dynamics and cost are those of the drift MPC, to first and second order about the reference, without limits and
-    with `price` times the weight of input changes. The Riccati recursion runs backwards from the stationary solution of
-    the last step (Anderson and Moore 1990, Sec. 2.4).
+    with `rate_factor` times the weight of input changes. The Riccati recursion runs backwards from the stationary
+    solution of the last step (Anderson and Moore 1990, Sec. 2.4).
     """
-    ocp = eqx.tree_at(lambda o: o.R, ocp, price * ocp.R)
+    ocp = eqx.tree_at(lambda o: o.R, ocp, rate_factor * ocp.R)
     s = table.schedule(table.drift_start - lead, num, ocp.dt)[:-1]
     reference, U = table.reference(s), table.inputs(s)
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.residual import Nearby, nearby
+from driftjax.control.residual import ResidualExpansion, expand_residual
 from driftjax.core import Control, State, as_float, features, lag_step, require, rk4_loop, rk4_step
-from driftjax.solve import AbstractOCP, Linear, Options, Plan, solve
+from driftjax.solve import AbstractOCP, Linear, Options, Solution, solve
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, build_car
 
@@ -98,28 +98,28 @@ class DriftOCP(AbstractOCP):
 
     @property
     def u_scale(self) -> Array:
-        """Scales (2,) of delta [rad] and Fxr [N]."""
+        """Return the scales (2,) of delta [rad] and Fxr [N]."""
         return self.x_scale[5:7]
 
     def _acting(self, x: Array, u: Array) -> Array:
         """Return the mean input over the step (2,), scaled: the lag response to the command."""
         return lag_step(x[7:], u, self.residual.lags, self.dt)[0]
 
-    def _motion(self, v: Array, p: Reference, around: Nearby | None = None) -> Array:
+    def _motion(self, v: Array, p: Reference, expansion: ResidualExpansion | None = None) -> Array:
         """Return (V, beta, r, e, theta) one step later from these and the mean input, `v` (7,); all scaled.
 
-        With the residual's expansion `around` this point it is cheap to differentiate, and exact to second order.
+        With the residual's local `expansion` about this point it is cheap to differentiate, and exact to second order.
         """
         y, acting = v[:5] * self.x_scale[:5], Control(*(v[5:] * self.u_scale))
         z = features(State(y[0], y[1], y[2]), acting)
-        d = self.residual(z) if around is None else around.at(z)
+        d = self.residual(z) if expansion is None else expansion.at(z)
 
         def rates(w: Array, _: Any = None) -> Array:
             dx = self.nominal(State(w[0], w[1], w[2]), acting)
             _, e_dot, theta_dot = curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)
             return jnp.stack([dx.V + d[0], dx.beta + d[1], dx.r + d[2], e_dot, theta_dot])
 
-        return (rk4_step if around is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
+        return (rk4_step if expansion is None else rk4_loop)(rates, y, self.dt) / self.x_scale[:5]
 
     def step(self, x: Array, u: Array, p: Reference) -> Array:
         """Return the next state by one RK4 step of nominal car, residual and curvilinear frame."""
@@ -138,25 +138,25 @@ class DriftOCP(AbstractOCP):
         )
         return jnp.concatenate([path, acting]), jnp.concatenate([last, lagged_input])
 
-    def around(self, X: Array, U: Array, p: Reference) -> Nearby:
+    def local_expansion(self, X: Array, U: Array, p: Reference) -> ResidualExpansion:
         """Expand the residual to second order at all stages."""
         acting = jax.vmap(self._acting)(X, U) * self.u_scale
-        return nearby(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
+        return expand_residual(self.residual, jnp.concatenate([X[:, :3] * self.x_scale[:3], acting], axis=1))
 
-    def linearise(self, x: Array, u: Array, p: Reference, around: Nearby) -> Linear:
+    def linearise(self, x: Array, u: Array, p: Reference, expansion: ResidualExpansion) -> Linear:
         """Return `step` and its derivatives (9, 9), (9, 2); only seven of its eleven columns need the car."""
         acting, end = lag_step(x[7:], u, self.residual.lags, self.dt)
         taken, linear = self._selection()
-        motion = lambda v: (lambda y: (y, y))(self._motion(v, p, around))
+        motion = lambda v: (lambda y: (y, y))(self._motion(v, p, expansion))
         J, y = jax.jacfwd(motion, has_aux=True)(jnp.concatenate([x[:5], acting]))
         both = jnp.concatenate([J @ taken, linear])
         return Linear(jnp.concatenate([y, u, end]), both[:, :9], both[:, 9:])
 
-    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, around: Nearby) -> Array:
+    def curvature(self, x: Array, u: Array, costate: Array, p: Reference, expansion: ResidualExpansion) -> Array:
         """Return the second derivative (11, 11) of `costate @ step`; convergence needs the residual's part."""
         v = jnp.concatenate([x[:5], self._acting(x, u)])
         taken, _ = self._selection()
-        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, around))(v) @ taken
+        return taken.T @ jax.hessian(lambda v: costate[:5] @ self._motion(v, p, expansion))(v) @ taken
 
     def _tracking(self, x: Array, p: Reference) -> Array:
         error = x[:5] * self.x_scale[:5] - p.states()
@@ -244,7 +244,7 @@ class MPCSolution(eqx.Module):
     u: Control  # first input of the plan
     X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
     U: Float[Array, "N 2"]  # planned delta, Fxr
-    plan: Plan  # scaled solution with its residuals
+    plan: Solution  # scaled solution with its residuals
 
 
 def solve_mpc(

@@ -1,4 +1,4 @@
-"""Evaluate the learnt residual at many points at once, to second order."""
+"""Expand the learnt residual to second order at many points at once."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from driftjax.gp import bound_mean
 from driftjax.gp.expansion import Expansion, expansions, pairs
-from driftjax.solve.lane_ocp import Components
-from driftjax.solve.sparse import Matrix, hessian
+from driftjax.solve.batch_ocp import Components
+from driftjax.solve.component_derivatives import Matrix, hessian
 from driftjax.vehicle import Residual
 
 NUM_INPUTS = 5  # V, beta, r, delta, Fxr
@@ -21,7 +21,7 @@ PAIRS = pairs(NUM_INPUTS)
 DEGREES = np.array([0.5 if i == j else 1.0 for i, j in PAIRS])  # of a pair's term in a Taylor polynomial
 
 
-class Nearby(NamedTuple):
+class ResidualExpansion(NamedTuple):
     """Second-order expansion of the residual rates (dV, dbeta, dr) about points, in SI."""
 
     z: Float[Array, "... 5"]
@@ -36,31 +36,31 @@ class Nearby(NamedTuple):
         return self.value + self.gradient @ dz + self.hessian @ products
 
 
-class Learnt(NamedTuple):
-    """Residual rates (dV, dbeta, dr) at some stages."""
+class ResidualDerivatives(NamedTuple):
+    """Residual rates (dV, dbeta, dr) and their derivatives at several stages."""
 
     d: Components
     J: Matrix  # derivatives [output][input]
     H: list[Matrix]  # second derivatives of each output
 
 
-def nearby(residual: Residual, z: Float[Array, "P 5"]) -> Nearby:
+def expand_residual(residual: Residual, z: Float[Array, "P 5"]) -> ResidualExpansion:
     """Expand the residual at all points `z` = (V, beta, r, delta, Fxr)."""
     found = _expanded(jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, residual), list(z.T[:, :, None]))
     last = lambda entries: jnp.stack(entries, axis=-1)[:, :, 0].transpose(1, 0, 2)  # (3, P, 1) each
-    return Nearby(z, found.value[:, :, 0].T, last(found.gradient), last(found.hessian))
+    return ResidualExpansion(z, found.value[:, :, 0].T, last(found.gradient), last(found.hessian))
 
 
-def learnt(residual: Residual, z: Components, unit: Sequence[Array | float]) -> Learnt:
-    """Expand the residual at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch), derivatives per that unit.
+def residual_derivatives(residual: Residual, z: Components, unit: Sequence[Array | float]) -> ResidualDerivatives:
+    """Return the residual and its derivatives at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch).
 
-    Leaves of `residual` have a leading axis, of 1 where all entries share it.
+    Derivatives are per that unit. Leaves of `residual` have a leading axis, of 1 where all entries share it.
     """
     found = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
     J: Matrix = [[found.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
     entry = {(i, j): found.hessian[at] * (unit[i] * unit[j]) for at, (i, j) in enumerate(PAIRS)}
     H = [[[entry[min(i, j), max(i, j)][k] for j in range(NUM_INPUTS)] for i in range(NUM_INPUTS)] for k in range(3)]
-    return Learnt([found.value[k] for k in range(3)], J, H)
+    return ResidualDerivatives([found.value[k] for k in range(3)], J, H)
 
 
 def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:

@@ -1,1 +1,1 @@
-"""Measured data against the simulation: what is wrong, why, and what mending it gains."""
+"""Diagnose a simulation from measured data: model errors, their causes, and the gain of correcting them."""

@@ -1,11 +1,11 @@
-"""Sideslip and drive force of logs that lack them, as far as the nominal car and the other channels give them."""
+"""Estimate sideslip and drive force for logs without them, from the nominal car and the other channels."""
 
 import jax.numpy as jnp
 import numpy as np
 
 from driftjax.core import Control, State
 from driftjax.logs import Run
-from driftjax.logs.agreement import WINDOW, smooth
+from driftjax.logs.agreement import WINDOW, smooth_with_rate
 from driftjax.logs.sampling import fill_gaps
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
@@ -26,7 +26,7 @@ def has_force(run: Run) -> bool:
 
 
 def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
-    """Return the sideslip (n,) [rad] without gaps; where it was not measured, that of a rear axle that rolls."""
+    """Return the sideslip (n,) [rad] without gaps; if not measured, that of a rolling rear axle."""
     if has_sideslip(run):
         return fill_gaps(run.beta)
     slowest = SLOWEST * np.sqrt(G * (vehicle.a + vehicle.b))
@@ -34,7 +34,7 @@ def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
 
 
 def force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
-    """Return the longitudinal force (n,) [N]; where it is not known, the one that explains the measured speed.
+    """Return the longitudinal force (n,) [N]; if not measured, the estimate from the measured speed.
 
     It is that with which the nominal `vehicle` at the sideslip `beta` (n,) accelerates as measured, at most friction
     times weight.
@@ -51,7 +51,7 @@ def force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
 
 
 def acceleration(run: Run, beta: np.ndarray) -> np.ndarray:
-    """Return the rate (n,) [m/s^2] of the speed: that of the smoothed speed, with what accelerometers add at once.
+    """Return the rate (n,) [m/s^2] of the speed, smoothed, with the fast part from accelerometers.
 
     Slow errors of the accelerometers, such as a bias, are left to the speed (complementary filter, Higgins 1975).
     """
@@ -60,4 +60,4 @@ def acceleration(run: Run, beta: np.ndarray) -> np.ndarray:
         ax, ay = (fill_gaps(run.extra[name]) for name in ("ax", "ay"))
         at_once, window = ax * np.cos(beta) + ay * np.sin(beta), SLOW
     rest = run.V - np.cumsum(at_once) * run.dt
-    return fill_gaps(smooth(rest, run.dt, window)[1]) + at_once
+    return fill_gaps(smooth_with_rate(rest, run.dt, window)[1]) + at_once

@@ -53,7 +53,7 @@ def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray
     )
 
 
-def minimise(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
+def best_parameters(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
     """Return the minimiser (K,) over the parameters of `effects` within their bounds, zero elsewhere."""
     columns, psi = parameters_of(model, effects), np.zeros(len(model.g))
     H = model.H[np.ix_(columns, columns)]
@@ -68,7 +68,7 @@ def gain_of(model: QuadraticCost, psi: np.ndarray) -> float:
 
 def minimise_over(model: QuadraticCost, effects: tuple[int, ...]) -> EffectSet | None:
     """Return the set of `effects` at its minimum; None where one of them is not needed there."""
-    psi = minimise(model, effects)
+    psi = best_parameters(model, effects)
     needed = all(psi[model.columns[i]].any() for i in effects)
     return EffectSet(effects, psi, gain_of(model, psi)) if needed else None
 
@@ -84,7 +84,7 @@ def parameters_of(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
 
 
 def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarray:
-    """Return the further fall (E,) of the cost by each effect beside `effects`, bounds ignored; -inf for members."""
+    """Return the further cost decrease (E,) by adding each effect to `effects`, without bounds; -inf for members."""
     columns, g, H = parameters_of(model, effects), model.g, model.H
     if len(columns):
         taken = np.linalg.solve(H[np.ix_(columns, columns)], np.column_stack([H[columns], g[columns]]))
@@ -102,8 +102,8 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """
-    price = lambda effects: penalty * len(parameters_of(model, effects))
-    penalised = lambda one: one.gain - price(one.effects)
+    penalty_of = lambda effects: penalty * len(parameters_of(model, effects))
+    penalised = lambda one: one.gain - penalty_of(one.effects)
     found: list[EffectSet] = []
     beam = [EffectSet((), np.zeros(len(model.g)), 0.0)]
     for size in range(1, most + 1):
@@ -112,7 +112,7 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
             for i, gain in enumerate(gains_of_adding(model, one.effects)):
                 if np.isfinite(gain):
                     grown = tuple(sorted((*one.effects, i)))
-                    promised[grown] = one.gain + gain - price(grown)
+                    promised[grown] = one.gain + gain - penalty_of(grown)
         keep = len(promised) if size == 1 else width
         beam = []
         for grown in sorted(promised, key=lambda name: -promised[name]):

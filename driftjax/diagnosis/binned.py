@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.residual import FORCES, Residuals, force_limits
+from driftjax.diagnosis.residual import FORCES, ResidualForces, force_limits
 from driftjax.diagnosis.select import LEVEL
 from driftjax.vehicle import VehicleConfig
 
@@ -40,7 +40,7 @@ class ForceSummary(NamedTuple):
 
 
 def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs: np.ndarray) -> Binned | None:
-    """Bin `forces` (n, 3) over the variable `values` (n,); None where it hardly varies.
+    """Bin `forces` (n, 3) over the variable `values` (n,); None where it is nearly constant.
 
     The mean of a bin is taken as that of independent blocks: its error sums the squares of the blocks' sums.
     """
@@ -72,7 +72,7 @@ def bin_forces(values: np.ndarray, forces: np.ndarray, block: np.ndarray, signs:
     )  # fmt: skip
 
 
-def summarise_forces(residual: Residuals, seed: int) -> ForceSummary:
+def summarise_forces(residual: ResidualForces, seed: int) -> ForceSummary:
     """Return residual forces binned over every variable, with a test that they depend on none of them."""
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, residual.block.max() + 1))
     each = {

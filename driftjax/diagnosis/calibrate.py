@@ -14,7 +14,7 @@ from driftjax.diagnosis.fit import (
     Fit,
     Problem,
     at_bound,
-    evaluate,
+    evaluate_fit,
     information,
     initial_problem,
     linearise,
@@ -24,9 +24,9 @@ from driftjax.diagnosis.fit import (
     with_noise,
 )
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.held_out import Gain, check_held_out, compare, split_runs
+from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_models, split_runs
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
-from driftjax.diagnosis.multistart import nominal_fit, require_finite, with_nominal_noise
+from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, scores
@@ -64,7 +64,7 @@ class FittedParameter(NamedTuple):
 
     @property
     def remarks(self) -> str:
-        """Return what is to be said of it in the table."""
+        """Return the remarks on its identifiability for the table."""
         if self.dead:
             return "dead: these data say nothing of it"
         found = ["at its bound: these data ask for more"] if self.at_bound else []
@@ -77,7 +77,7 @@ class FittedParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A car fitted to data, with its gain on held-out runs; `str` gives its table."""
+    """Car fitted to data, with its gain on held-out runs; `str` gives its table."""
 
     nominal: VehicleConfig
     problem: Problem  # with noise and observer of the fitted car
@@ -89,15 +89,15 @@ class Calibration:
     moved: np.ndarray  # (k,) by later stages, in standard deviations
     stretch: np.ndarray  # (P, T) kind of stretch of each sample
     staged: bool
-    gain: Gain | None  # on runs held out, of a car fitted without them; None where there are too few
+    gain: PredictionGain | None  # on runs held out, of a car fitted without them; None where there are too few
     lost_s: float  # of the runs, in which the observer loses the car [s]
 
     @property
     def vehicle(self) -> VehicleConfig:
         """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`; without dead effects."""
         alive = dict(zip(self.problem.columns(self.selected), self.identifiability, strict=True))
-        told = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
-        return extended_car(self.nominal, self.problem, told, self.fit.theta, self.scores)
+        identified = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
+        return extended_car(self.nominal, self.problem, identified, self.fit.theta, self.scores)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
@@ -208,11 +208,11 @@ def calibrate(
     last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
     known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
-    told = identifiability(known, prior[columns], precision[square], half_width)
+    identifiable = identifiability(known, prior[columns], precision[square], half_width)
     report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
     return Calibration(
-        vehicle, problem, selected, fit, last, half_width, told, moved[columns], stretch, staged, gain, lost_s
+        vehicle, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, gain, lost_s
     )
 
 
@@ -225,7 +225,7 @@ def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ..
 
 def calibration_gain(
     problem: Problem, selected: tuple[int, ...], names: tuple[str, ...], held_out: int, seed: int, staged: bool
-) -> Gain | None:
+) -> PredictionGain | None:
     """Return the gain on every `held_out`-th run of the effects `selected`, fitted without those runs.
 
     Noise and observer are those of the other runs too.
@@ -238,7 +238,7 @@ def calibration_gain(
     bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, fit.theta, near.noise)
     ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
     comparison = Comparison(test, ahead, noise_floor(test, fit.theta, ahead["fitted"], seed))
-    return compare(comparison, tuple(names[i] for i in held), selected, seed)
+    return compare_models(comparison, tuple(names[i] for i in held), selected, seed)
 
 
 def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
@@ -247,6 +247,6 @@ def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit
     The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
     """
     columns = loose.columns(selected)
-    rough, _ = refit_to_convergence(loose, require_finite(nominal_fit(loose)), columns)
+    rough, _ = refit_to_convergence(loose, require_finite_cost(nominal_fit(loose)), columns)
     anew = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
-    return anew, *refit_to_convergence(anew, require_finite(evaluate(anew, rough.theta)), columns)
+    return anew, *refit_to_convergence(anew, require_finite_cost(evaluate_fit(anew, rough.theta)), columns)

@@ -1,4 +1,4 @@
-"""Compare two logs of like manoeuvres: name what differs, and measure how much of the gap that closes."""
+"""Compare two logs of similar manoeuvres: name the differences, and the share of the gap that they close."""
 
 import dataclasses
 from collections.abc import Callable
@@ -82,7 +82,7 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True)
 class LogComparison:
-    """Result of a comparison: what differs between two logs of one car, and the gap that it makes."""
+    """Result of a comparison: differences between two logs of one car, and the gap that they cause."""
 
     vehicle: VehicleConfig
     """The nominal car."""
@@ -100,7 +100,7 @@ class LogComparison:
 
     @property
     def verdict(self) -> Verdict:
-        """NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT, of what differs."""
+        """Return the verdict on the differences: NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
         return self.judgement.verdict
 
     @property
@@ -138,7 +138,7 @@ def compare(
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] | None = None,
 ) -> LogComparison:
-    """Name what differs between two logs of `vehicle` in like manoeuvres, from measurements in SI, left positive.
+    """Compare two logs of `vehicle` in similar manoeuvres, from measurements in SI, left positive.
 
     The logs may be of a real car and of any simulator, of a wet and a dry road, from before and after a repair.
     What the nominal car gets wrong alike in both is no difference: only its change is tested. `report` hears of every
@@ -210,7 +210,7 @@ def larger_noise(first: Noise, second: Noise) -> Noise:
 def find_differences(
     problems: tuple[Problem, Problem], found: tuple[Selection, Selection], config: CompareConfig
 ) -> tuple[Pair, tuple[int, ...]]:
-    """Return both logs fitted with what is named in either, and the effects whose sizes differ."""
+    """Fit both logs with the effects named in either, and return the effects whose sizes differ."""
     effects = tuple(sorted({*found[0].selected, *found[1].selected}))
     pair, selected = fit_pair(problems, effects, (found[0].fit.theta, found[1].fit.theta)), ()
     for _ in range(ROUNDS):
@@ -255,7 +255,7 @@ def judge(
     pair: Pair, differences: tuple[Difference, ...], gap: tuple[Gap, Gap], overlap: dict[str, Overlap],
     config: CompareConfig, duration: float,
 ) -> Judgement:  # fmt: skip
-    """Return the verdict on what differs, and its reason.
+    """Return the verdict on the differences, and its reason.
 
     UNKNOWN says that more than `config.unexplained` of the gap on either log is certainly left.
     """
@@ -263,7 +263,7 @@ def judge(
     gaps = [f"{gap_sentence(one, names, bool(differences))}" for one, names in zip(gap, ("BA", "AB"), strict=True)]
     force_known = pair.problems[0].data.force_known
     limits = range_sentence(overlap) + ([] if force_known else [NO_FORCE])
-    if any(left_open(one, config.unexplained) for one in gap):
+    if any(exceeds_tolerance(one, config.unexplained) for one in gap):
         named = ", ".join(one.effect for one in differences)
         text = f"Something differs that no effect of the catalogue explains{', beside ' + named if named else ''}."
         return Judgement(Verdict.UNKNOWN, " ".join([text, *words, gaps[1], gaps[0], *limits]))
@@ -280,12 +280,12 @@ def judge(
     return Judgement(Verdict.NAMED if sure else Verdict.SET, " ".join([*words, gaps[1], *limits]))
 
 
-def left_open(gap: Gap, tolerated: float) -> bool:
+def exceeds_tolerance(gap: Gap, tolerated: float) -> bool:
     """Return whether more than `tolerated` of the gap is left beyond doubt, or it is in doubt that most is closed."""
     if gap.closed is None:
         return False
     one = gap.closed
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).too_little(tolerated)
+    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).unexplained_exceeds(tolerated)
 
 
 def describe(one: Difference) -> str:
@@ -307,7 +307,7 @@ def describe(one: Difference) -> str:
 
 
 def gap_sentence(gap: Gap, names: str, named: bool) -> str:
-    """Say how much worse the car of log `names[0]` predicts log `names[1]`, and what the differences close of that."""
+    """Describe how much worse the car of log `names[0]` predicts log `names[1]`, and what share differences close."""
     worse, low, high = gap.decisive
     if not np.isfinite(worse):
         return f"No run of {names[1]} is long enough to measure the gap."
@@ -322,7 +322,7 @@ def gap_sentence(gap: Gap, names: str, named: bool) -> str:
 
 
 def range_sentence(overlap: dict[str, Overlap]) -> list[str]:
-    """Say which channels have hardly a range in common; empty where all have."""
+    """Describe the channels whose ranges barely overlap; empty without any."""
     short = {name: one for name, one in overlap.items() if one.share < LITTLE}
     if not short:
         return []

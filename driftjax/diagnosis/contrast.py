@@ -1,4 +1,4 @@
-"""Contrast of two logs of one car: differences of all parameters, with what both logs share profiled out.
+"""Contrast two logs of one car: differences of all parameters, with the shared parameters profiled out.
 
 Each log is linearised about a fit of its own. With parameters c in the first log and c + d in the second one, the cost
 of d with all c at their best (Neyman 1959, C(alpha)) is again quadratic, and so is its score a sum over blocks of time:
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from driftjax.diagnosis.beam import QuadraticCost, beam_search, gain_of, minimise, parameters_of
+from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
 from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, information, linearise, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise, refit_to_convergence
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
@@ -24,7 +24,7 @@ from driftjax.diagnosis.score import (
     joint_score,
     null_max_scores,
     partial_out,
-    studentised,
+    studentised_scores,
     sum_by_block,
 )
 from driftjax.diagnosis.select import LEVEL, MARGIN, MIN_SIZE, PARAMETER_PENALTY, STRIDE
@@ -35,7 +35,7 @@ SETTLED = 0.01  # largest change of a parameter, in typical sizes, from which th
 
 
 class Information(NamedTuple):
-    """What one log says of all parameters about one fit."""
+    """Information of one log on all parameters, linearised at one fit."""
 
     theta: np.ndarray  # (K,) of the fit
     H: np.ndarray  # (C, K, K) information by block of time
@@ -43,7 +43,7 @@ class Information(NamedTuple):
     run: np.ndarray  # (C,) number of the run of each block
 
     def total(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the information (K, K) of the log, and H theta + score (K,): what its own minimum solves."""
+        """Return the information H (K, K) of the log, and H theta + score (K,), the right-hand side of its minimum."""
         H = self.H.sum(axis=0)
         return H, self.score.sum(axis=0) + H @ self.theta
 
@@ -107,7 +107,7 @@ def difference_scores(contrast: Contrast, d: np.ndarray, selected: tuple[int, ..
     own = np.diag(left) > CONDITION * np.maximum(np.diag(H), 1.0)
     own[columns] = False
     own &= np.isin(np.arange(len(d)), np.concatenate(model.columns))
-    T, U = studentised(effective, own), effective.sum(axis=0)
+    T, U = studentised_scores(effective, own), effective.sum(axis=0)
     several = {i: k for i, k in enumerate(model.columns) if len(k) > 1 and own[k].all()}
     joint = np.zeros(len(model.columns))
     for i, k in several.items():
@@ -122,7 +122,7 @@ def with_dispersion(contrast: Contrast) -> Contrast:
     That of all scores where every difference is at its best.
     """
     every = tuple(range(len(contrast.cost.columns)))
-    best = difference_scores(contrast, minimise(contrast.cost, every), (), 0)
+    best = difference_scores(contrast, best_parameters(contrast.cost, every), (), 0)
     own = np.diag(best.H) > 1.0
     excess = max(float(np.mean((best.blocks**2).sum(axis=0)[own] / np.diag(best.H)[own])), 1.0) if own.any() else 1.0
     model = contrast.cost
@@ -135,26 +135,26 @@ def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, .
     None is less than material, and each is significant beside the others, at a family-wise rate of 5 %.
     """
     model, selected = with_dispersion(contrast).cost, ()
-    gain = lambda effects: gain_of(model, minimise(model, effects))
-    price = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
+    gain = lambda effects: gain_of(model, best_parameters(model, effects))
+    penalised = lambda effects: PARAMETER_PENALTY * len(parameters_of(model, effects)) - gain(effects)
     while True:
         sets = beam_search(model, min(len(selected) + STRIDE, most), PARAMETER_PENALTY)
-        best = next((one.effects for one in sets if is_material(model, one.psi, one.effects)), ())
-        new = supported(contrast, best, seed)
-        if price(new) >= price(selected) - MARGIN:
+        best = next((one.effects for one in sets if all_material(model, one.psi, one.effects)), ())
+        new = eliminate_insignificant(contrast, best, seed)
+        if penalised(new) >= penalised(selected) - MARGIN:
             return selected
         selected = new
 
 
-def is_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...]) -> bool:
+def all_material(model: QuadraticCost, psi: np.ndarray, effects: tuple[int, ...]) -> bool:
     """Return whether every one of `effects` differs materially at `psi` (K,)."""
     return all(np.abs(psi[model.columns[i]]).max() >= MIN_SIZE for i in effects)
 
 
-def supported(contrast: Contrast, selected: tuple[int, ...], seed: int) -> tuple[int, ...]:
-    """Return those of `selected` whose own difference is significant beside the others; the least is left out first.
+def eliminate_insignificant(contrast: Contrast, selected: tuple[int, ...], seed: int) -> tuple[int, ...]:
+    """Eliminate differences one by one, the least significant first, until all of `selected` are significant.
 
-    It must also exceed what sizes vary by from run to run, at a family-wise rate of 5 % too.
+    Each must also exceed the variation of sizes from run to run, at a family-wise rate of 5 % too.
     """
     num = sum(len(k) > 0 for k in contrast.cost.columns)
     while selected:
@@ -175,7 +175,7 @@ def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed:
     The difference over its robust standard error against the largest score that random signs give, both where all are
     at their best: a score where a large difference is left out would drown in what it spoils.
     """
-    psi, own = minimise(contrast.cost, selected), contrast.cost.columns[member]
+    psi, own = best_parameters(contrast.cost, selected), contrast.cost.columns[member]
     rest = tuple(i for i in selected if i != member)
     found = difference_scores(contrast, psi, rest, seed)
     P = partial_out(found.H, parameters_of(contrast.cost, rest))
@@ -193,7 +193,7 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
     Robust to dependence within blocks of time and, where both logs have several runs, to sizes that vary from run to
     run (at `run_level`): the wider one counts.
     """
-    psi, columns = minimise(contrast.cost, selected), parameters_of(contrast.cost, selected)
+    psi, columns = best_parameters(contrast.cost, selected), parameters_of(contrast.cost, selected)
     found = difference_scores(contrast, psi, selected, 0)
     width = half_widths_from(found.H, found.blocks, columns)
     runs = [np.unique(one.run, return_inverse=True)[1] for one in (contrast.first, contrast.second)]
@@ -210,7 +210,7 @@ def probabilities(contrast: Contrast, selected: tuple[int, ...], member: int) ->
     """Return the probabilities (E,) that `member` differs, or another effect in its place."""
     model = with_dispersion(contrast).cost
     costs = -rival_gains(model, tuple(i for i in selected if i != member))
-    costs[member] = -gain_of(model, minimise(model, selected))
+    costs[member] = -gain_of(model, best_parameters(model, selected))
     return hypothesis_probabilities(costs, np.array([max(len(k), 1) for k in model.columns]), 1.0)
 
 
@@ -228,7 +228,7 @@ def fit_pair(problems: tuple[Problem, Problem], effects: tuple[int, ...], starts
     """Fit `effects` to each log by itself, from the parameters `starts`."""
     columns = problems[0].columns(effects)
     each = [
-        refit_to_convergence(problem, evaluate(problem, theta), columns)
+        refit_to_convergence(problem, evaluate_fit(problem, theta), columns)
         for problem, theta in zip(problems, starts, strict=True)
     ]
     (fit_a, at_a), (fit_b, at_b) = each
@@ -248,7 +248,7 @@ class Sizes(NamedTuple):
 
 
 def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes]:
-    """Fit both logs together: sizes of `pair.effects` shared, those of `selected` apart.
+    """Fit both logs together: sizes of `pair.effects` shared, those of `selected` separate.
 
     Returns the contrast about that fit. Differences and their intervals are those with all shared parameters profiled
     out, sizes in each log those with the parameters of `pair.effects` only.
@@ -261,7 +261,7 @@ def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes
         moved = max(
             np.abs(t - one.theta).max() for t, one in zip(thetas, (contrast.first, contrast.second), strict=True)
         )
-        fits = [evaluate(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
+        fits = [evaluate_fit(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
         known = [information_of(p, fit, linearise(p, fit)) for p, fit in zip(problems, fits, strict=True)]
         contrast = contrast_of(problems[0], *known)
         if moved < SETTLED:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import minimise, quadratic_about
+from driftjax.diagnosis.beam import best_parameters, quadratic_about
 from driftjax.diagnosis.fit import Fit, Problem
 from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.runs import BLOCK, Linearisation, Pieces
@@ -75,7 +75,7 @@ def fits_left_out(
     for way in np.unique(out, axis=0):
         H, score = np.zeros((K, K)), np.zeros(K)
         H[np.ix_(columns, columns)], score[columns] = (part[~way].sum(axis=0) for part in by_block)
-        theta[(out == way).all(axis=1)] += minimise(quadratic_about(problem, fit, H, score), selected)
+        theta[(out == way).all(axis=1)] += best_parameters(quadratic_about(problem, fit, H, score), selected)
     return theta
 
 

@@ -14,19 +14,19 @@ from driftjax.diagnosis.fit import Fit, Problem, initial_problem, with_estimated
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
-    Gain,
+    PredictionGain,
     compare_on_all_runs,
     comparison_shares,
     measure_gain,
     refit_retuned,
     retuned_effects,
 )
-from driftjax.diagnosis.missing import Lost, lost_by_missing
+from driftjax.diagnosis.missing import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
-from driftjax.diagnosis.propose import Proposal, propose
+from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.serialise import diagnosis_json, extended_car, found_noise
+from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unknown import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.diagnosis.warm_up import compile_programs
@@ -56,17 +56,17 @@ class Evidence:
     causes: list[Cause]
     unexplained: Unexplained
     proposal: Proposal | None
-    gain: Gain | None  # None where there are too few runs to hold any out
+    gain: PredictionGain | None  # None where there are too few runs to hold any out
     comparison: Comparison  # of the models on the runs held out, or on all
     explained: Explained | None  # None where no run is long enough
     answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
     retuned: Fit | None  # the re-tuned car on all runs, where that is the answer
-    lost: Lost  # what the log cannot say for want of channels
+    unidentifiable: Unidentifiable  # what the log leaves unidentifiable, since channels are missing
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a diagnosis: what the model of a car gets wrong, why, and the gain of correcting it."""
+    """Result of a diagnosis: errors of the model of a car, their causes, and the gain of correcting them."""
 
     vehicle: VehicleConfig
     """The nominal car."""
@@ -78,7 +78,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
+        """Return the verdict: NOTHING, NAMED, SET, UNKNOWN or DATA_INSUFFICIENT."""
         return self.judgement.verdict
 
     @property
@@ -92,7 +92,7 @@ class Diagnosis:
         return named_effects(self.evidence.problem, self.evidence.causes) if self.evidence else ()
 
     @property
-    def gain(self) -> Gain | None:
+    def gain(self) -> PredictionGain | None:
         """Return the prediction errors on held-out runs, of effects named and fitted without them; None without any."""
         return self.evidence.gain if self.evidence else None
 
@@ -112,7 +112,7 @@ class Diagnosis:
             return self.vehicle
         last, problem = self.evidence.selection, self.evidence.problem
         if self.evidence.answer == "nominal":
-            return replace(self.vehicle, noise=found_noise(problem))
+            return replace(self.vehicle, noise=estimated_noise(problem))
         if self.evidence.retuned is None:
             return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
         effects = retuned_effects(problem)
@@ -164,7 +164,7 @@ def diagnose(
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] | None = None,
 ) -> Diagnosis:
-    """Name what `log` says the model of `vehicle` gets wrong, from measurements in SI and radians, left positive.
+    """Diagnose the errors of the model of `vehicle` from `log`, measured in SI and radians, left positive.
 
     Causes are named from all runs. The gain is that of what is named and fitted without the runs held out, which have
     no part in the noise and the observer either. `effects` is the catalogue to choose from: all but those on
@@ -216,7 +216,12 @@ def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str
 
 
 def _conclude(
-    vehicle: VehicleConfig, log: Log, config: DiagnoseConfig, duration: float, named: _Named, gain: Gain | None
+    vehicle: VehicleConfig,
+    log: Log,
+    config: DiagnoseConfig,
+    duration: float,
+    named: _Named,
+    gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of what is left, the car to go on with, the next manoeuvre."""
     problem, selection, causes, remaining = named
@@ -226,10 +231,10 @@ def _conclude(
     judgement = decide_verdict(problem, selection, causes, remaining, duration, explained, config.unexplained)
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
-    lost = lost_by_missing(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
-    judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {lost.sentence}".strip())
-    proposal = propose(vehicle, problem, selection, causes, judgement, config.seed)
+    unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
+    judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {unidentifiable.sentence}".strip())
+    proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
-        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, lost
+        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable
     )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

@@ -7,15 +7,15 @@ from scipy.stats import chi2
 
 from driftjax.diagnosis.beam import (
     QuadraticCost,
+    best_parameters,
     ends_at_bound,
     gain_of,
     gains_of_adding,
-    minimise,
     minimise_over,
     quadratic_cost,
 )
 from driftjax.diagnosis.curves import AxleCurve, axle_curve
-from driftjax.diagnosis.fit import Problem, at_bound, evaluate, information, refine
+from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fit, information, refine
 from driftjax.diagnosis.score import (
     CONDITION,
     Scores,
@@ -25,8 +25,8 @@ from driftjax.diagnosis.score import (
     partial_out,
     scores,
 )
-from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Claim, Selection
-from driftjax.diagnosis.worth import Worth, shapley_shares
+from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, Significance
+from driftjax.diagnosis.shapley import ErrorShare, shapley_shares
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
@@ -34,7 +34,7 @@ DISCOVERY_RATE = 0.1  # share of exploratory effects that may be false
 CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 BOUNDED = 12  # rivals whose bounds are looked at
-RIVAL_PROBABILITY = 0.01  # probability from which a rival is worth telling of
+RIVAL_PROBABILITY = 0.01  # probability from which a rival is reported
 TOLERANCE = 0.2  # standard deviation between runs, over its size, by which a cause may vary
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
@@ -52,19 +52,19 @@ class Cause(NamedTuple):
     invariance: float  # probability that chance makes its size differ as much between runs; 1 for a single run
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
     family_probability: float  # that it or another effect of its family acts
-    worth: Worth  # its share in what all named effects explain
+    error_share: ErrorShare  # of what all named effects explain
     at_bound: np.ndarray  # (k,) whether these data ask for more than the parameter may be
-    exploratory: bool = False  # whether it is not claimed: by the test, or since it stands for something else
+    exploratory: bool = False  # not significant, or it stands for something else
     curve: AxleCurve | None = None  # of the axle whose side force it frees from the formula
 
     @property
     def varies(self) -> bool:
-        """Whether its size differs from run to run, as that of no cause does."""
+        """Return whether its size differs from run to run; that of a cause does not."""
         return self.invariance < INVARIANCE_LEVEL
 
     @property
     def stands_in(self) -> bool:
-        """Whether it stands for something else: it ends at a bound of its own, or its size differs from run to run."""
+        """Return whether it imitates another cause: it ends at its bound, or its size differs from run to run."""
         return bool(self.at_bound.any()) or self.varies
 
 
@@ -82,7 +82,7 @@ class NamedEffect(NamedTuple):
     family_probability: float  # that it or another effect of that family acts
     share: float  # of what all named effects explain together (Shapley 1953)
     share_ci95: list[float]
-    exploratory: bool  # not claimed: not at the family-wise rate of 5 %, or at its bound, or not the same in all runs
+    exploratory: bool  # not significant at the family-wise rate of 5 %, or at its bound, or not the same in all runs
     curve: dict[str, Any] | None  # side force over slip where it is of free form, as `AxleCurve`
 
 
@@ -110,8 +110,8 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
                 rivals,
                 FAMILY_OF[effect.name],
                 cause.family_probability,
-                cause.worth.share,
-                list(cause.worth.ci95),
+                cause.error_share.share,
+                list(cause.error_share.ci95),
                 cause.exploratory,
                 cause.curve.content() if cause.curve else None,
             )  # fmt: skip
@@ -129,11 +129,13 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
         return []
     constant, widths = invariance(problem, selection), half_widths(problem, selection.scores, selection.selected)
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    worth = shapley_shares(problem, selection)
-    claim = selection.claims or claims(problem, selection, model, {i: one.share for i, one in worth.items()})
+    shares = shapley_shares(problem, selection)
+    significances = selection.significance or significance(
+        problem, selection, model, {i: one.share for i, one in shares.items()}
+    )
     each = []
     ends = at_bound(problem, selection.fit.theta)
-    for member in sorted(selection.selected, key=lambda i: -worth[i].share):
+    for member in sorted(selection.selected, key=lambda i: -shares[i].share):
         own = problem.columns((member,))
         at = np.searchsorted(columns, own)
         share = effect_probabilities(problem, selection, model, member)
@@ -147,11 +149,11 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
             rivals,
             alike,
             constant[member],
-            claim[member].p_value,
+            significances[member].p_value,
             family_probability(problem, share, member),
-            worth[member],
+            shares[member],
             ends[own],
-            claim[member].exploratory,
+            significances[member].exploratory,
             axle_curve(problem, selection, member),
         )  # fmt: skip
         each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
@@ -235,7 +237,7 @@ def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCo
         promised.remove(best)
         one, costs[best] = minimise_over(model, (*rest, best)), np.inf
         if one is not None:
-            start = evaluate(problem, problem.start + one.psi)
+            start = evaluate_fit(problem, problem.start + one.psi)
             fit = refine(problem, start, problem.columns(one.effects), selection.linearisation)
             ends = at_bound(problem, fit.theta)[problem.columns((best,))].any()
             costs[best] = np.inf if ends else fit.cost
@@ -247,7 +249,7 @@ def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
 
     -inf for members, and for what ends at its bound, which is no explanation.
     """
-    promised = gains_of_adding(model, rest) + gain_of(model, minimise(model, rest))
+    promised = gains_of_adding(model, rest) + gain_of(model, best_parameters(model, rest))
     for i in np.argsort(-promised)[:BOUNDED]:  # bounds only make a gain less
         if np.isfinite(promised[i]):
             one = minimise_over(model, (*rest, int(i)))
@@ -262,17 +264,19 @@ def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, mem
     Their p-values are adjusted for all effects, but not for the search itself.
     """
     rest = tuple(i for i in selection.selected if i != member)
-    psi, at = minimise(model, rest), selection.linearisation
+    psi, at = best_parameters(model, rest), selection.linearisation
     back = psi - (selection.fit.theta - problem.start)
     e = np.asarray(at.e) - np.asarray(at.J) @ back
     return scores(problem, at._replace(e=e), problem.start + psi, rest, 0)
 
 
-def claims(problem: Problem, selection: Selection, model: QuadraticCost, shares: dict[int, float]) -> dict[int, Claim]:
-    """Return the claim of every member, given their `shares` in what all explain.
+def significance(
+    problem: Problem, selection: Selection, model: QuadraticCost, shares: dict[int, float]
+) -> dict[int, Significance]:
+    """Test every member for significance, given their `shares` in what all explain.
 
-    Those of the largest share, as many as the test alone may name, are claimed where their own p-value is below 5 %;
-    others are exploratory, under a false discovery rate of 10 % among all effects.
+    Those of the largest share, as many as the test alone may name, are significant where their own p-value is below
+    5 %; others are exploratory, under a false discovery rate of 10 % among all effects.
     """
     alone = {i: own_scores(problem, selection, model, i) for i in selection.selected}
     own = {i: alone[i].p_value_of(i, problem.columns((i,))) for i in alone}
@@ -280,8 +284,8 @@ def claims(problem: Problem, selection: Selection, model: QuadraticCost, shares:
     single = np.array([alone.get(i, selection.scores).single_p_value(i, problem.columns((i,))) for i in active])
     passed = dict(zip(active, benjamini_yekutieli(single, DISCOVERY_RATE), strict=True))
     first = sorted(alone, key=lambda i: -shares[i])[: selection.free]
-    claimed = {i: i in first and own[i] < LEVEL for i in alone}
-    return {i: Claim(own[i], not claimed[i], claimed[i] or bool(passed.get(i, True))) for i in alone}
+    passes = {i: i in first and own[i] < LEVEL for i in alone}
+    return {i: Significance(own[i], not passes[i], passes[i] or bool(passed.get(i, True))) for i in alone}
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:
@@ -294,12 +298,12 @@ def fit_dispersion(problem: Problem, selection: Selection) -> float:
 def hypothesis_probabilities(costs: np.ndarray, sizes: np.ndarray, excess: float) -> np.ndarray:
     """Return the probabilities (n,) of hypotheses with the `costs` (n,) and numbers of parameters `sizes` (n,).
 
-    Each weighs exp(-price / 2), as in the Bayesian information criterion (Schwarz 1978), where costs count in units of
-    the `excess` of their dispersion over that of noise (QAIC; Burnham and Anderson 2002, Sec. 2.5): innovations that
+    Each weighs exp(-penalised cost / 2), as in the Bayesian information criterion (Schwarz 1978), costs in units of the
+    `excess` of their dispersion over that of noise (QAIC; Burnham and Anderson 2002, Sec. 2.5): innovations that
     depend on each other would else count as more data than they are.
     """
-    prices = costs / excess + PARAMETER_PENALTY * sizes
-    weight = np.exp(-0.5 * (prices - prices.min()))
+    penalised = costs / excess + PARAMETER_PENALTY * sizes
+    weight = np.exp(-0.5 * (penalised - penalised.min()))
     return weight / weight.sum()
 
 

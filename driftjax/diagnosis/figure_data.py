@@ -7,7 +7,7 @@ from driftjax.diagnosis.binned import BINS
 from driftjax.diagnosis.findings import Findings
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import root_mean_square
-from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.residual import FORCES
 from driftjax.diagnosis.select import Selection
@@ -20,7 +20,9 @@ POINTS = 100  # of a curve over the horizon at most
 MODELS = ("nominal", "extended")
 
 
-def figure_data(car: str, problem: Problem, selection: Selection, findings: Findings, gain: Gain | None) -> xr.Dataset:
+def figure_data(
+    car: str, problem: Problem, selection: Selection, findings: Findings, gain: PredictionGain | None
+) -> xr.Dataset:
     """Return the dataset of `diagnosis.nc`, in single precision; `car` is the vehicle's name."""
     dt = problem.data.dt
     values = (
@@ -69,14 +71,14 @@ def fan(findings: Findings, dt: float) -> dict[str, np.ndarray]:
     every = max(round(EVERY / (dt * (starts[1] - starts[0]))), 1) if len(starts) > 1 else 1
     starts = starts[::every]
     keep = thin_indices(findings.noise_floor.shape[0])
-    told = np.stack([ahead[name].readings[first][:, ::every][:, :, keep] for name in MODELS], axis=1)
+    predicted = np.stack([ahead[name].readings[first][:, ::every][:, :, keep] for name in MODELS], axis=1)
     rows = starts[:, None] + 1 + keep
     driven = (rows < y.shape[1]) & samples_in_run(valid)[:, np.minimum(rows, y.shape[1] - 1)]
     return {
         "panel": names, "sample_time": dt * np.arange(y.shape[1]), "measured": np.where(valid > 0, y, np.nan),
         "delta": commands[..., 0], "Fxr": commands[..., 1],
         "start_time": dt * starts, "ahead_time": dt * (keep + 1),
-        "predicted": np.where(driven[:, None, ..., None], told, np.nan),
+        "predicted": np.where(driven[:, None, ..., None], predicted, np.nan),
     }  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def autocorrelation(problem: Problem, path: Path) -> Autocorrelation:
     """Return the autocorrelation of one model's whitened innovations."""
     skip, num = round(SKIPPED_START / problem.data.dt), max(round(LAGS / problem.data.dt), 1)
     e, valid = np.asarray(whiten(problem.gains, path.e))[:, skip:], np.asarray(path.valid)[:, skip:]
-    valid = valid * problem.data.counts[skip:]
+    valid = valid * problem.data.informative[skip:]
     num_valid = valid.sum(axis=(0, 1))
     power = np.where(num_valid > 0, (e**2).sum(axis=(0, 1)) / np.maximum(num_valid, 1), np.nan)
     pairs = lambda a, lag: (a[:, lag:] * a[:, :-lag]).sum(axis=(0, 1))

@@ -88,11 +88,11 @@ class Problem(NamedTuple):
     @property
     def measured(self) -> np.ndarray:
         """Return which of V, beta, r (3,) predictions can be compared with."""
-        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.counts[-1]
+        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.informative[-1]
 
     @property
-    def not_judged(self) -> tuple[int, ...]:
-        """Return the effects that cannot be told where the force was estimated."""
+    def unidentifiable_effects(self) -> tuple[int, ...]:
+        """Return the effects that are not identifiable because the force was estimated."""
         return () if self.data.force_known else tuple(i for i, e in enumerate(self.effects) if depends_on_force(e))
 
     def columns(self, selected: tuple[int, ...]) -> np.ndarray:
@@ -106,13 +106,13 @@ class Problem(NamedTuple):
 
     @property
     def num_measurements(self) -> int:
-        """Number of measurements whose residuals the cost sums."""
+        """Return the number of measurements in the cost."""
         windows = 0 if self.motion is None else self.motion.used.sum()
-        return int(np.sum(np.asarray(self.data.padded.valid) * self.data.counts) + windows)
+        return int(np.sum(np.asarray(self.data.padded.valid) * self.data.informative) + windows)
 
 
 class Fit(NamedTuple):
-    """One fitted hypothesis."""
+    """Fit of one hypothesis."""
 
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
@@ -127,7 +127,7 @@ def initial_problem(
     Effects `without` which the question is put stay where they start, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
-    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, substeps(vehicle, runs))
+    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, stable_substeps(vehicle, runs))
     start = initial_theta(vehicle, model)
     data = pieces(vehicle, runs) if known else pieces_with_assumed_force(vehicle, model, start, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
@@ -141,7 +141,7 @@ def initial_problem(
 
 
 def depends_on_force(effect: Effect) -> bool:
-    """Return whether an effect changes what the drive force does: an estimated force stands for it."""
+    """Return whether an effect changes the drive force, so that an estimated force absorbs it."""
     return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
 
 
@@ -159,8 +159,8 @@ def pieces_with_assumed_force(
     return data._replace(force_known=False)
 
 
-def substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
-    """Return the number of integration steps per sample, for stability at the slowest speed of `runs` but for outliers.
+def stable_substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:
+    """Return the integration steps per sample that are stable at the slowest speed of `runs`, outliers excluded.
 
     On straight road sideslip and yaw rate of a car with the tyres' initial stiffness decay with these rates. A few slow
     samples are enough for an unstable step to diverge, however fast the rest is.
@@ -191,7 +191,7 @@ def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
     valid = np.asarray(data.padded.valid)
     sigma = measurement_noise(np.asarray(data.padded.y), valid)
-    disturbance = np.where(telling_channels(valid, data.counts), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
+    disturbance = np.where(telling_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
     return Noise(sigma, disturbance, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 
@@ -203,12 +203,12 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
     model, data, fixed = problem.model, problem.data, fixed_gain(problem.data)
     path = run_observer(model, data, theta, fixed)
     steps = step_derivatives(model, data, theta, path, profiled)
-    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.counts)
+    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.informative)
     return with_noise(with_motion_noise(problem), theta, noise)
 
 
 def with_motion_noise(problem: Problem) -> Problem:
-    """Return the problem in which pose and accelerations count, where it has them, with their noise estimated.
+    """Add the residuals of pose and accelerations, if measured, with their estimated noise.
 
     That noise depends on no car: a problem that has it keeps it.
     """
@@ -260,7 +260,7 @@ def time_lost(problem: Problem, at: Linearisation) -> float:
     return float(np.sum(at.lost & there) * problem.data.dt)
 
 
-def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
+def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
     """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
     Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
@@ -269,7 +269,7 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
-    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.counts - used))
+    cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.informative - used))
     if problem.motion is not None:
         further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing
@@ -279,7 +279,7 @@ def evaluate(problem: Problem, theta: np.ndarray) -> Fit:
 
 
 def at_bound(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Return whether each parameter (K,) lies on a bound of its own: the data ask for more than it may be."""
+    """Return whether each parameter (K,) is at an active bound of its own."""
     return (theta == problem.lower) & (problem.lower != 0) | (theta == problem.upper)
 
 
@@ -344,7 +344,7 @@ def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:
     for length in STEP_LENGTHS:
         # a whole step ends on a bound exactly
         theta = goal if length == 1 else fit.theta + length * (goal - fit.theta)
-        trial = evaluate(problem, theta)
+        trial = evaluate_fit(problem, theta)
         if trial.cost < fit.cost:
             return trial
     return fit

@@ -1,4 +1,4 @@
-"""Open-loop prediction errors on held-out runs: what naming the causes gains."""
+"""Measure open-loop prediction errors on held-out runs: the gain of naming the causes."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,10 +12,10 @@ from jaxtyping import PyTree
 from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import PaddedRun
-from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, room_for, run_observer, theta_of_pieces
+from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, padded_size, run_observer, theta_of_pieces
 from driftjax.gp import GP
 from driftjax.parallel import call
-from driftjax.sim.rollout import acting, move, sensor_reading
+from driftjax.sim.rollout import actuator_response, move, sensor_reading
 from driftjax.sim.step import hold_of
 from driftjax.vehicle.universal import Universal
 
@@ -52,7 +52,7 @@ class Errors(NamedTuple):
         return root_mean_square(self.squares, 0)
 
 
-def march(step: Callable, state: PyTree, num: Array, room: int) -> Array:
+def scan_rows(step: Callable, state: PyTree, num: Array, room: int) -> Array:
     """Apply `step(j, state) -> (state, row)` for j < `num`; return the rows (room, ...), zero from row `num` on.
 
     One program serves any number of steps up to `room`, which depends on the size of the car and the sample rate.
@@ -76,7 +76,7 @@ def predict_run(
     They are those of the car, and those that sensors read. A `residual` is added to the rates.
     """
     model = model.with_parameters(theta)
-    u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
+    u = actuator_response(model, run.commands, run.V, dt)[-len(run.y) :]
     step = jnp.asarray(dt)
 
     def one(k):
@@ -87,7 +87,7 @@ def predict_run(
             after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
             return after.z, jnp.stack([after.z[:3], sensor_reading(model, after.z[:3], after.rates, step)])
 
-        return march(on, z[k], num, room)
+        return scan_rows(on, z[k], num, room)
 
     return jax.vmap(one)(starts)
 
@@ -105,7 +105,7 @@ def predict_pieces(
 
     `theta` is as in `predict`.
     """
-    data, count, room = problem.data, jnp.asarray(num), room_for(num, ROOM)
+    data, count, room = problem.data, jnp.asarray(num), padded_size(num, ROOM)
 
     def some(first: Array) -> np.ndarray:
         of = lambda theta, run, z: call(
@@ -142,13 +142,13 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, las
     """
     data, (starts, num) = problem.data, prediction_starts(problem, last)
     path = run_observer(problem.model, data, theta, problem.gains)
-    told = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
+    predicted = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
-    valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None] & data.counts[-1]
-    off = told - np.asarray(path.y)[:, row]
+    valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None] & data.informative[-1]
+    off = predicted - np.asarray(path.y)[:, row]
     off[..., 1] = np.angle(np.exp(1j * off[..., 1]))  # a prediction may spin round
-    return Predictions(starts, path.z, told, np.where(valid, off, np.nan))
+    return Predictions(starts, path.z, predicted, np.where(valid, off, np.nan))
 
 
 def at_horizons(problem: Problem, squares: np.ndarray) -> Errors:
@@ -174,7 +174,7 @@ def root_mean_square(squares: np.ndarray, axis: int | tuple[int, ...]) -> np.nda
 
 
 class Share(NamedTuple):
-    """How much of the error that a right model would not make one model removes, and what is left of it."""
+    """Share of the excess error that one model removes, and the share that is left."""
 
     value: float  # share removed of the excess error of the nominal car; NaN where an excess is in doubt
     ci95: tuple[float, float]

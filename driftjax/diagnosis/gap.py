@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.diagnosis.contrast import Pair
 from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.gain import (
     DECISIVE,
     RESAMPLES,
@@ -51,7 +51,7 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
     buffer = int(np.ceil(horizon_steps(problem)[DECISIVE] * problem.data.dt / BLOCK))
     out = left_out_blocks(problem.data, buffer)
     about = problem._replace(start=theta)
-    corrected, at = refit_to_convergence(about, evaluate(about, theta), problem.columns(selected))
+    corrected, at = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
     thetas = {
         "nominal": problem.start,
         "other": theta,
@@ -102,7 +102,7 @@ def _ratio(own: Errors, other: Errors, seed: int) -> np.ndarray:
 
 
 class Overlap(NamedTuple):
-    """Ranges of one channel in two logs (5th to 95th percentile, SI), and what share of their samples they share."""
+    """Ranges of one channel in two logs (5th to 95th percentile, SI), and the share of samples within both."""
 
     first: tuple[float, float]
     second: tuple[float, float]
@@ -110,7 +110,7 @@ class Overlap(NamedTuple):
 
 
 def overlaps(first: tuple[Run, ...], second: tuple[Run, ...]) -> dict[str, Overlap]:
-    """Return the overlap of V, beta, r and both commands, without what either log lacks."""
+    """Return the overlap of V, beta, r and both commands, as far as both logs have them."""
     found = {}
     for name in CHANNELS[1:]:
         a, b = (np.concatenate([getattr(run, name) for run in runs]) for runs in (first, second))

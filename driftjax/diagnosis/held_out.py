@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from driftjax.core import require
-from driftjax.diagnosis.beam import minimise, quadratic_cost
+from driftjax.diagnosis.beam import best_parameters, quadratic_cost
 from driftjax.diagnosis.findings import Comparison
 from driftjax.diagnosis.fit import Fit, Problem, refit_to_convergence, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
@@ -61,7 +61,7 @@ class DiagnoseConfig:
 
 
 @dataclass(frozen=True)
-class Gain:
+class PredictionGain:
     """Gain of the extended car on held-out runs, named and fitted without them."""
 
     held_out: tuple[str, ...]  # names of the runs held out
@@ -98,7 +98,7 @@ def split_problem(problem: Problem, use: np.ndarray, held: np.ndarray) -> tuple[
     return train, with_noise(problem.subset(held), problem.start, train.noise)
 
 
-def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> Gain | None:
+def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfig) -> PredictionGain | None:
     """Measure open-loop errors and skills on the held-out runs; None where no run is held out.
 
     Models are the nominal, the re-tuned and the extended car, and the first and last with a GP on their residuals.
@@ -122,7 +122,9 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
         ahead[name] = predict(tests[base], thetas[base], fit_residual_gp(train, thetas[base], config.seed))
     noise = noise_floor(test, selection.fit.theta, ahead["extended"], config.seed)
-    gain = compare(Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed)
+    gain = compare_models(
+        Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed
+    )
     return dataclasses.replace(gain, without=leave_one_out(near, selection, test, gain.errors["extended"], config.seed))
 
 
@@ -150,20 +152,24 @@ def leave_one_out(
     """
     model, found = quadratic_cost(train, selection.fit, selection.linearisation), {}
     for member in selection.selected:
-        theta = train.start + minimise(model, tuple(i for i in selection.selected if i != member))
+        theta = train.start + best_parameters(model, tuple(i for i in selection.selected if i != member))
         less = at_horizons(test, predict(test, theta).error ** 2)
         found[train.effects[member].name] = channel_ratios(whole, less, seed)
     return found
 
 
-def compare(comparison: Comparison, held: tuple[str, ...], selected: tuple[int, ...], seed: int) -> Gain:
+def compare_models(
+    comparison: Comparison, held: tuple[str, ...], selected: tuple[int, ...], seed: int
+) -> PredictionGain:
     """Compare the models of `comparison` on the runs `held`: errors and skills; `selected` were fitted without them."""
     problem = comparison.problem
     errors, least = comparison_errors(comparison)
     others = {name: one for name, one in errors.items() if name != "nominal"}
     shares = excess_shares(errors, least, seed)
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
-    return Gain(held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, {})
+    return PredictionGain(
+        held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, {}
+    )
 
 
 def comparison_errors(comparison: Comparison) -> tuple[dict[str, Errors], Errors]:

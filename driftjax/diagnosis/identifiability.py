@@ -1,4 +1,4 @@
-"""What decided each fitted parameter, whether these data tell it at all, and whether apart from others.
+"""Classify the identifiability of each fitted parameter, and the data that decided it.
 
 Parameters are called dead, flat, traded off or at a bound as in reports of identifiability (Raue et al. 2009; Belsley,
 Kuh and Welsch 1980), from the information of the data, in typical sizes.
@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-DEAD = 0.1  # information over that of the prior, others known, below which the data say nothing
-FLAT = 1.0  # half-width of the 95 % interval from which a parameter is hardly known [typical sizes]
-TRADE_OFF = 0.95  # correlation from which a parameter is not told apart from others
+DEAD = 0.1  # information over that of the prior, others known, below which the data are uninformative
+FLAT = 1.0  # half-width of the 95 % interval from which a parameter is poorly identified [typical sizes]
+TRADE_OFF = 0.95  # correlation from which a parameter is not distinguishable from others
 PARTNERS = 3  # parameters that one is traded off with, at most
 
 
 class Identifiability(NamedTuple):
-    """What data tell of one parameter."""
+    """Identifiability of one parameter."""
 
-    shares: np.ndarray  # (S+1,) of the variance of its estimate that each kind of stretch makes, and the prior
+    shares: np.ndarray  # (S+1,) of the variance of its estimate, by kind of stretch, the prior last
     dead: bool
     flat: bool
     trades_off_with: tuple[int, ...]  # numbers of other parameters
@@ -26,7 +26,7 @@ class Identifiability(NamedTuple):
 def identifiability(
     information: np.ndarray, prior: np.ndarray, precision: np.ndarray, half_width: np.ndarray
 ) -> tuple[Identifiability, ...]:
-    """Return what data tell of k parameters, from their `information` (S, k, k) by kind of stretch.
+    """Classify k parameters by their `information` (S, k, k), by kind of stretch.
 
     `prior` (k,) is the precision before any data, `precision` (k, k) what the data give, and `half_width` (k,) that of
     the 95 % intervals, in typical sizes.
@@ -39,7 +39,7 @@ def identifiability(
 
 
 def stretch_shares(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Return the shares (S+1, k) of the variance of each estimate by kind of stretch, from `information` (S, k, k).
+    """Return the variance shares (S+1, k) of each estimate by kind of stretch, from `information` (S, k, k).
 
     With all data at once, an estimate is a weighted sum of the scores of all stretches and of the prior, which comes
     last; shares are those of the variance of that sum.
@@ -50,7 +50,7 @@ def stretch_shares(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def trade_offs(precision: np.ndarray, j: int) -> tuple[int, ...]:
-    """Return the fewest parameters that must be known for parameter `j` to be told apart, at most `PARTNERS`.
+    """Return the fewest parameters that must be known for parameter `j` to be distinguishable, at most `PARTNERS`.
 
     Its multiple correlation with them is above `TRADE_OFF`, and without them below.
     """

@@ -1,4 +1,4 @@
-"""What a log cannot say for want of a sideslip sensor or of a drive channel, or where the observer loses the car."""
+"""Find what a log leaves unidentifiable: without sideslip or drive force, or where the observer loses the car."""
 
 from typing import NamedTuple
 
@@ -10,23 +10,23 @@ from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
 from driftjax.diagnosis.select import Selection
 
-SENSOR = 0.01  # standard deviation of the sideslip sensor whose worth is stated [rad]
+SENSOR = 0.01  # standard deviation of the sideslip sensor whose gain is stated [rad]
 WORTHWHILE = 1.5  # times by which an interval must be wider without it to be stated
-TOLD_APART = 3.0  # half the fall of the cost, by one effect beside the other, from which P exceeds 0.95
+DISTINGUISHED = 3.0  # half the fall of the cost, by one effect beside the other, from which P exceeds 0.95
 
 
-class Lost(NamedTuple):
-    """What a log cannot say."""
+class Unidentifiable(NamedTuple):
+    """Unidentifiable quantities of a log, and the reasons."""
 
     channels: tuple[str, ...]  # of the log format that it lacks
     wider: dict[str, float]  # named effect: its interval over that with a sideslip sensor
     apart: dict[str, tuple[str, ...]]  # named effect: rivals that such a sensor would rule out
-    not_judged: tuple[str, ...]  # effects on the force, which was estimated
+    not_judged: tuple[str, ...]  # effects on the drive force, which was estimated
     lost_s: float = 0.0  # in which the observer loses the car [s]
 
     @property
     def sentence(self) -> str:
-        """Return all of it in words; empty where nothing is missing."""
+        """Describe the limits of the log in words; empty without any."""
         words = []
         if "beta" in self.channels:
             words.append("The log has no sideslip; it was inferred from speed and yaw rate.")
@@ -44,14 +44,14 @@ class Lost(NamedTuple):
         return " ".join(words)
 
 
-def lost_by_missing(problem: Problem, selection: Selection, rivals: dict[int, tuple[int, ...]]) -> Lost:
-    """Return what missing channels cost; `rivals` are those of each named effect."""
+def find_unidentifiable(problem: Problem, selection: Selection, rivals: dict[int, tuple[int, ...]]) -> Unidentifiable:
+    """Find what missing channels leave unidentifiable; `rivals` are those of each named effect."""
     data, names = problem.data, [effect.name for effect in problem.effects]
     lacks = [name for name, there in (("beta", not data.skip), ("Fxr", data.force_known)) if not there]
-    not_judged = () if data.force_known else tuple(names[i] for i in problem.not_judged)
+    not_judged = () if data.force_known else tuple(names[i] for i in problem.unidentifiable_effects)
     lost_s = time_lost(problem, selection.linearisation)
     if not data.skip or not rivals:
-        return Lost(tuple(lacks), {}, {}, not_judged, lost_s)
+        return Unidentifiable(tuple(lacks), {}, {}, not_judged, lost_s)
     H, better = information(selection.linearisation.J), information_with_sideslip(problem, selection)
     columns = problem.columns(tuple(rivals))
     deviation = lambda H: np.sqrt(np.diag(np.linalg.inv(H[np.ix_(columns, columns)] + np.eye(len(columns)) / PRIOR**2)))
@@ -60,17 +60,17 @@ def lost_by_missing(problem: Problem, selection: Selection, rivals: dict[int, tu
     apart = {
         names[i]: tuple(
             names[j] for j in others
-            if separation(problem, selection.fit.theta, H, i, j) < TOLD_APART
+            if separation(problem, selection.fit.theta, H, i, j) < DISTINGUISHED
             <= separation(problem, selection.fit.theta, better, i, j)
         )
         for i, others in rivals.items()
     }  # fmt: skip
-    return Lost(tuple(lacks), {name: one for name, one in wider.items() if one >= WORTHWHILE},
+    return Unidentifiable(tuple(lacks), {name: one for name, one in wider.items() if one >= WORTHWHILE},
                 {name: one for name, one in apart.items() if one}, not_judged, lost_s)  # fmt: skip
 
 
 def separation(problem: Problem, theta: np.ndarray, H: np.ndarray, one: int, other: int) -> float:
-    """Return half the cost that the effect `one` at `theta` leaves where the `other` stands for it instead."""
+    """Return half the cost that remains if the effect `other` replaces `one`, whose size is that in `theta`."""
     mine, theirs = problem.columns((one,)), problem.columns((other,))
     moved = (theta - problem.start)[mine]
     shared = H[np.ix_(theirs, mine)] @ moved
@@ -79,7 +79,7 @@ def separation(problem: Problem, theta: np.ndarray, H: np.ndarray, one: int, oth
 
 
 def information_with_sideslip(problem: Problem, selection: Selection) -> np.ndarray:
-    """Return the information (K, K) that the log would give if the sideslip had been measured too."""
+    """Return the information (K, K) of the log if the sideslip were measured too."""
     data, steps = problem.data, selection.linearisation.steps
     valid = np.array(steps.valid)
     valid[..., 1] = valid.max(axis=-1)

@@ -1,4 +1,4 @@
-"""Compare the measured motion with pose and accelerations: what sensors err by, without any parameter of the car.
+"""Compare the measured motion with pose and accelerations: sensor errors, without any parameter of the car.
 
 Heading and position are integrals of V, beta and r, and accelerometers measure their rates: psi' = r,
 x' = V cos(psi + beta), ax = vx' - r vy and ay = vy' + r vx hold for any car (Ryu and Gerdes 2004; Bevly, Ryu and
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
-from driftjax.diagnosis.runs import FURTHER, Motion, Pieces, map_pieces, room_for
+from driftjax.diagnosis.runs import FURTHER, MeasuredMotion, Pieces, map_pieces, padded_size
 from driftjax.parallel import call
 from driftjax.sim.record import road_acceleration
 from driftjax.vehicle.universal import Universal
@@ -32,10 +32,10 @@ OUTLIER = 6.0  # standard deviations from which a window is an outlier
 TOO_GOOD = 0.5  # noise over that of V, beta, r below which a channel was computed from them and says nothing new
 REWEIGHTINGS = 3  # of the residuals by their noise in one step
 TINY = 1e-12  # where a scale is zero
-INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is told apart
+INDEPENDENT = 1e-9  # singular value, over the largest, from which an own error of the channels is distinguishable
 
 
-class Residuals(NamedTuple):
+class MotionResiduals(NamedTuple):
     """Differences of n windows in heading rate [rad/s], velocity along and across [m/s], ax and ay [m/s^2]."""
 
     e: Array  # (n, 5) measured less computed from V, beta and r
@@ -56,7 +56,7 @@ def central_difference(f: Array) -> Array:
 
 
 def central_difference_of_first(f: Array, num: Array) -> Array:
-    """Return the `central_difference` of the first `num` values of `f` (n,); what follows means nothing."""
+    """Return the `central_difference` of the first `num` values of `f` (n,); later values are meaningless."""
     return central_difference(f).at[num - 1].set(f[num - 1] - f[num - 2])
 
 
@@ -107,8 +107,8 @@ def _consecutive(W: Array, num: int, last: int, duration: Array) -> _Windows:
 
 
 def motion_residuals(
-    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: Motion, W: Array, room: int, dt: float
-) -> Residuals:
+    model: Universal, theta: Float[Array, " K"], run: PaddedRun, motion: MeasuredMotion, W: Array, room: int, dt: float
+) -> MotionResiduals:
     """Compare one run with its further channels over consecutive windows of `W` samples.
 
     There are `room` rows; those from the first window on that the run does not hold whole count for nothing.
@@ -150,10 +150,12 @@ def motion_residuals(
         [bend(mean(r)), zero, zero, zero, zero], [zero, bend(mean(vx)), zero, zero, zero],
         [zero, zero, bend(mean(vy)), zero, zero], [zero, zero, zero, bend(along), bend(left)],
     ]  # fmt: skip
-    return Residuals(e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n))
+    return MotionResiduals(
+        e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n)
+    )
 
 
-def _whole_windows(known: Array, motion: Motion, W: Array, n: int) -> Array:
+def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Array:
     """Return in which windows (n, 5) all is measured that each channel is compared with."""
     begin = jnp.arange(n) * W
 
@@ -176,14 +178,14 @@ def batched_residuals(model, theta, runs, motion, W, room, dt):
 
 
 def batched_derivatives(model, theta, runs, motion, W, room, dt):
-    """Return the derivatives (P, n, 5, K) of what is computed from V, beta and r by theta."""
+    """Return the derivatives (P, n, 5, K) by theta of the pose and accelerations predicted from V, beta and r."""
     columns = np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
     value = lambda theta: batched_residuals(model, theta, runs, motion, W, room, dt).e
     by = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1], out_axes=-1)(jnp.eye(len(theta))[columns])
     return jnp.zeros((*by.shape[:-1], len(theta))).at[..., columns].set(-by)
 
 
-def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> Residuals:
+def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> MotionResiduals:
     """Compare all pieces with their further channels; leading axes (P, n)."""
     return _map_windows(batched_residuals, model, data, theta)
 
@@ -197,7 +199,7 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
     """Apply `function` to all pieces, with room for windows of few sizes, and return those windows that there are."""
     W, where = window_size(model, data.dt), jnp.asarray(theta)
     n = (data.size - 1) // W
-    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), room_for(n, ROOM), data.dt)
+    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), padded_size(n, ROOM), data.dt)
     found = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
     return jax.tree.map(lambda a: a[:, :n], found)
 
@@ -217,7 +219,7 @@ def estimate_motion_noise(
     model: Universal, data: Pieces, start: np.ndarray, limits: tuple[np.ndarray, np.ndarray], active: np.ndarray,
     sigma: np.ndarray,
 ) -> MotionNoise:  # fmt: skip
-    """Estimate the noise of the windows as what no error of a sensor explains; `sigma` (3,) is that of V, beta, r.
+    """Estimate the noise of the windows as the part that no sensor error explains; `sigma` (3,) is that of V, beta, r.
 
     Errors of the sensors and of the further channels are fitted together, outliers are left out. A channel that
     agrees better than the noise of V, beta and r lets it was computed from them, and is not used.
@@ -279,7 +281,7 @@ def noise_of_sensors(data: Pieces, W: int, sigma: np.ndarray) -> np.ndarray:
 
 
 def orthonormal(own: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis (P, n, 5, q) of what the columns of `own` (P, n, 5, Q) span."""
+    """Return an orthonormal basis (P, n, 5, q) of the span of the columns of `own` (P, n, 5, Q)."""
     A = own.reshape(-1, own.shape[-1])
     size = np.sqrt((A**2).sum(axis=0))
     U, s, _ = np.linalg.svd(A[:, size > 0] / size[size > 0], full_matrices=False)
@@ -299,7 +301,7 @@ def whitened_residuals(model: Universal, data: Pieces, theta: np.ndarray, noise:
 def whitened_motion_derivatives(
     model: Universal, data: Pieces, theta: np.ndarray, noise: MotionNoise, active: np.ndarray
 ) -> np.ndarray:
-    """Return the derivatives (P, T, 5, K) of what is computed by the `active` parameters, as `whitened_residuals`.
+    """Return the whitened derivatives (P, T, 5, K) of the predictions by the `active` parameters.
 
     Those of the projection are left out (Kaufman 1975).
     """
@@ -310,7 +312,7 @@ def whitened_motion_derivatives(
     return _at_ends(J, model, data)
 
 
-def _whitened(found: Residuals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitened(found: MotionResiduals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residuals (P, n, 5), a basis (P, n, 5, q) of own errors, and which windows there are."""
     there = noise.used & (np.asarray(found.valid) > 0)
     e = np.where(there, np.asarray(found.e) / noise.sigma, 0.0)

@@ -1,11 +1,11 @@
-"""Search from far: with disturbances that absorb the errors of the nominal car, and from a large steering delay."""
+"""Start the search far from the optimum: with disturbances that absorb errors, and from a large steering delay."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, evaluate, refit_to_convergence, with_estimated_noise
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
 LOST_MISFIT = (
@@ -18,7 +18,7 @@ POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects e
 
 def nominal_fit(problem: Problem) -> Fit:
     """Return the fit of the nominal car, with no effect named."""
-    return evaluate(problem, problem.start)
+    return evaluate_fit(problem, problem.start)
 
 
 def misfit(problem: Problem, fit: Fit) -> float:
@@ -26,7 +26,7 @@ def misfit(problem: Problem, fit: Fit) -> float:
     return fit.cost / problem.num_measurements
 
 
-def require_finite(fit: Fit) -> Fit:
+def require_finite_cost(fit: Fit) -> Fit:
     """Return `fit` if its cost is finite; raise `BadInput` where its observer diverged."""
     if not np.isfinite(fit.cost):
         raise BadInput("log: the observer of the nominal car loses these data; check units, signs and the vehicle.")
@@ -36,7 +36,7 @@ def require_finite(fit: Fit) -> Fit:
 def search_multistart(
     problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
 ) -> tuple[Problem, Selection]:
-    """Search for effects, from far where that fails; return the problem searched in and the selection.
+    """Search for effects, from other starts if that fails; return the problem and the selection.
 
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about. Where the steering is late by as much as a manoeuvre takes,
@@ -46,8 +46,8 @@ def search_multistart(
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
         late = search_from_late(problem, close, seed, most, report)
-        price = lambda one: penalised_cost(problem, one.fit, one.selected)
-        return problem, close if late is None or price(close) <= price(late) else late
+        penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
+        return problem, close if late is None or penalised(close) <= penalised(late) else late
     anew, selection = search_from_far(problem, seed, most, report)
     if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
         return problem, close
@@ -66,7 +66,7 @@ def search_from_late(
         return None
     unit, scale = float(problem.model.base.unit_time), np.asarray(problem.model.scale)[columns]
     at = lambda delay: np.where(np.isin(np.arange(len(problem.start)), columns), delay * unit / scale, problem.start)
-    best = min((evaluate(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
+    best = min((evaluate_fit(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     fit = refit_to_convergence(problem, best, columns)[0]
@@ -84,9 +84,9 @@ def search_from_far(
 ) -> tuple[Problem, Selection]:
     """Search with the noise of the nominal car, then search again with that of the fitted car."""
     loose = with_nominal_noise(problem)
-    start = require_finite(nominal_fit(loose))
+    start = require_finite_cost(nominal_fit(loose))
     rough = search(loose, start, seed, most=most, report=report)
     anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
-    fit = refit_to_convergence(anew, evaluate(anew, rough.fit.theta), anew.columns(rough.selected))[0]
-    selection = search(anew, require_finite(fit), seed, rough.selected, most, report)
+    fit = refit_to_convergence(anew, evaluate_fit(anew, rough.fit.theta), anew.columns(rough.selected))[0]
+    selection = search(anew, require_finite_cost(fit), seed, rough.selected, most, report)
     return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores, free=rough.free)

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from driftjax.diagnosis.beam import QuadraticCost, minimise, minimise_over, quadratic_cost
-from driftjax.diagnosis.evidence import claims, fit_dispersion, replacement_costs
-from driftjax.diagnosis.fit import Problem, evaluate, refine, refit_to_convergence
+from driftjax.diagnosis.beam import QuadraticCost, best_parameters, minimise_over, quadratic_cost
+from driftjax.diagnosis.evidence import fit_dispersion, replacement_costs, significance
+from driftjax.diagnosis.fit import Problem, evaluate_fit, refine, refit_to_convergence
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
-from driftjax.diagnosis.worth import shapley_shares
+from driftjax.diagnosis.shapley import shapley_shares
 
 
 def name_effects(
@@ -26,11 +26,11 @@ def name_effects(
         selection = prefer_probable(problem, selection, seed)
         model = quadratic_cost(problem, selection.fit, selection.linearisation)
         shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
-        selection = selection._replace(claims=claims(problem, selection, model, shares))
+        selection = selection._replace(significance=significance(problem, selection, model, shares))
         if (weak := unsupported(selection, shares)) is None:
             return problem, selection
         rest = tuple(i for i in selection.selected if i != weak)
-        selection = refitted(problem, selection, rest, minimise(model, rest), seed)
+        selection = refitted(problem, selection, rest, best_parameters(model, rest), seed)
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
@@ -38,7 +38,7 @@ def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
 
     It is left out before the others are tested anew. A single effect is never one.
     """
-    weak = [i for i, one in (selection.claims or {}).items() if not one.supported]
+    weak = [i for i, one in (selection.significance or {}).items() if not one.supported]
     return min(weak, key=lambda i: shares[i]) if weak and len(shares) > 1 else None
 
 
@@ -46,7 +46,7 @@ def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Se
     """Replace effects by rivals until none has a more probable one.
 
     The search compares costs as if innovations were independent, probabilities count them in units of their
-    dispersion. That of the first fit is kept, so that every replacement lowers the price and the loop ends.
+    dispersion. That of the first fit is kept, so that every replacement lowers the penalised cost and the loop ends.
     """
     if not selection.selected:
         return selection
@@ -90,7 +90,9 @@ def refitted(
 ) -> Selection:
     """Return the selection with the effects `selected` in place of its own, fitted from `psi` (K,)."""
     columns = problem.columns(selected)
-    fit = refine(problem, evaluate(problem, problem.start + psi), columns, selection.linearisation)
+    fit = refine(problem, evaluate_fit(problem, problem.start + psi), columns, selection.linearisation)
     fit, at = refit_to_convergence(problem, fit, columns)
     last = scores(problem, at, fit.theta, selected, seed + len(selected))
-    return selection._replace(selected=selected, fit=fit, linearisation=at, scores=last, replacements=None, claims=None)
+    return selection._replace(
+        selected=selected, fit=fit, linearisation=at, scores=last, replacements=None, significance=None
+    )

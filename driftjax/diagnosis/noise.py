@@ -58,23 +58,23 @@ def robust_deviation(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
-def telling_channels(valid: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def telling_channels(valid: np.ndarray, informative: np.ndarray) -> np.ndarray:
     """Return which channels (3,) tell their own noise: measured, by `valid` (P, T, 3), with innovations that count."""
-    return counts.any(axis=0) & valid.any(axis=(0, 1))
+    return np.logical_and(informative.any(axis=0), valid.any(axis=(0, 1)))
 
 
 def restricted_likelihood(
-    noise: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    noise: Float[Array, "11"], steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> tuple[Float[Array, ""], Float[Array, " K"]]:
     """Return minus twice the restricted log-likelihood of `noise` as `Noise.as_vector`; leading axis of pieces.
 
     `e` are innovations under the gains `L`; those under other gains follow to first order. Only innovations
-    where `counts` (T, 3) is 1 do. The parameters that fit best under this noise are returned with it.
+    where `informative` (T, 3) is 1 do. The parameters that fit best under this noise are returned with it.
     """
     known = Noise.from_vector(noise)
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, known, dt, counts)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, known, dt, informative)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -116,7 +116,7 @@ def search_scale(first: Noise) -> Scale:
 
 
 def information_of_noise(
-    x: Float[Array, "11"], scale: Scale, steps: Steps, e: Array, L: Array, dt: float, counts: Array
+    x: Float[Array, "11"], scale: Scale, steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> Float[Array, "11 11"]:
     """Return half the expected curvature of `restricted_likelihood` by the variables, of known parameters.
 
@@ -125,7 +125,7 @@ def information_of_noise(
     """
 
     def whitened(x, steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, counts)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, informative)
         return gains.whitening, innovations_with_gains(steps, e, L, gains, dt)
 
     def piece(steps, e, L):
@@ -144,13 +144,13 @@ def _derivatives(steps: Steps, gains: Gains, dt: float) -> Array:
     return jax.vmap(lambda steps, gains: propagate_derivatives(steps, gains, dt))(steps, gains)
 
 
-def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Array, dt: float, counts: Array):
+def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Array, dt: float, informative: Array):
     """Return `restricted_likelihood`, its gradient, and `information_of_noise`, that of some pieces for all."""
-    value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, counts)
+    value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, informative)
     (cost, theta), slope = jax.value_and_grad(value, has_aux=True)(x)
-    some, measured = jax.tree.map(lambda a: a[::EVERY], (steps, e + J @ theta, L)), jnp.sum(steps.valid)
-    share = jnp.sum(some[0].valid) / jnp.maximum(measured, 1.0)
-    return cost, slope, information_of_noise(x, scale, *some, dt, counts) / share
+    some, own, L = jax.tree.map(lambda a: a[::EVERY], (steps, e + J @ theta, L))
+    share = jnp.sum(some.valid) / jnp.maximum(jnp.sum(steps.valid), 1.0)
+    return cost, slope, information_of_noise(x, scale, some, own, L, dt, informative) / share
 
 
 def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
@@ -184,17 +184,17 @@ def spread_pieces(trees: tuple[Steps, Array, Gains]) -> tuple[Steps, Array, Gain
 
 
 def estimate_noise(
-    steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, counts: np.ndarray, *, slow_known: bool = False
+    steps: Steps, e: Array, gains: Gains, start: Noise, dt: float, informative: np.ndarray, *, slow_known: bool = False
 ) -> Noise:
     """Estimate the noise from innovations `e` (P, T, 3) under `gains`, starting the search from `start`.
 
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
-    measurement: eleven numbers need no more, and one program serves all logs. Only innovations where `counts` (T, 3) is
-    true do; a channel of which none does, or that is not measured, keeps the noise of `start`. Sensors have slow errors
-    where the data ask for them; where they are `slow_known`, those of `start`.
+    measurement: eleven numbers need no more, and one program serves all logs. Only innovations where `informative`
+    (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`. Sensors have
+    slow errors where the data ask for them; where they are `slow_known`, those of `start`.
     """
     steps, e, gains = spread_pieces((steps, e, gains))
-    J, use = call(_derivatives, steps, gains, dt), jnp.asarray(counts, float)
+    J, use = call(_derivatives, steps, gains, dt), jnp.asarray(informative, float)
 
     def minimise(first: Noise, low: Noise, high: Noise) -> tuple[Noise, float]:
         scale = search_scale(first)
@@ -207,7 +207,7 @@ def estimate_noise(
         x, value = search(expand, lower, upper)
         return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(x)))), value
 
-    tells = telling_channels(np.asarray(steps.valid), counts)
+    tells = telling_channels(np.asarray(steps.valid), informative)
     low, high = noise_bounds(start, tells, dt)
     least = start if slow_known else start._replace(slow=low.slow)
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}

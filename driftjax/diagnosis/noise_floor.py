@@ -12,12 +12,12 @@ from jaxtyping import Float
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import ROOM, Predictions, map_starts, march
+from driftjax.diagnosis.gain import ROOM, Predictions, map_starts, scan_rows
 from driftjax.diagnosis.noise_model import Noise, decay_of, stationary_deviations
 from driftjax.diagnosis.observer import PaddedRun, set_state
-from driftjax.diagnosis.runs import map_pieces, room_for
+from driftjax.diagnosis.runs import map_pieces, padded_size
 from driftjax.parallel import call
-from driftjax.sim.rollout import acting, move, sensor_reading
+from driftjax.sim.rollout import actuator_response, move, sensor_reading
 from driftjax.vehicle.universal import Universal
 
 DRAWS = 16  # drives from each start
@@ -41,7 +41,7 @@ def disturbed_rollouts(
     disturbance.
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
-    u = acting(model, run.commands, run.V, dt)[-len(run.y) :]
+    u = actuator_response(model, run.commands, run.V, dt)[-len(run.y) :]
     known = Noise.from_vector(noise)
     decay, size = decay_of(known, dt).all, stationary_deviations(known)
     kick = jnp.sqrt(1 - decay**2) * size
@@ -61,7 +61,7 @@ def disturbed_rollouts(
             off = sensor_reading(model, after.z[:3], after.rates, step) + slow[3:] - ahead[j]
             return (after.z, slow), off.at[1].set(jnp.angle(jnp.exp(1j * off[1]))) ** 2
 
-        return march(on, (start, w[3:]), num, len(ahead))
+        return scan_rows(on, (start, w[3:]), num, len(ahead))
 
     key = jax.random.fold_in(jax.random.key(seed), number)
     keys = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(key, k), DRAWS), out_axes=1)(starts)
@@ -84,7 +84,7 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
     """
     data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
     noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
-    readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, room_for(num, ROOM) - num), (0, 0)))
+    readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, padded_size(num, ROOM) - num), (0, 0)))
 
     def some(first: Array) -> np.ndarray:
         there = readings[:, np.searchsorted(ahead.starts, first)]

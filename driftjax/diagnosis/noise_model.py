@@ -5,7 +5,7 @@ module gives the transition, covariance and measurement matrices of. Disturbance
 first-order Markov processes (Ljung 1999, Sec. 4.3; Bryson and Johansen 1965 for coloured measurement noise).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,11 +18,11 @@ START_VARIANCE = 4.0  # variance of the first state, over that of one measuremen
 class Noise(NamedTuple):
     """Standard deviations and correlation times of all noise."""
 
-    sigma: np.ndarray | Array  # (3,) standard deviation of the white errors of V, beta, r
-    disturbance: np.ndarray | Array  # (3,) standard deviation of the rates of V, beta, r
-    correlation: float | Array  # correlation time of the disturbances [s]
-    slow: np.ndarray | Array = np.zeros(3)  # (3,) standard deviation of the slow errors of V, beta, r
-    slow_correlation: float | Array = 1.0  # and their correlation time [s]
+    sigma: np.ndarray  # (3,) standard deviation of the white errors of V, beta, r
+    disturbance: np.ndarray  # (3,) standard deviation of the rates of V, beta, r
+    correlation: float  # correlation time of the disturbances [s]
+    slow: np.ndarray = np.zeros(3)  # (3,) standard deviation of the slow errors of V, beta, r
+    slow_correlation: float = 1.0  # and their correlation time [s]
 
     @property
     def total(self) -> np.ndarray:
@@ -34,7 +34,7 @@ class Noise(NamedTuple):
         return np.concatenate([self.sigma, self.disturbance, [self.correlation], self.slow, [self.slow_correlation]])
 
     @classmethod
-    def from_vector(cls, values: np.ndarray | Array) -> "Noise":
+    def from_vector(cls, values: Any) -> "Noise":
         """Return the noise with the parameters of `as_vector`."""
         return cls(values[:3], values[3:6], values[6], values[7:10], values[10])
 

@@ -24,7 +24,7 @@ from driftjax.diagnosis.noise_model import (
     process_covariance,
     transition,
 )
-from driftjax.sim.rollout import acting, begin, move, sensor_reading
+from driftjax.sim.rollout import actuator_response, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
@@ -103,7 +103,7 @@ def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun
 
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
     """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
-    u = acting(model, run.commands, run.V, dt)
+    u = actuator_response(model, run.commands, run.V, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
@@ -136,17 +136,17 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
     return Path(e, z, predicted, rates, u, d, c, run.y, run.valid)
 
 
-def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, counts: Array) -> Gains:
+def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array) -> Gains:
     """Return the Kalman gains of one run for transitions `A` and this `noise`.
 
-    All measurements update the state, but only innovations where `counts` (T, 3) is 1 are whitened: the others are
+    All measurements update the state, but only innovations where `informative` (T, 3) is 1 are whitened: the others are
     conditioned on.
     """
     decay = decay_of(noise, dt)
     R, Q = jnp.diag(noise.sigma**2), process_covariance(noise, decay)
 
     def on(P, row):
-        A, valid, alive, counts = row
+        A, valid, alive, informative = row
         H = measurement_matrix(jnp.eye(3), valid)
         S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
         factor = jnp.linalg.cholesky(S)
@@ -155,10 +155,10 @@ def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float
         known = P - L @ S @ L.T
         F = transition(A, decay, dt)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
-        log_det = jnp.sum(counts * jnp.log(jnp.diagonal(factor)))
-        return (P + P.T) / 2, (L, counts[:, None] * whitening, known, log_det)
+        log_det = jnp.sum(informative * jnp.log(jnp.diagonal(factor)))
+        return (P + P.T) / 2, (L, informative[:, None] * whitening, known, log_det)
 
-    rows = A, valid, in_run(valid), counts
+    rows = A, valid, in_run(valid), informative
     L, whitening, known, log_det = jax.lax.scan(on, initial_covariance(noise), rows)[1]
     return Gains(L, whitening, decay, known, jnp.sum(log_det))
 

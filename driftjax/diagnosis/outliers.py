@@ -1,4 +1,4 @@
-"""Outliers: single samples of a sensor that leave both their neighbours by far more than its noise.
+"""Find outliers: single samples of a sensor that differ from both neighbours by much more than its noise.
 
 They say nothing of the car and are left out before anything is fitted (Hampel 1985), so that no hypothesis can buy
 them. A car's own motion lasts for several samples; a step, or a value that is held, leaves one neighbour only.
@@ -58,7 +58,7 @@ def without_outliers(run: Run, wheelbase: float) -> Run:
 
 
 def find_outliers(run: Run, wheelbase: float) -> dict[str, np.ndarray]:
-    """Return which samples (n,) of V, beta and r are outliers; none where samples hardly resolve the car's motion."""
+    """Return which samples (n,) of V, beta and r are outliers; none where samples are too sparse."""
     resolved = run.dt * RESOLVED <= np.sqrt(wheelbase / G)
     return {name: outliers(getattr(run, name)) & resolved for name in MEASURED}
 

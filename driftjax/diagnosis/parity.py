@@ -117,7 +117,7 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
 
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:
-    """Describe in words what parity over `num` blocks says about the location of the fault."""
+    """Describe the location of the fault that parity over `num` blocks indicates."""
     clear, parts = student.isf(CHANCE / 2, num - 1), []
     most = MARGIN * np.sqrt(chi2.isf(CHANCE, num) / num)
     for name, unit, m, one, ratio in zip(("V'", "beta'"), UNITS, mean, z, excess, strict=True):

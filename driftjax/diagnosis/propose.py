@@ -2,7 +2,7 @@
 
 The paper explores cornering speeds by the variance of its model; here every manoeuvre of the library is driven on the
 extended car, and the one whose data would tell the rivals apart best is proposed (Hunter and Reiner 1965; Box and
-Hill 1967): the information that it adds says what the rivals' prices would differ by.
+Hill 1967): the information that it adds says by how much the rivals' penalised costs would differ.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,7 @@ class Proposal(NamedTuple):
     sentence: str
 
 
-def propose(
+def propose_manoeuvre(
     vehicle: VehicleConfig, problem: Problem, selection: Selection, named: list[Cause], judgement: Judgement, seed: int
 ) -> Proposal | None:
     """Propose the manoeuvre that should resolve a SET or insufficient data; None for other verdicts.

@@ -16,7 +16,7 @@ from driftjax.diagnosis.noise import estimate_noise
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, step_derivatives
-from driftjax.diagnosis.smooth import smooth
+from driftjax.diagnosis.smooth import smooth_disturbances
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect.flow import Car
@@ -26,7 +26,7 @@ FORCES = ("Fx", "Fyf", "Fyr")
 SKIPPED_START = 0.5  # time after a run's start that is left out: commands before it are not known [s]
 
 
-class Residuals(NamedTuple):
+class ResidualForces(NamedTuple):
     """Residual forces of one model at n samples, with explanatory variables."""
 
     forces: np.ndarray  # (n, 3) drive force, lateral force of front and of rear axle [N], left positive
@@ -34,8 +34,8 @@ class Residuals(NamedTuple):
     block: np.ndarray  # (n,) number of the block of time
 
 
-def axle_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Return the forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
+def disturbance_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
+    """Return the axle forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and
     dY = dFyf cos delta + dFyr, dN = a dFyf cos delta - b dFyr, dX = dFx - dFyf sin delta.
@@ -69,25 +69,25 @@ def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
     """
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
     data = problem.data
-    return estimate_noise(bare, path.e, problem.gains, problem.noise, data.dt, data.counts, slow_known=True)
+    return estimate_noise(bare, path.e, problem.gains, problem.noise, data.dt, data.informative, slow_known=True)
 
 
 def residual_forces(
     vehicle: VehicleConfig, problem: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
-) -> Residuals:
+) -> ResidualForces:
     """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`."""
     valid = np.asarray(path.valid)
-    x, push = smooth(path, steps, valid, noise, problem.data.dt)
+    x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
-    forces = axle_forces(vehicle, x, u[..., 0], push)
+    forces = disturbance_forces(vehicle, x, u[..., 0], push)
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
-    over = explanatory_variables(vehicle, problem, x, u, runs)
-    return Residuals(
+    over = variables(vehicle, problem, x, u, runs)
+    return ResidualForces(
         forces[keep], {name: values[keep] for name, values in over.items()}, error_blocks(problem.data)[keep]
     )
 
 
-def explanatory_variables(
+def variables(
     vehicle: VehicleConfig, problem: Problem, x: np.ndarray, u: np.ndarray, runs: Sequence[Run]
 ) -> dict[str, np.ndarray]:
     """Return the explanatory variables (P, T); heading and position only where every run measured them."""

@@ -48,7 +48,7 @@ FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 FURTHER = ("psi", "x", "y", "ax", "ay")  # columns that say what the sensors of V, beta and r err by
 
 
-class Motion(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """Further measurements of the motion along pieces, in the order of `FURTHER`."""
 
     y: np.ndarray  # (P, T, 5), zero where missing
@@ -63,18 +63,18 @@ class Pieces(NamedTuple):
     block: np.ndarray  # (P, T) number of the block of each sample
     num_blocks: int
     dt: float
-    motion: Motion | None = None  # where runs have any of these channels
+    motion: MeasuredMotion | None = None  # where runs have any of these channels
     skip: int = 0  # samples from the start of a piece in which the observer finds a state that is not measured
     force_known: bool = True  # where not, it was estimated from V, whose innovations then say nothing
 
     @property
     def size(self) -> int:
-        """Number of samples T of one piece."""
+        """Return the number of samples T of one piece."""
         return self.block.shape[1]
 
     @property
-    def counts(self) -> np.ndarray:
-        """Return which innovations (T, 3) of a piece say something about the car."""
+    def informative(self) -> np.ndarray:
+        """Return which innovations (T, 3) of a piece are informative about the car."""
         channels = np.array([self.force_known, True, True])
         return (np.arange(self.size) >= self.skip)[:, None] & channels
 
@@ -116,13 +116,13 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 
 def piece_size(lengths: list[int]) -> int:
-    """Return the samples of one piece for runs of these `lengths`: short where that leaves far fewer to follow."""
+    """Return the samples of one piece for runs of these `lengths`: short where that leaves much less to compute."""
     whole = lambda size: sum(-(-n // size) * size for n in lengths)
     return SHORT_PIECE_LENGTH if whole(SHORT_PIECE_LENGTH) <= WORTHWHILE * whole(PIECE_LENGTH) else PIECE_LENGTH
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Cut runs into pieces, without outliers; before its first command a run is assumed to have held that command."""
+    """Cut runs into pieces, without outliers; before its first command a run is assumed to keep that command."""
     runs = tuple(without_outliers(run, vehicle.a + vehicle.b) for run in runs)
     dt, rows, blocks, number, further = runs[0].dt, [], [], [], []
     size = piece_size([len(run.t) for run in runs])
@@ -138,7 +138,7 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     block = np.array([[names[b] for b in row] for row in blocks])
     motion = np.stack(further)
     valid = np.isfinite(motion)
-    known = Motion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
+    known = MeasuredMotion(np.where(valid, motion, 0.0), valid.astype(float)) if valid.any() else None
     padded = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *rows)
     unknown = not all(map(has_sideslip, runs))
     skip = round(UNKNOWN_START * np.sqrt((vehicle.a + vehicle.b) / G) / dt) if unknown else 0
@@ -173,8 +173,8 @@ def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> Pa
     )
 
 
-def _riccatis(A: Array, valid: Array, noise: Array, dt: float, counts: Array) -> Gains:
-    of = lambda A, valid: kalman_gains(A, valid, Noise.from_vector(noise), dt, counts)
+def _riccatis(A: Array, valid: Array, noise: Array, dt: float, informative: Array) -> Gains:
+    of = lambda A, valid: kalman_gains(A, valid, Noise.from_vector(noise), dt, informative)
     return jax.vmap(of)(A, valid)
 
 
@@ -200,8 +200,8 @@ def batches(num: int, size: int) -> list[np.ndarray]:
     return [np.minimum(np.arange(k, k + size), num - 1) for k in range(0, num, size)]
 
 
-def room_for(num: int, least: int) -> int:
-    """Return the rows to keep for `num` results, at least `least`: of few sizes, so that one program serves many."""
+def padded_size(num: int, least: int) -> int:
+    """Return the padded size for `num` rows: a power of two, at least `least`, so that one program serves many."""
     return max(least, 1 << (num - 1).bit_length())
 
 
@@ -229,8 +229,9 @@ def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
     zeros = lambda *shape: np.zeros((num, *shape))
     L = zeros(data.size, 9, 3)
     L[..., :3, :] = share * np.eye(3)
-    still = Decay(zeros(), zeros())
-    return jax.tree.map(jnp.asarray, Gains(L, zeros(data.size, 3, 3), still, zeros(data.size, 9, 9), zeros()))
+    array = lambda *shape: jnp.asarray(zeros(*shape))
+    still = Decay(array(), array())
+    return Gains(jnp.asarray(L), array(data.size, 3, 3), still, array(data.size, 9, 9), array())
 
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
@@ -245,8 +246,8 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
 
 def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
     """Return the gains for transitions `A` (P, T, 3, 3) and measurements that are `valid` (P, T, 3)."""
-    counts = jnp.asarray(data.counts, float)
-    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, counts)
+    informative = jnp.asarray(data.informative, float)
+    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, informative)
     return map_pieces(riccati_of, len(data.run), A, valid)
 
 

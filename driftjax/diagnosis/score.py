@@ -114,7 +114,7 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
     own[columns] = False
     U = effective.sum(axis=0)
     allowed = ((U >= 0) | (problem.lower < theta)) & ((U <= 0) | (problem.upper > theta))
-    T = np.where(allowed, studentised(effective, own), 0.0)
+    T = np.where(allowed, studentised_scores(effective, own), 0.0)
     one_sided = problem.lower >= theta
     each = {i: problem.columns((i,)) for i in range(len(problem.effects)) if i not in selected}
     together = {i: c for i, c in each.items() if len(c) > 1 and own[c].all() and not one_sided[c].any()}
@@ -188,8 +188,8 @@ def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
     return found
 
 
-def studentised(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the sum of the scores (C, K) over the root of their sum of squares; 0 where not `own`."""
+def studentised_scores(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return the studentised scores (K,): sums over blocks (C, K) over their root sum of squares; 0 where not `own`."""
     spread = np.sqrt((effective**2).sum(axis=0))
     return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 

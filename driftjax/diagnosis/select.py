@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.beam import EffectSet, beam_search, ends_at_bound, gain_of, minimise, quadratic_cost
+from driftjax.diagnosis.beam import EffectSet, beam_search, best_parameters, ends_at_bound, gain_of, quadratic_cost
 from driftjax.diagnosis.cross_validate import change_of, held_out_errors
-from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate_fit, linearise, refine, refit_to_convergence
 from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
@@ -29,12 +29,12 @@ ROUGH = 0.1  # fall of the cost below which the fit of a set is good enough to c
 MIN_SIZE = 0.08  # size below which an effect is immaterial, in typical sizes
 
 
-class Claim(NamedTuple):
-    """What the test of one named effect allows to say of it."""
+class Significance(NamedTuple):
+    """Result of the significance test of one named effect."""
 
     p_value: float  # that chance gives any effect a score as large as its own beside the other members
-    exploratory: bool  # whether it is not among those claimed at the family-wise rate
-    supported: bool  # whether it is claimed, or passes at the false discovery rate
+    exploratory: bool  # whether it is not significant at the family-wise rate
+    supported: bool  # whether it is significant at that rate or at the false discovery rate
 
 
 class Selection(NamedTuple):
@@ -50,7 +50,7 @@ class Selection(NamedTuple):
     free: int = FIRST  # effects that the test alone may name: the first ones, beside those of pose and accelerations
     dispersion: float | None = None  # of innovations, in whose units probabilities count costs; None: that of the fit
     replacements: dict[int, np.ndarray] | None = None  # costs (E,) with each effect in a member's place, where known
-    claims: dict[int, Claim] | None = None  # of each member, where known
+    significance: dict[int, Significance] | None = None  # of each member, where known
 
 
 def penalised_cost(problem: Problem, fit: Fit, selected: tuple[int, ...]) -> float:
@@ -64,7 +64,7 @@ def is_material(problem: Problem, fit: Fit, effect: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One stage of a search: a set of effects, fitted."""
 
     problem: Problem
@@ -74,11 +74,11 @@ class Step:
 
     @cached_property
     def errors(self) -> Errors | None:
-        """Open-loop errors on parts left out of the fit; None where the log is too short for that."""
+        """Return open-loop errors on parts left out of the fit; None where the log is too short."""
         return held_out_errors(self.problem, self.fit, self.at, self.selected)
 
-    def improves(self, before: "Step") -> bool:
-        """Return whether parts left out are predicted better than by `before`, or the log is too short to tell."""
+    def improves(self, before: "SelectionStep") -> bool:
+        """Return whether left-out parts are predicted better than by `before`, or the log is too short to test."""
         return self.errors is None or before.errors is None or change_of(before.errors, self.errors).improves
 
 
@@ -105,9 +105,9 @@ def search(
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = advance(now, (now.fit, now.at), limit, free, barred)
+        new = extend_selection(now, (now.fit, now.at), limit, free, barred)
         if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
-            new = advance(now, (start, first_at), limit, free, barred)
+            new = extend_selection(now, (start, first_at), limit, free, barred)
         if new is None:
             new, barred = drop_bounded(now, free, barred)
         if new is None:
@@ -116,19 +116,21 @@ def search(
         remaining = scores(problem, now.at, now.fit.theta, now.selected, seed + len(now.selected))
 
 
-def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> Step:
+def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> SelectionStep:
     """Return the step with the effects `selected` fitted from `start`, whose linearisation is `at` where known."""
     fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
-    return Step(problem, selected, fit, at)
+    return SelectionStep(problem, selected, fit, at)
 
 
-def bounded(step: Step) -> list[int]:
+def bounded(step: SelectionStep) -> list[int]:
     """Return the selected effects that end at a bound."""
     ends = at_bound(step.problem, step.fit.theta)
     return [i for i in step.selected if ends[step.problem.columns((i,))].any()]
 
 
-def advance(now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]) -> Step | None:
+def extend_selection(
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
+) -> SelectionStep | None:
     """Return the best set without `barred` effects that costs less than that of `now`, None where there is none.
 
     One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
@@ -141,8 +143,8 @@ def advance(now: Step, about: tuple[Fit, Linearisation], limit: int, free: int, 
     return None
 
 
-def drop_bounded(now: Step, free: int, barred: frozenset[int]) -> tuple[Step | None, frozenset[int]]:
-    """Return the step without an effect at its bound, or with another in its place, and what is barred.
+def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
+    """Remove or replace an effect at its bound; return the step and the barred effects.
 
     The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
@@ -151,10 +153,10 @@ def drop_bounded(now: Step, free: int, barred: frozenset[int]) -> tuple[Step | N
     for i in bounded(now) if now.errors is not None else []:
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
-        less, out = fitted(problem, evaluate(problem, theta), rest), barred | {i}
+        less, out = fitted(problem, evaluate_fit(problem, theta), rest), barred | {i}
         if not now.improves(less):
             return less, out
-        other = advance(less, (less.fit, less.at), len(now.selected), free, out)
+        other = extend_selection(less, (less.fit, less.at), len(now.selected), free, out)
         if other is not None and not now.improves(other):
             return other, out
     return None, barred
@@ -171,7 +173,7 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
     sensors = at._replace(e=e, J=J)
     model, selected = quadratic_cost(problem, start, sensors), ()
     while len(selected) < most:
-        psi = minimise(model, selected)
+        psi = best_parameters(model, selected)
         left = scores(problem, sensors._replace(e=e - J @ psi), start.theta + psi, selected, seed + len(selected))
         if left.p_value >= LEVEL:
             break
@@ -185,7 +187,7 @@ def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, m
 
 
 def better_sets(
-    now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
 ) -> list[tuple[tuple[int, ...], Fit]]:
     """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the least first.
 
@@ -195,17 +197,19 @@ def better_sets(
     for one in promising_sets(now, about, limit, barred):
         trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), at, num=1)
         trials.append((one.effects, trial))
-    price = lambda item: penalised_cost(problem, item[1], item[0])
-    trials.sort(key=price)
+    penalised = lambda item: penalised_cost(problem, item[1], item[0])
+    trials.sort(key=penalised)
     refitted = {}
     for effects, trial in trials[:REFITS]:
         trial, effects = refine_material(problem, trial, effects, at)
         refitted[effects] = min(refitted.get(effects, trial), trial, key=lambda fit: fit.cost)
-    now_price = price((now.selected, now.fit)) - MARGIN
-    return sorted((item for item in refitted.items() if price(item) < now_price), key=price)
+    cost_limit = penalised((now.selected, now.fit)) - MARGIN
+    return sorted((item for item in refitted.items() if penalised(item) < cost_limit), key=penalised)
 
 
-def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]) -> list[EffectSet]:
+def promising_sets(
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+) -> list[EffectSet]:
     """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
@@ -214,10 +218,10 @@ def promising_sets(now: Step, about: tuple[Fit, Linearisation], limit: int, barr
     problem = now.problem
     model = quadratic_cost(problem, *about)
     model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
-    price = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
+    penalty = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
     there = about[0] is now.fit
-    cost = now.fit.cost if there else model.cost - gain_of(model, minimise(model, now.selected))
-    better = lambda one: model.cost - one.gain + price(one.effects) < cost + price(now.selected) - MARGIN
+    cost = now.fit.cost if there else model.cost - gain_of(model, best_parameters(model, now.selected))
+    better = lambda one: model.cost - one.gain + penalty(one.effects) < cost + penalty(now.selected) - MARGIN
     sets = beam_search(model, limit, PARAMETER_PENALTY)
     sets = [one for one in sets if better(one) and set(one.effects) != set(now.selected)]
     firsts = [one for k, one in enumerate(sets) if len(one.effects) not in {len(s.effects) for s in sets[:k]}]
@@ -233,7 +237,9 @@ def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
     columns = problem.columns(one.effects)
     kept = problem.start.copy()
     kept[columns] = fit.theta[columns]
-    return min((evaluate(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost)
+    return min(
+        (evaluate_fit(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost
+    )
 
 
 def refine_material(
@@ -247,4 +253,4 @@ def refine_material(
             return trial, effects
         theta, effects = problem.start.copy(), left
         theta[problem.columns(left)] = trial.theta[problem.columns(left)]
-        trial = evaluate(problem, theta)
+        trial = evaluate_fit(problem, theta)

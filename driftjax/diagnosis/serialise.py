@@ -9,12 +9,12 @@ from driftjax.diagnosis.evidence import half_widths
 from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
-from driftjax.diagnosis.held_out import Gain
+from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
 from driftjax.diagnosis.unknown import Unexplained
 from driftjax.logs.columns import MEASURED
-from driftjax.vehicle import EffectParameterValue, FoundNoise, PerChannel, VehicleConfig
+from driftjax.vehicle import EffectParameterValue, EstimatedNoise, PerChannel, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
 if TYPE_CHECKING:
@@ -52,31 +52,38 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         "process_correlation_s": float(noise.correlation),
         "slow_sigma": dict(zip(MEASURED, map(float, noise.slow), strict=True)),
         "slow_correlation_s": float(noise.slow_correlation),
-        "missing": evidence.lost._asdict() | {"sentence": evidence.lost.sentence},
+        "missing": evidence.unidentifiable._asdict() | {"sentence": evidence.unidentifiable.sentence},
     }
     return content
 
 
 def unexplained_json(remaining: Unexplained) -> dict[str, Any]:
-    """Return what remains unexplained, or what effects only imitate; channel None where nothing does.
+    """Return the unexplained errors, or those that effects only imitate; channel None without any.
 
     `at_first` are the variables that drive all that the nominal car gets wrong.
     """
-    told = {
+    content = {
         "p_value": remaining.p_value,
         "channel": None,
         "drivers": [],
-        "at_first": list(remaining.nominal_drivers)[:2],
+        "at_first": list(remaining.nominal_variables)[:2],
     }
-    term, worth = (
-        (remaining.term, remaining.drivers) if remaining.significant else (remaining.simpler, remaining.nominal_drivers)
+    term, promised_gain = (
+        (remaining.term, remaining.variables)
+        if remaining.significant
+        else (remaining.simpler, remaining.nominal_variables)
     )
     if term is None:
-        return told
-    return told | {"channel": term.channel, "drivers": list(worth)[:2], "worth": worth, "term": term._asdict()}
+        return content
+    return content | {
+        "channel": term.channel,
+        "drivers": list(promised_gain)[:2],
+        "worth": promised_gain,
+        "term": term._asdict(),
+    }
 
 
-def gain_json(gain: Gain | None) -> dict[str, Any]:
+def gain_json(gain: PredictionGain | None) -> dict[str, Any]:
     """Return the gain on the held-out runs, per model, horizon and channel."""
     if gain is None:
         return {
@@ -111,13 +118,13 @@ def gain_json(gain: Gain | None) -> dict[str, Any]:
     }
 
 
-def found_noise(problem: Problem) -> FoundNoise | None:
+def estimated_noise(problem: Problem) -> EstimatedNoise | None:
     """Return estimated noise as vehicle files hold it; None where that of a channel could not be estimated."""
     if problem.data.skip or not problem.data.force_known:
         return None
     noise, channels = problem.noise, lambda row: PerChannel(*map(float, row))
     slow = channels(noise.slow), float(noise.slow_correlation)
-    return FoundNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation), *slow)
+    return EstimatedNoise(channels(noise.sigma), channels(noise.disturbance), float(noise.correlation), *slow)
 
 
 def extended_car(
@@ -139,7 +146,7 @@ def extended_car(
     before = [one for one in vehicle.effects if one.effect not in named]
     order = {name: i for i, name in enumerate(EFFECTS)}
     effects = tuple(sorted([*before, *found], key=lambda one: order[one.effect]))
-    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=found_noise(problem))
+    vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=estimated_noise(problem))
     if before or not found:
         return vehicle
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])

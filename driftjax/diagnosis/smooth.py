@@ -81,10 +81,12 @@ def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
     return Filtered(*(np.stack(column, axis=1) for column in zip(*rows, strict=True)))
 
 
-def smooth(path: Path, steps: Steps, valid: np.ndarray, noise: Noise, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def smooth_disturbances(
+    path: Path, steps: Steps, valid: np.ndarray, noise: Noise, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the state (P, T, 3) and disturbances of its rates (P, T, 3) given all samples of a run.
 
-    They are expectations: where the data say little, a disturbance is told smaller than it is.
+    They are expectations: where the data have little information, a disturbance is underestimated.
     """
     model = linear_model(path, steps, valid, decay_of(noise, dt), dt)
     went = kalman_filter(model, noise, dt)

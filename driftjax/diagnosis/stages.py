@@ -1,4 +1,4 @@
-"""Fit effects stage by stage: gentle stretches of a log decide what they can before harder ones are looked at.
+"""Fit effects stage by stage: gentle stretches of a log are used before harder ones.
 
 A stage frees the effects of its own kind and those of earlier stages, and counts only innovations of its own
 stretches. Effects of later stages are considered: they are not estimated, but what is estimated depends on them, and
@@ -14,14 +14,14 @@ import numpy as np
 from driftjax.diagnosis.fit import (
     Fit,
     Problem,
-    evaluate,
+    evaluate_fit,
     information,
     refit_to_convergence,
     with_estimated_noise,
 )
 from driftjax.diagnosis.identifiability import DEAD
 from driftjax.diagnosis.motion import window_ends
-from driftjax.diagnosis.multistart import require_finite
+from driftjax.diagnosis.multistart import require_finite_cost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation, take
 from driftjax.diagnosis.score import overdispersion, sums_by_block
@@ -32,7 +32,7 @@ PASSES = 3  # through all stages at most, once the noise of the fitted car is kn
 SETTLED = 0.2  # largest change of a parameter in a pass, in its standard deviations, from which another is worthwhile
 
 
-class Stage(NamedTuple):
+class CalibrationStage(NamedTuple):
     """One stage of a calibration."""
 
     stretches: tuple[Stretch, ...]  # whose innovations count
@@ -45,19 +45,19 @@ class Stage(NamedTuple):
 
 
 STAGES = (
-    Stage(
+    CalibrationStage(
         (Stretch.COASTING, Stretch.STRAIGHT),
         frozenset({"drive_gain", "drive_lag", "power_limit", "engine_drag", "rolling_resistance", "aero_drag", "mass",
                    "speed_scale", "gyro_bias", "sideslip_bias", "road_grade"}),
     ),
-    Stage(
+    CalibrationStage(
         (Stretch.CORNERING,),
         frozenset({"steer_offset", "steer_gain", "steer_lag", "steer_delay", "steer_backlash", "steer_compliance",
                    "stiffness_front", "stiffness_rear", "relaxation_length", "roll_steer", "roll_lag", "yaw_inertia",
                    "cog_shift", "yaw_moment", "torque_vectoring", "gyro_scale", "imu_lever_arm", "channel_delay",
                    "road_bank", "side_wind"}),
     ),
-    Stage(
+    CalibrationStage(
         (Stretch.LIMIT,),
         frozenset({"friction", "friction_front", "friction_rear", "tyre_shape", "sliding_friction", "friction_fade",
                    "tyre_curve_front", "tyre_curve_rear",
@@ -68,7 +68,7 @@ STAGES = (
 )  # fmt: skip
 
 
-class StageResult(NamedTuple):
+class StagedFit(NamedTuple):
     """Result of all stages."""
 
     theta: np.ndarray  # (K,) in typical sizes
@@ -86,7 +86,7 @@ class StageResult(NamedTuple):
 
 def fit_staged(
     loose: Problem, selected: tuple[int, ...], report: Callable[[str], None] = lambda text: None
-) -> tuple[Problem, Fit, StageResult]:
+) -> tuple[Problem, Fit, StagedFit]:
     """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
 
     `loose` has the noise of the nominal car, as for a fit at once. `report` hears of every pass and stage.
@@ -100,7 +100,7 @@ def fit_staged(
         spread = np.sqrt(np.diag(np.linalg.inv(last.precision)))
         if np.abs((last.theta - before.theta) / spread).max() < SETTLED:
             break
-    return near, require_finite(evaluate(near, last.theta)), last
+    return near, require_finite_cost(evaluate_fit(near, last.theta)), last
 
 
 def run_stages(
@@ -109,21 +109,21 @@ def run_stages(
     columns: np.ndarray,
     theta: np.ndarray,
     expected: np.ndarray,
-    begin: Callable[[Stage], None] = lambda stage: None,
-) -> StageResult:
+    begin: Callable[[CalibrationStage], None] = lambda stage: None,
+) -> StagedFit:
     """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
-    on each other, or that no car explains, are worth less than those of other stages. `begin` hears of every stage.
+    on each other, or that no car explains, count less than those of other stages. `begin` hears of every stage.
     """
     K, names = len(problem.owner), np.array([problem.effects[i].name for i in problem.owner])
     chosen, freed, dispersion = np.isin(np.arange(K), columns), np.zeros(K, bool), np.full(len(Stretch), np.inf)
-    own, spread, known, told = theta.copy(), np.ones(K), np.zeros((K, K)), np.zeros((K, K))
+    own, spread, known, own_information = theta.copy(), np.ones(K), np.zeros((K, K)), np.zeros((K, K))
     prior, weight = np.diag(problem.prior).copy(), np.diag(problem.prior).copy()
     for stage in STAGES:
         freed |= chosen & np.isin(names, list(stage.effects))
-        counts = np.isin(stretch, stage.stretches)
-        if not freed.any() or np.sum(counts) < least_samples(problem):
+        active = np.isin(stretch, stage.stretches)
+        if not freed.any() or np.sum(active) < least_samples(problem):
             continue
         begin(stage)
         excess = expected[stage.stretches[0]]
@@ -132,15 +132,18 @@ def run_stages(
         weight[first] = prior[first]
         precision = known + np.diag(prior)
         centre = np.linalg.solve(precision, known @ theta + prior * problem.start)
-        part = count_only(problem, counts)._replace(start=centre, precision=excess * precision)
-        fit, at = refit_to_convergence(part, require_finite(evaluate(part, theta)), np.flatnonzero(freed))
+        part = restrict_to_samples(problem, active)._replace(start=centre, precision=excess * precision)
+        fit, at = refit_to_convergence(part, require_finite_cost(evaluate_fit(part, theta)), np.flatnonzero(freed))
         theta, H = fit.theta, information(at.J) / excess
-        known, told = consider(precision + H, freed), consider(told + np.diag(DEAD * prior) + H, freed)
+        known, own_information = (
+            marginal_precision(precision + H, freed),
+            marginal_precision(own_information + np.diag(DEAD * prior) + H, freed),
+        )
         prior[freed] = 0.0  # contained in what is known
         own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
-        dispersion[list(stage.stretches)] = score_dispersion(part, at, np.flatnonzero(freed))
-    precision = told + np.diag(DEAD * prior)
-    return StageResult(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
+        dispersion[list(stage.stretches)] = stage_dispersion(part, at, np.flatnonzero(freed))
+    precision = own_information + np.diag(DEAD * prior)
+    return StagedFit(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
 
 
 def least_samples(problem: Problem) -> float:
@@ -148,32 +151,32 @@ def least_samples(problem: Problem) -> float:
     return LEAST * float(problem.model.base.unit_time) / problem.data.dt
 
 
-def score_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
+def stage_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
     """Return how many times their information the scores of the `columns` vary by, over blocks that have any."""
     H, blocks = sums_by_block(part, at.e, at.J)
     some = blocks[:, columns].any(axis=1)
     return overdispersion(H + np.eye(len(H)) / PRIOR**2, blocks[some], columns)
 
 
-def count_only(problem: Problem, counts: np.ndarray) -> Problem:
-    """Return the problem in which only what is measured at the samples `counts` (P, T) counts.
+def restrict_to_samples(problem: Problem, active: np.ndarray) -> Problem:
+    """Restrict the cost to the innovations at the `active` samples (P, T).
 
-    All else is conditioned on as before: the observer is the same. Pieces without such samples are left out.
+    The observer is the same: it uses all measurements as before. Pieces without such samples are left out.
     """
-    keep = np.flatnonzero(counts.any(axis=1))
-    counts, gains, motion = counts[keep], take(problem.gains, keep), problem.motion
-    gains = gains._replace(whitening=gains.whitening * counts[..., None, None])
+    keep = np.flatnonzero(active.any(axis=1))
+    active, gains, motion = active[keep], take(problem.gains, keep), problem.motion
+    gains = gains._replace(whitening=gains.whitening * active[..., None, None])
     if motion is not None:
-        used = motion.used[keep] & counts[:, window_ends(problem.model, problem.data)][..., None]
+        used = motion.used[keep] & active[:, window_ends(problem.model, problem.data)][..., None]
         motion = motion._replace(used=used) if used.any() else None
     return problem._replace(data=problem.data.subset(keep), gains=gains, motion=motion)
 
 
-def consider(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
-    """Return what is known (K, K) of all parameters after a stage that estimated those `freed` (K,).
+def marginal_precision(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
+    """Return the precision (K, K) of all parameters after a stage that estimated those `freed` (K,).
 
-    `precision` (K, K) holds all that was known before, and the information of the stage. Whatever the other parameters
-    are, the freed ones lie about the minimum of the stage's cost at these; of the others nothing is learnt.
+    `precision` (K, K) is the sum of the prior one and the information of the stage. Whatever the other parameters
+    are, the freed ones lie about the minimum of the stage's cost at these; about the others the stage says nothing.
     """
     row = precision[freed]
     return row.T @ np.linalg.solve(row[:, freed], row)

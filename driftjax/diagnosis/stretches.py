@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import samples_in_run
-from driftjax.diagnosis.residual import axle_forces as forces_causing
+from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.runs import run_observer
 from driftjax.vehicle.effect.flow import Car
 from driftjax.vehicle.single_track import G
@@ -40,7 +40,7 @@ class Stretch(IntEnum):
 
 
 def find_stretches(problem: Problem) -> np.ndarray:
-    """Return the kind (P, T) of stretch that each sample lies in; `NOWHERE` for those that do not count.
+    """Return the kind of stretch of each sample (P, T); `NOWHERE` for those that do not count.
 
     A sample belongs to the hardest kind of the time `HOLD` before it, so that the tyres and the observer have settled.
     """
@@ -50,9 +50,7 @@ def find_stretches(problem: Problem) -> np.ndarray:
     steps = lambda span: max(round(span * float(car.unit_time) / data.dt), 1)
     causal = lambda filtered, f, n: filtered(f, n, axis=1, mode="nearest", origin=(n - 1) // 2)
     smooth = lambda f: causal(uniform_filter1d, np.asarray(f), steps(SMOOTH))
-    lateral, slip, Fx = axle_forces(
-        car, np.asarray(path.predicted), np.asarray(path.rates)[:, :, 0], np.asarray(path.u)
-    )
+    lateral, slip, Fx = grip_use(car, np.asarray(path.predicted), np.asarray(path.rates)[:, :, 0], np.asarray(path.u))
     lateral, slip, Fx = smooth(lateral), smooth(slip), smooth(Fx)
     front = np.where(Fx > 0, *shares)
     along = np.stack([front * Fx, (1 - front) * Fx], axis=2) / largest_forces(car)
@@ -61,17 +59,17 @@ def find_stretches(problem: Problem) -> np.ndarray:
     kind = np.where(np.abs(lateral).max(axis=2) < STRAIGHT_BELOW, kind, Stretch.CORNERING)
     kind = np.where(used < LIMIT_FROM, kind, Stretch.LIMIT)
     kind = causal(maximum_filter1d, kind, steps(HOLD))
-    within = samples_in_run(np.asarray(data.padded.valid)) & data.counts.any(axis=1)
+    within = samples_in_run(np.asarray(data.padded.valid)) & data.informative.any(axis=1)
     return np.where(within, kind, NOWHERE)
 
 
-def axle_forces(car: Car, z: np.ndarray, rates: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def grip_use(car: Car, z: np.ndarray, rates: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lateral forces over friction times load (P, T, 2), slip angles (P, T, 2) [rad] and drive force (P, T) [N].
 
     By Newton's law from augmented states `z` (P, T, 6), `rates` (P, T, 3) and inputs `u` (P, T, 4); front, rear.
     """
     x, turning = z[..., :3], z[..., 2:3] * np.array([0.0, 1.0, 0.0])  # the velocity turns at beta' + r
-    forces = forces_causing(car, x, np.zeros_like(x[..., 0]), rates + turning)  # along and across the body
+    forces = disturbance_forces(car, x, np.zeros_like(x[..., 0]), rates + turning)  # along and across the body
     slip = car.nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
     return forces[..., 1:] / largest_forces(car), np.stack(slip, axis=2), u[..., 1]
 

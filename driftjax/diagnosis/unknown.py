@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.diagnosis.fit import Problem, evaluate, linearise
+from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise
 from driftjax.diagnosis.observer import Path, Steps, slip_angles
 from driftjax.diagnosis.runs import Linearisation, whitened_derivatives
 from driftjax.diagnosis.score import (
@@ -20,7 +20,7 @@ from driftjax.diagnosis.score import (
     half_widths_from,
     null_max_scores,
     partial_out,
-    studentised,
+    studentised_scores,
     sums_by_block,
 )
 from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, penalised_cost
@@ -45,23 +45,23 @@ class Term(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """Errors that remain beside the named effects."""
+    """Errors that the named effects do not explain."""
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
     gain: float  # fall of the cost that the best single term promises
-    drivers: dict[str, float]  # variables with the fall of the cost that their terms promise, the largest first
+    variables: dict[str, float]  # explanatory, with the promised fall of the cost, largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
-    nominal_drivers: dict[str, float]  # as `drivers`, of all that the nominal car gets wrong
+    nominal_variables: dict[str, float]  # as `variables`, for all errors of the nominal car
 
     @property
     def significant(self) -> bool:
-        """Return whether a significant error remains that is worth a parameter."""
+        """Return whether a significant error remains that justifies a parameter."""
         return self.p_value < LEVEL and self.gain > MIN_TERM_GAIN
 
 
 class GenericTerms(NamedTuple):
-    """Scores of the generic terms beside one hypothesis, whose effects are projected out."""
+    """Scores of the generic terms, with the effects of one hypothesis projected out."""
 
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
     U: np.ndarray  # (n,)
@@ -114,7 +114,7 @@ def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array
 
 
 def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
-    """Test what remains beside the named effects, and rank the variables that explain it.
+    """Test the errors that remain after the named effects, and rank the variables that explain them.
 
     Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
     """
@@ -129,7 +129,9 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
     most, force = best_term(problem, whole)
     simpler = None
     if len(selection.selected) > 1:
-        earned = selection.nominal.cost - penalised_cost(base, evaluate(base, selection.fit.theta), selection.selected)
+        earned = selection.nominal.cost - penalised_cost(
+            base, evaluate_fit(base, selection.fit.theta), selection.selected
+        )
         simpler = force if most - PARAMETER_PENALTY >= earned else None
     return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(whole))
 
@@ -153,7 +155,7 @@ def generic_terms(
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
     own[:K] &= tested.T != 0
-    T = studentised(effective, own)
+    T = studentised_scores(effective, own)
     chance = null_max_scores(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
     U, e = effective.sum(axis=0)[K:], np.asarray(at.e)
@@ -191,11 +193,11 @@ def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: 
     """Return whitened derivatives (P, T, 3, terms) of the predictions by terms, three per function (P, T)."""
     size = {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
     push = steps.push * size["rate"]
-    moved = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
-    told = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
-    none = lambda like, num: jnp.zeros((*like.shape[:-1], num))
-    C = jnp.concatenate([moved, none(moved, told.shape[-1])], axis=-1)
-    F = jnp.concatenate([none(told, moved.shape[-1]), told], axis=-1)
+    rate_columns = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
+    readings = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
+    zeros = lambda like, num: jnp.zeros((*like.shape[:-1], num))
+    C = jnp.concatenate([rate_columns, zeros(rate_columns, readings.shape[-1])], axis=-1)
+    F = jnp.concatenate([zeros(readings, rate_columns.shape[-1]), readings], axis=-1)
     terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
     # in the program of the catalogue's own derivatives
     return np.asarray(whitened_derivatives(terms, problem.gains, problem.data, len(problem.lower)))

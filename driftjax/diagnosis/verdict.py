@@ -53,7 +53,7 @@ class Explained(NamedTuple):
     horizon: float  # [s]
     held_out: bool  # whether measured on runs without which the effects were named
 
-    def too_little(self, tolerated: float) -> bool:
+    def unexplained_exceeds(self, tolerated: float) -> bool:
         """Return whether more than `tolerated` is left beyond doubt, or it is in doubt that most is explained.
 
         In either case what is left must be that share of the model's own error too: a small excess is no reason to
@@ -64,7 +64,7 @@ class Explained(NamedTuple):
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
-    """Return what the extended car explains; None where no run is long enough to tell."""
+    """Return the error that the extended car explains; None where no run is long enough."""
     if "extended" not in shares:
         return None
     one = shares["extended"]
@@ -75,13 +75,17 @@ def decide_verdict(
     problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float,
     explained: Explained | None, tolerated: float,
 ) -> Judgement:  # fmt: skip
-    """Decide the verdict on a search by the size of what it leaves, and state its reason.
+    """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
     no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
     """
-    large = explained.too_little(tolerated) if explained else remaining.significant or remaining.simpler is not None
+    large = (
+        explained.unexplained_exceeds(tolerated)
+        if explained
+        else remaining.significant or remaining.simpler is not None
+    )
     if large and (remaining.significant or remaining.simpler or named):
         return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:
@@ -136,7 +140,7 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     """Return what the named effects explain, and what the rest goes with."""
-    rest = f"rest goes most with {' and '.join(list(remaining.drivers)[:2])}." if remaining.significant else ""
+    rest = f"rest goes most with {' and '.join(list(remaining.variables)[:2])}." if remaining.significant else ""
     if explained is None:
         return [f"The {rest}"] if rest else []
     if not np.isfinite(explained.share):
@@ -155,13 +159,12 @@ def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained) -> st
     if remaining.significant:
         text = f"Something is missing that no effect of the catalogue explains (p = {remaining.p_value:.3f})"
         text += f", beside {names}" if named else ""
-        return (
-            f"{text}; it goes most with {' and '.join(list(remaining.drivers)[:2])}, such as {_words(remaining.term)}."
-        )
+        first = " and ".join(list(remaining.variables)[:2])
+        return f"{text}; it goes most with {first}, such as {_words(remaining.term)}."
     if remaining.simpler:
         text = f"Something is missing that no effect of the catalogue explains: {names} together explain no more than"
-        drivers = " and ".join(list(remaining.nominal_drivers)[:2])
-        return f"{text} {_words(remaining.simpler)}; it goes most with {drivers}."
+        first = " and ".join(list(remaining.nominal_variables)[:2])
+        return f"{text} {_words(remaining.simpler)}; it goes most with {first}."
     return f"Something is missing beside {names} that these data do not tell apart."
 
 

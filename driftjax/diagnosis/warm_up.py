@@ -1,4 +1,4 @@
-"""Compile the programs of a diagnosis beside its work, those first that it needs last.
+"""Compile the programs of a diagnosis in parallel to its work, those first that it needs last.
 
 Compiling takes longer than all else in the first diagnosis on a machine, and leaves a core idle: what one thread
 compiles, the other finds ready.
@@ -10,7 +10,7 @@ import numpy as np
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import ROOM, STARTS, prediction_starts, run_predictions
 from driftjax.diagnosis.noise_floor import batched_rollouts
-from driftjax.diagnosis.runs import BATCH_SIZE, by_commands, room_for, take
+from driftjax.diagnosis.runs import BATCH_SIZE, by_commands, padded_size, take
 from driftjax.parallel import compile_ahead
 
 
@@ -19,7 +19,7 @@ def compile_programs(problem: Problem) -> None:
     model, dt, theta = problem.model, problem.data.dt, jnp.asarray(problem.start)
     runs = take(problem.data.padded, np.zeros(BATCH_SIZE, int))
     num = jnp.asarray(prediction_starts(problem)[1])
-    states, room = (BATCH_SIZE, problem.data.size, 6), room_for(int(num), ROOM)
+    states, room = (BATCH_SIZE, problem.data.size, 6), padded_size(int(num), ROOM)
     z, P, ahead = np.zeros(states), np.zeros((*states[:2], 9, 9)), np.zeros((BATCH_SIZE, STARTS, room, 3))
     first, noise = jnp.arange(STARTS), jnp.asarray(problem.noise.as_vector())
     number = np.arange(BATCH_SIZE)

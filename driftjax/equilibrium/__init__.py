@@ -9,5 +9,5 @@ from driftjax.equilibrium.solve import Equilibrium as Equilibrium
 from driftjax.equilibrium.solve import SlipRadius as SlipRadius
 from driftjax.equilibrium.solve import SlipSpeed as SlipSpeed
 from driftjax.equilibrium.solve import SpeedYaw as SpeedYaw
-from driftjax.equilibrium.solve import solve as solve
+from driftjax.equilibrium.solve import solve_equilibrium as solve_equilibrium
 from driftjax.equilibrium.solve import solve_nominal as solve_nominal

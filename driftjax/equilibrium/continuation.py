@@ -8,7 +8,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import RESULTS, Control, State
-from driftjax.equilibrium.solve import ANY, Equilibrium, Fixed, Model, SlipRadius, SpeedYaw, solve, solve_nominal
+from driftjax.equilibrium.solve import (
+    ANY,
+    Equilibrium,
+    Fixed,
+    Model,
+    SlipRadius,
+    SpeedYaw,
+    solve_equilibrium,
+    solve_nominal,
+)
 from driftjax.vehicle import AnyCar, Corrected, SingleTrack
 from driftjax.vehicle.single_track import G
 
@@ -39,9 +48,9 @@ def continuation(
 
     Stops at the first failed stage: `eta` is how far it came, `result` why. `off_branch` also means a jump: a stage
     moved the unknowns (rad, force over weight, speed over sqrt(g R)) by more than `LARGEST_JUMP`, so that the root is
-    not the continued one. Differentiable at eta = 1 like `solve`.
+    not the continued one. Differentiable at eta = 1 like `solve_equilibrium`.
     """
-    first = solve(nominal, nominal, fixed, guess, branch=branch)
+    first = solve_equilibrium(nominal, nominal, fixed, guess, branch=branch)
     part = lambda eta: (Corrected(nominal, Scaled(residual, eta)), nominal)
     return _follow(part, (Corrected(nominal, residual), nominal), fixed, first, branch)
 
@@ -73,7 +82,7 @@ def _follow(
     """Continue `first` through `part(eta)`, a model and the car that judges it, to `whole` at eta = 1."""
 
     def stage(last: Equilibrium, eta: Array):
-        new = solve(*part(eta), fixed, (last.x, last.u), branch=branch)
+        new = solve_equilibrium(*part(eta), fixed, (last.x, last.u), branch=branch)
         new = eqx.tree_at(lambda e: e.eta, new, eta)
         new = eqx.tree_at(lambda e: e.result, new, _unless_jumped(last, new, fixed, whole[1]))
         running = last.result == RESULTS.successful
@@ -86,7 +95,7 @@ def _follow(
     etas = jnp.linspace(0.0, 1.0, NUM_STAGES + 1)[1:]
     followed, _ = jax.lax.scan(stage, jax.lax.stop_gradient(first), etas)
     # Once more at eta = 1, outside the scan and from the root itself, for the implicit gradient.
-    last = solve(*whole, fixed, (followed.x, followed.u), branch=branch)
+    last = solve_equilibrium(*whole, fixed, (followed.x, followed.u), branch=branch)
     done = followed.result == RESULTS.successful
     return jax.tree.map(lambda p, q: jnp.where(done, p, q), last, jax.lax.stop_gradient(followed))
 

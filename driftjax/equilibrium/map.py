@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from driftjax.core import RESULTS, Control, State, require
 from driftjax.environment import require_float64
-from driftjax.equilibrium import Branch, Equilibrium, SpeedYaw, decoupled_roots, preference, solve
+from driftjax.equilibrium import Branch, Equilibrium, SpeedYaw, decoupled_roots, preference, solve_equilibrium
 from driftjax.vehicle import AnyCar, Extended, SingleTrack, VehicleConfig, build_car, load_vehicle
 from driftjax.vehicle.single_track import G
 
@@ -99,7 +99,7 @@ def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
         roots = decoupled_roots(car, V, r)
 
         def confirm(x: State, u: Control, kind: Array, exists: Array) -> Equilibrium:
-            out = solve(car, car, SpeedYaw(V, r), (x, u), branch=kind)
+            out = solve_equilibrium(car, car, SpeedYaw(V, r), (x, u), branch=kind)
             result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
             return eqx.tree_at(lambda e: (e.kind, e.result), out, (jnp.where(exists, out.kind, -1), result))
 
@@ -115,7 +115,7 @@ def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
     """
     roots = jax.vmap(lambda share: decoupled_roots(car.nominal, V, share * r))(jnp.asarray(NEAR))
     x, u, exists = jax.tree.map(jnp.ravel, (roots.x, roots.u, roots.valid))
-    out = jax.vmap(lambda x, u: solve(car, car, SpeedYaw(V, r), (x, u)))(x, u)
+    out = jax.vmap(lambda x, u: solve_equilibrium(car, car, SpeedYaw(V, r), (x, u)))(x, u)
     good = exists & (out.result == RESULTS.successful)
     at = jnp.stack([out.x.beta, out.u.delta, out.u.Fxr / (car.m * G)])
     apart = jnp.max(jnp.abs(at[:, :, None] - at[:, None, :]), axis=0)

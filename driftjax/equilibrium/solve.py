@@ -96,7 +96,7 @@ def scaled_rates(nominal: AnyCar, x: State, dx: State) -> Array:
     return jnp.stack([dx.V / limit, dx.beta * x.V / limit, dx.r * yaw])
 
 
-def solve(
+def solve_equilibrium(
     model: Model,
     nominal: AnyCar,
     fixed: Fixed,
@@ -150,7 +150,7 @@ def solve_nominal(
     """
     published = eqx.tree_at(lambda car: car.combined_slip, nominal, jnp.zeros_like(nominal.combined_slip))
     x, u, exists = pick(fixed.roots(published), branch)
-    out = solve(nominal, nominal, fixed, (x, u), branch=branch)
+    out = solve_equilibrium(nominal, nominal, fixed, (x, u), branch=branch)
     result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
     out = eqx.tree_at(lambda e: e.result, out, result)
     return result.error_if(out, result != RESULTS.successful) if throw else out

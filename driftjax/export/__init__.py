@@ -1,4 +1,4 @@
-"""Export a car to the formats of other tools, and say what they cannot hold of it."""
+"""Export a car to the formats of other tools, and report the effects that they cannot represent."""
 
 from driftjax.export.export import FORMATS as FORMATS
 from driftjax.export.export import Export as Export

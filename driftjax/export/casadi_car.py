@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from driftjax.core import BadInput, Control, State
-from driftjax.export.target import Format, Kept, car_with, write_text
+from driftjax.export.target import Format, ReducedCar, car_with, write_text
 from driftjax.sim.step import LaggedState
 from driftjax.sim.travel import Travel, travel
 from driftjax.vehicle import VehicleConfig, actuator_lags, build_car
@@ -27,15 +27,15 @@ DRIVEN = tuple(name for name, effect in EFFECTS.items() if effect.station != "se
 STEADY = tuple(name for name, effect in EFFECTS.items() if name in LAGS or not exclusion_reason(effect))
 
 
-class Model(NamedTuple):
-    """A function of state and input (delta [rad], Fxr [N]) in JAX, and what its state is."""
+class CasadiModel(NamedTuple):
+    """Function of state and input (delta [rad], Fxr [N]) in JAX, with the names of its state."""
 
     function: Callable[[Array, Array], Array]
     start: Float[np.ndarray, " n"]  # state of a car that rolls straight at 1 sqrt(g L), steering and drive at rest
     names: tuple[str, ...]  # of the entries of the state
 
 
-def rates_model(vehicle: VehicleConfig) -> Model:
+def rates_model(vehicle: VehicleConfig) -> CasadiModel:
     """Return the time derivative of (V, beta, r, and the lagging delta and Fxr where the car has lags), SI."""
     car, lags = build_car(vehicle), np.asarray(actuator_lags(vehicle))
     late = [i for i in (0, 1) if lags[i] > 0]
@@ -47,10 +47,10 @@ def rates_model(vehicle: VehicleConfig) -> Model:
 
     start = np.zeros(3 + len(late))
     start[0] = reference(vehicle, "speed")
-    return Model(function, start, ("V", "beta", "r", *(("delta", "Fxr")[i] for i in late)))
+    return CasadiModel(function, start, ("V", "beta", "r", *(("delta", "Fxr")[i] for i in late)))
 
 
-def step_model(vehicle: VehicleConfig, h: float, lap: float) -> Model:
+def step_model(vehicle: VehicleConfig, h: float, lap: float) -> CasadiModel:
     """Return one step of the simulator, `h` [s], with all effects but those of the sensors.
 
     The state holds, after `STATES`, the memory of the actuators. `lap` [m] is the length of the road on which
@@ -75,7 +75,7 @@ def step_model(vehicle: VehicleConfig, h: float, lap: float) -> Model:
 
     start = np.concatenate([np.zeros(len(STATES)), np.asarray(rest)])
     start[0] = reference(vehicle, "speed")
-    return Model(function, start, (*STATES, *(f"memory_{i}" for i in range(len(rest)))))
+    return CasadiModel(function, start, (*STATES, *(f"memory_{i}" for i in range(len(rest)))))
 
 
 def substeps(vehicle: VehicleConfig, dt: float) -> int:
@@ -83,7 +83,7 @@ def substeps(vehicle: VehicleConfig, dt: float) -> int:
     return max(math.ceil(dt / (FINEST * reference(vehicle, "time"))), 1)
 
 
-def write_casadi(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_casadi(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write rates.casadi, step.casadi (for `casadi.Function.load`) and casadi.json, which names their states."""
     try:
         import casadi as ca
@@ -94,11 +94,11 @@ def write_casadi(kept: Kept, folder: Path) -> tuple[str, ...]:
             "--to casadi needs the extra 'casadi'; install it with pip install 'driftjax[casadi]'."
         ) from None
 
-    full, dt = kept.full, kept.options.dt
+    full, dt = reduced.full, reduced.options.dt
     num, lap = substeps(full, dt), 1000.0
     rates, fine = rates_model(full), step_model(full, dt / num, lap)
 
-    def graph(model: Model, name: str, output: str) -> "ca.Function":
+    def graph(model: CasadiModel, name: str, output: str) -> "ca.Function":
         x, u = ca.SX.sym("x", len(model.start)), ca.SX.sym("u", 2)
         cells = to_casadi(model.function, model.start.shape, (2,))(np.array(ca.vertsplit(x)), np.array(ca.vertsplit(u)))
         return ca.Function(name, [x, u], [ca.vertcat(*cells)], ["x", "u"], [output])
@@ -128,7 +128,7 @@ CASADI = Format(
 )
 
 
-def advance(vehicle: VehicleConfig, dt: float, lap: float = 1000.0) -> Model:
+def advance_model(vehicle: VehicleConfig, dt: float, lap: float = 1000.0) -> CasadiModel:
     """Return the simulator's step over `dt` [s], as in step.casadi, in JAX."""
     num = substeps(vehicle, dt)
     fine = step_model(vehicle, dt / num, lap)

@@ -1,4 +1,4 @@
-"""Write a car in another tool's format, and say what that format cannot hold of it."""
+"""Write a car in another tool's format, and report the effects that it cannot represent."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from driftjax.export.casadi_car import CASADI
 from driftjax.export.loss import Loss, loss
 from driftjax.export.racing import GYM, RACE_STACK, TUM
 from driftjax.export.simulators import AUTOWARE, COMMONROAD, OPEN_CAR_DYNAMICS
-from driftjax.export.target import Format, Options, keep
+from driftjax.export.target import Format, TargetOptions, restrict_effects
 from driftjax.logs import Log
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
@@ -22,7 +22,7 @@ FORMATS: dict[str, Format] = {
 
 @dataclass(frozen=True)
 class Export:
-    """Files of a car in another tool's format, and what they lack of it."""
+    """Files of a car in another tool's format, and the effects that they lack."""
 
     to: str
     """Name of the format."""
@@ -37,7 +37,7 @@ class Export:
     notes: tuple[str, ...]
     """How the target's model differs from any car of this package, and what was chosen for it."""
     loss: Loss | None
-    """What the lost effects are worth in open-loop predictions; None where nothing is lost or nothing is predicted."""
+    """Change of open-loop predictions by the lost effects; None where nothing is lost or nothing is predicted."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of export.json."""
@@ -60,7 +60,7 @@ def export_car(
     vehicle: VehicleConfig, to: str, folder: str | Path, *, log: Log | None = None, top_speed: float | None = None,
     dt: float = 0.02,
 ) -> Export:  # fmt: skip
-    """Write `vehicle` with its effects into `folder` in the format `to`, and measure what that format loses.
+    """Write `vehicle` with its effects into `folder` in the format `to`, and measure the loss of that format.
 
     `to` is race_stack, tum, f1tenth_gym, commonroad, autoware, open_car_dynamics or casadi. The loss is how much worse
     the car predicts without the lost effects: on `log`, or else in a standard manoeuvre. `top_speed` [m/s] bounds
@@ -73,17 +73,17 @@ def export_car(
         if value is not None and not 0 < value < float("inf"):
             raise BadInput(f"{name} is {value}; it must be positive.")
     target, folder = FORMATS[to], Path(folder)
-    kept = keep(vehicle, target.holds, Options(top_speed, dt))
+    reduced = restrict_effects(vehicle, target.holds, TargetOptions(top_speed, dt))
     named = [name for name in EFFECTS if any(one.effect == name for one in vehicle.effects)]
     lost = tuple(name for name in named if name not in target.holds)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files = target.write(kept, folder)
+        files = target.write(reduced, folder)
     except OSError as error:
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another --out.") from None
     return Export(
         to, target.title, tuple(folder / name for name in files), tuple(n for n in named if n not in lost), lost,
-        target.notes, loss(vehicle, kept.vehicle, log) if lost and target.predicts else None,
+        target.notes, loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a target loses: open-loop predictions of the car with and without the effects that the target cannot hold."""
+"""Measure the loss of a target: predict with and without the effects that it cannot represent."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from driftjax.export.target import car_with
 from driftjax.logs import Log, Run
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.parallel import call
-from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
+from driftjax.sim.rollout import SETTLE, actuator_response, begin, move, sensor_reading
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import Place, reference
 from driftjax.vehicle.universal import Universal
@@ -25,7 +25,7 @@ CHANNELS = ("V", "beta", "r")
 
 
 class Window(NamedTuple):
-    """Commands of a prediction and what came before."""
+    """Commands of a prediction, and the history before it."""
 
     commands: Float[Array, "w 2"]  # from SETTLE before the start to the horizon
     V: Float[Array, " w"]
@@ -34,7 +34,7 @@ class Window(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """Root-mean-square of what predictions of V [m/s], beta [rad] and r [rad/s] are off by."""
+    """Root-mean-square prediction errors of V [m/s], beta [rad] and r [rad/s]."""
 
     of: str  # the log, or the standard manoeuvre
     horizon_s: float
@@ -43,7 +43,7 @@ class Loss(NamedTuple):
 
 
 def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) -> Loss:
-    """Measure what `reduced`, which lacks some effects of `full`, predicts worse.
+    """Measure the prediction error that `reduced`, which lacks some effects of `full`, adds.
 
     On a log: errors at a horizon of 2 sqrt(L/g), from starts 1 sqrt(L/g) apart, of predictions that start at the
     measured state. Without one: how far the two cars get apart in an open-loop slalom and in steps of drive and brake.
@@ -59,10 +59,10 @@ def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) ->
     if not windows:
         raise BadInput(f"log: no run has {num * dt:.3g} s of samples with a measured start; give longer runs.")
     stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *windows)
-    told = [np.asarray(call(_predict, car_with(car, names), stacked, dt)) for car in (full, reduced)]
+    predictions = [np.asarray(call(_predict, car_with(car, names), stacked, dt)) for car in (full, reduced)]
     if log is None:
-        return Loss("standard manoeuvre", num * dt, None, _rms(told[1] - told[0]))
-    errors = [(one - np.asarray(stacked.y)[:, 1:])[:, -1:] for one in told]
+        return Loss("standard manoeuvre", num * dt, None, _rms(predictions[1] - predictions[0]))
+    errors = [(one - np.asarray(stacked.y)[:, 1:])[:, -1:] for one in predictions]
     return Loss("log", num * dt, _rms(errors[0]), _rms(errors[1]))
 
 
@@ -75,7 +75,7 @@ def _rms(off: np.ndarray) -> tuple[float, ...]:
 def _predict(model: Universal, windows: Window, dt: float) -> Float[Array, "S n 3"]:
     def one(window: Window) -> Array:
         num = len(window.y) - 1
-        inputs = acting(model, window.commands, window.V, dt)
+        inputs = actuator_response(model, window.commands, window.V, dt)
         before, u = inputs[-num - 1], inputs[-num:]
         place = lambda k: jax.tree.map(lambda a: a[k], window.place)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from driftjax.export.steady import cornering, grip_limits, up_to_the_limit
-from driftjax.export.target import AXLES, Format, Kept, write_text, write_yaml
+from driftjax.export.steady import cornering, grip_limits, truncate_at_peak
+from driftjax.export.target import AXLES, Format, ReducedCar, write_text, write_yaml
 from driftjax.vehicle.effect import reference
 
 STEERS, SPEEDS = 60, 50  # rows and columns of the steering table
@@ -14,42 +14,42 @@ TABLE_SPEEDS = (0.3, 4.5)  # its slowest and fastest speed [sqrt(g L)]
 GGV_SPEEDS = 25  # rows of the tables of the TUM planner
 
 
-def write_race_stack(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_race_stack(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write NAME_pacejka.yaml and NAME_pacejka_lookup_table.csv.
 
     F_y = D F_z sin(C arctan(B alpha - E (B alpha - arctan(B alpha)))), alpha = delta - arctan(...), left positive. The
     table has speeds in its first row [m/s], steering angles in its first column [rad], and the lateral acceleration of
     steady cornering [m/s^2]; NaN beyond the limit of grip.
     """
-    car, v = kept.car, kept.vehicle
+    car, v = reduced.car, reduced.vehicle
     model = {
         "C_Pf": [car.Bf, car.Cf, car.muf, 0.0],
         "C_Pr": [car.Br, car.Cr, car.mur, 0.0],
-        "I_z": car.Iz, "a_max": kept.forces[1] / car.m, "a_min": kept.forces[0] / car.m,
-        "h_cg": kept.value("load_transfer_long.h"), "l_f": car.a, "l_r": car.b, "l_wb": car.wheelbase, "m": car.m,
-        "model_name": kept.name, "mu": 1.0, "tau_steer": kept.value("steer_lag.tau"), "tire_model": "pacejka",
+        "I_z": car.Iz, "a_max": reduced.forces[1] / car.m, "a_min": reduced.forces[0] / car.m,
+        "h_cg": reduced.value("load_transfer_long.h"), "l_f": car.a, "l_r": car.b, "l_wb": car.wheelbase, "m": car.m,
+        "model_name": reduced.name, "mu": 1.0, "tau_steer": reduced.value("steer_lag.tau"), "tire_model": "pacejka",
     }  # fmt: skip
     delta = np.linspace(0.0, v.delta_max, STEERS)
     V = np.linspace(*TABLE_SPEEDS, SPEEDS) * reference(v, "speed")
-    left, right = (cornering(kept.full, sign * delta, V) for sign in (1, -1))
+    left, right = (cornering(reduced.full, sign * delta, V) for sign in (1, -1))
     table = np.zeros((STEERS + 1, SPEEDS + 1))
     table[0, 1:], table[1:, 0] = V, delta
-    table[1:, 1:] = up_to_the_limit((left - right) / 2)  # an offset of the steering is not the table's
+    table[1:, 1:] = truncate_at_peak((left - right) / 2)  # an offset of the steering is not the table's
     text = io.StringIO()
     np.savetxt(text, table, delimiter=",")
     return (
-        write_yaml(folder / f"{kept.name}_pacejka.yaml", model),
-        write_text(folder / f"{kept.name}_pacejka_lookup_table.csv", text.getvalue()),
+        write_yaml(folder / f"{reduced.name}_pacejka.yaml", model),
+        write_text(folder / f"{reduced.name}_pacejka_lookup_table.csv", text.getvalue()),
     )
 
 
-def write_tum(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_tum(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write ggv.csv (v, ax_max, ay_max) and ax_max_machines.csv (v, ax_max_machines) [m/s, m/s^2]."""
-    V = np.linspace(0.0, kept.top_speed, GGV_SPEEDS)
-    moving = np.maximum(V, TABLE_SPEEDS[0] * reference(kept.vehicle, "speed"))
-    brake, drive, side = grip_limits(kept.vehicle, moving)
-    force = kept.forces[1] / (1 + kept.value("power_limit.p") * V * max(kept.forces[1], 0.0))
-    machine = np.minimum(force / kept.car.m, drive)
+    V = np.linspace(0.0, reduced.top_speed, GGV_SPEEDS)
+    moving = np.maximum(V, TABLE_SPEEDS[0] * reference(reduced.vehicle, "speed"))
+    brake, drive, side = grip_limits(reduced.vehicle, moving)
+    force = reduced.forces[1] / (1 + reduced.value("power_limit.p") * V * max(reduced.forces[1], 0.0))
+    machine = np.minimum(force / reduced.car.m, drive)
     return (
         write_text(folder / "ggv.csv", _csv("v_mps,ax_max_mps2,ay_max_mps2", V, brake, side)),
         write_text(folder / "ax_max_machines.csv", _csv("v_mps,ax_max_machines_mps2", V, machine)),
@@ -62,20 +62,20 @@ def _csv(header: str, *columns: np.ndarray) -> str:
     return text.getvalue()
 
 
-def write_gym(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_gym(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write f1tenth_gym.yaml, the dictionary `params` of the single-track model (`model: st`).
 
     F_y = mu C_S F_z alpha: C_S = B C of each axle, times its friction over `mu`, the mean.
     """
-    car, v = kept.car, kept.vehicle
-    mu, force = (car.muf + car.mur) / 2, kept.forces[1]
-    power = kept.value("power_limit.p")
+    car, v = reduced.car, reduced.vehicle
+    mu, force = (car.muf + car.mur) / 2, reduced.forces[1]
+    power = reduced.value("power_limit.p")
     params = {
         "mu": mu, "C_Sf": car.Bf * car.Cf * car.muf / mu, "C_Sr": car.Br * car.Cr * car.mur / mu,
-        "lf": car.a, "lr": car.b, "h": kept.value("load_transfer_long.h"), "m": car.m, "I": car.Iz,
+        "lf": car.a, "lr": car.b, "h": reduced.value("load_transfer_long.h"), "m": car.m, "I": car.Iz,
         "s_min": -v.delta_max, "s_max": v.delta_max, "sv_min": -v.delta_rate_max, "sv_max": v.delta_rate_max,
-        "v_switch": min(1 / (power * force), kept.top_speed) if power else kept.top_speed,
-        "a_max": max(force, -kept.forces[0]) / car.m, "v_min": -0.25 * kept.top_speed, "v_max": kept.top_speed,
+        "v_switch": min(1 / (power * force), reduced.top_speed) if power else reduced.top_speed,
+        "a_max": max(force, -reduced.forces[0]) / car.m, "v_min": -0.25 * reduced.top_speed, "v_max": reduced.top_speed,
         "width": v.width, "length": v.length,
     }  # fmt: skip
     return (write_yaml(folder / "f1tenth_gym.yaml", params),)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from driftjax.export.target import AXLES, Format, Kept, write_text, write_yaml
+from driftjax.export.target import AXLES, Format, ReducedCar, write_text, write_yaml
 
 ID = 5  # vehicle number of the files; CommonRoad's own are 1 to 4
 SPIN = 0.016  # spin inertia of the wheels of one axle over m R_w^2, as of a sedan (3 kg m^2) [-]
@@ -36,23 +36,24 @@ def side_force_under_drive(ellipse: float, C: float, B: float) -> tuple[float, f
     return float(found[0]), float(found[1]), float(found[2])
 
 
-def write_commonroad(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_commonroad(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write parameters_vehicle5.yaml and parameters_tire.yaml for `setup_vehicle_parameters(5, folder)`.
 
     Both axles have one tyre: the nominal one with the effects that both share. There are no multi-body parameters.
     """
-    car, v, h = kept.car, kept.vehicle, kept.value("load_transfer_long.h")
+    car, v, h = reduced.car, reduced.vehicle, reduced.value("load_transfer_long.h")
     mu, B, C = car.muf, car.Bf, car.Cf
-    power, force, R = kept.value("power_limit.p"), kept.forces[1], kept.wheel_radius
+    power, force, R = reduced.value("power_limit.p"), reduced.forces[1], reduced.wheel_radius
     vehicle = {
         "l": v.length, "w": v.width,
         "steering": {"min": -v.delta_max, "max": v.delta_max, "v_min": -v.delta_rate_max, "v_max": v.delta_rate_max},
         "longitudinal": {
-            "a_max": max(force, -kept.forces[0]) / car.m, "v_max": kept.top_speed, "v_min": -0.25 * kept.top_speed,
-            "v_switch": min(1 / (power * force), kept.top_speed) if power else kept.top_speed,
+            "a_max": max(force, -reduced.forces[0]) / car.m,
+            "v_max": reduced.top_speed, "v_min": -0.25 * reduced.top_speed,
+            "v_switch": min(1 / (power * force), reduced.top_speed) if power else reduced.top_speed,
         },
         "m": car.m, "a": car.a, "b": car.b, "I_z": car.Iz, "h_cg": h, "h_s": h, "R_w": R, "I_y_w": SPIN * car.m * R**2,
-        "T_sb": kept.value("brake_split.p"), "T_se": kept.value("drive_split.p"),
+        "T_sb": reduced.value("brake_split.p"), "T_se": reduced.value("drive_split.p"),
     }  # fmt: skip
     zero = {f"p_{name}": 0.0 for name in ("dx3", "ex1", "hx1", "vx1", "dy3", "ey1", "hy1", "hy3", "vy1", "vy3")}
     zero |= {f"r_{name}": 0.0 for name in ("bx1", "bx2", "cx1", "ex1", "hx1", "by2", "by3", "hy1", "vy1", "vy3", "vy4",
@@ -68,13 +69,13 @@ def write_commonroad(kept: Kept, folder: Path) -> tuple[str, ...]:
     )
 
 
-def write_autoware(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_autoware(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write simulator_model.param.yaml of Autoware's simple_planning_simulator (DELAY_STEER_ACC_GEARED)."""
-    v, value = kept.vehicle, kept.value
+    v, value = reduced.vehicle, reduced.value
     parameters = {
         "simulated_frame_id": "base_link", "origin_frame_id": "map", "vehicle_model_type": "DELAY_STEER_ACC_GEARED",
         "initialize_source": "INITIAL_POSE_TOPIC", "timer_sampling_time_ms": 25, "add_measurement_noise": False,
-        "vel_lim": kept.top_speed, "vel_rate_lim": max(kept.forces[1], -kept.forces[0]) / kept.car.m,
+        "vel_lim": reduced.top_speed, "vel_rate_lim": max(reduced.forces[1], -reduced.forces[0]) / reduced.car.m,
         "steer_lim": v.delta_max, "steer_rate_lim": v.delta_rate_max,
         "acc_time_delay": 0.0, "acc_time_constant": value("drive_lag.tau"),
         "steer_time_delay": value("steer_delay.d"), "steer_time_constant": value("steer_lag.tau"),
@@ -86,23 +87,23 @@ def write_autoware(kept: Kept, folder: Path) -> tuple[str, ...]:
     return (write_yaml(folder / "simulator_model.param.yaml", {"/**": {"ros__parameters": parameters}}),)
 
 
-def write_open_car_dynamics(kept: Kept, folder: Path) -> tuple[str, ...]:
+def write_open_car_dynamics(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     """Write the JSON of the Open-Car-Dynamics model FX, PT1, SINGLE_TRACK, MF_SIMPLE, DEFAULT.
 
     F_y = D F_z sin(C arctan(B tan(alpha))): B is the stiffness factor at small slip. The area is 1 m^2, so that
     c_d and c_l are the coefficients of drag and lift times area.
     """
-    car, v, R = kept.car, kept.vehicle, kept.wheel_radius
+    car, v, R = reduced.car, reduced.vehicle, reduced.wheel_radius
     spin = SPIN * car.m * R**2
     content: dict = {
         "drivetrain.I_wheel_front_kgm2": spin / 2, "drivetrain.I_wheel_rear_kgm2": spin / 2,
         "drivetrain.LSD_lock_coast": 0.0, "drivetrain.LSD_lock_drive": 0.0, "drivetrain.LSD_preload": 0.0,
-        "drivetrain.brake_bias_front": kept.value("brake_split.p"), "drivetrain.intertia_kgm2": 0.0,
+        "drivetrain.brake_bias_front": reduced.value("brake_split.p"), "drivetrain.intertia_kgm2": 0.0,
         "drivetrain.transmission_ratio": 1.0, "drivetrain.wheel_radius_m": R, "integration_step_size_s": OCD_STEP,
-        "steering_actuator.T_PT1": max(kept.value("steer_lag.tau"), FASTEST_LAG),
+        "steering_actuator.T_PT1": max(reduced.value("steer_lag.tau"), FASTEST_LAG),
         "steering_actuator.angle_max_rad": v.delta_max,
         "steering_actuator.angle_rate_max_radps": v.delta_rate_max,
-        "steering_actuator.static_offset_rad": kept.value("steer_offset.p"),
+        "steering_actuator.static_offset_rad": reduced.value("steer_offset.p"),
     }  # fmt: skip
     for state in ("drivetrain.omega_FL_radps", "drivetrain.omega_FR_radps", "drivetrain.omega_diff_rear_radps",
                   "drivetrain.omega_rear_axle_radps", "steering_actuator.position_rad",
@@ -111,8 +112,8 @@ def write_open_car_dynamics(kept: Kept, folder: Path) -> tuple[str, ...]:
         content[f"initial_state.{state}"] = 0.0
     body = {
         "aerodynamics.A_m2": 1.0, "aerodynamics.air_density_kgpm3": AIR,
-        "aerodynamics.c_d": 2 * kept.value("aero_drag.c") / AIR,
-        "aerodynamics.c_l": -2 * kept.value("downforce.c") / AIR,
+        "aerodynamics.c_d": 2 * reduced.value("aero_drag.c") / AIR,
+        "aerodynamics.c_l": -2 * reduced.value("downforce.c") / AIR,
         "aerodynamics.c_l_velocity_scaling.delta_c_l": [0.0, 0.0],
         "aerodynamics.c_l_velocity_scaling.vel_mps": [0.0, 100.0], "aerodynamics.d_aero_center_cog_m": 0.0,
         "aerodynamics.pitch_aero_center_translation.aero_center_translation_m": [0.0, 0.0],
@@ -121,7 +122,7 @@ def write_open_car_dynamics(kept: Kept, folder: Path) -> tuple[str, ...]:
         "tire.rolling_radius_m.front": R, "tire.rolling_radius_m.rear": R,
         "tire.rolling_radius_m.velocity_scaling.factors": [1.0, 1.0],
         "tire.rolling_radius_m.velocity_scaling.velocity_points_mps": [0.0, 100.0],
-        "tire.rolling_resistance_coefficient": kept.value("rolling_resistance.f"), "wheelbase_m": car.wheelbase,
+        "tire.rolling_resistance_coefficient": reduced.value("rolling_resistance.f"), "wheelbase_m": car.wheelbase,
     }  # fmt: skip
     for wheel in WHEELS:
         B, C, D = (car.Bf, car.Cf, car.muf) if wheel.startswith("front") else (car.Br, car.Cr, car.mur)

@@ -60,8 +60,8 @@ def _follow(car: AnyCar, delta: Array, V: Array) -> tuple[Array, Array]:
     return jax.lax.scan(on, jnp.zeros((len(V), 2)), delta)[1]
 
 
-def up_to_the_limit(table: np.ndarray) -> np.ndarray:
-    """Return a table (D, S) with NaN beyond the first maximum along the steering: what is left can be inverted."""
+def truncate_at_peak(table: np.ndarray) -> np.ndarray:
+    """Truncate a table (D, S) at its first maximum along the steering, NaN beyond, so that it can be inverted."""
     table = table.copy()
     for column in table.T:
         falls = np.flatnonzero(~(np.diff(column) > 0))

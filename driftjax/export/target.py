@@ -1,4 +1,4 @@
-"""What every export works on: the part of a car that the target can hold, in plain numbers."""
+"""Reduce a car to the effects that an export target can represent, in plain numbers."""
 
 import dataclasses
 from collections.abc import Callable
@@ -23,8 +23,8 @@ TOP_SPEED = 9.0  # default top speed over sqrt(g L) [-]
 
 
 @dataclass(frozen=True)
-class Options:
-    """What a target wants to know beyond the car."""
+class TargetOptions:
+    """Options of a target beyond the car."""
 
     top_speed: float | None = None
     """Top speed that the target's tables and limits reach; left out: 9 sqrt(g L), 49 m/s for a sedan [m/s]."""
@@ -32,12 +32,12 @@ class Options:
     """Sample time of the CasADi step [s]."""
 
 
-class Kept(NamedTuple):
-    """A car with those effects only that the target can hold."""
+class ReducedCar(NamedTuple):
+    """Car reduced to the effects that the target can represent."""
 
     vehicle: VehicleConfig
     full: VehicleConfig  # the car with all its effects
-    options: Options
+    options: TargetOptions
 
     @property
     def name(self) -> str:
@@ -46,7 +46,7 @@ class Kept(NamedTuple):
 
     @property
     def top_speed(self) -> float:
-        """Top speed [m/s]."""
+        """Return the top speed [m/s]."""
         return self.options.top_speed or TOP_SPEED * reference(self.vehicle, "speed")
 
     def value(self, name: str) -> float:
@@ -55,7 +55,7 @@ class Kept(NamedTuple):
 
     @property
     def car(self) -> Any:
-        """`Car` of floats, with the effects of the station `car` and the gains of friction."""
+        """Return the `Car` of floats, with the effects of the station `car` and the gains of friction."""
         car = _in_floats(base_car(self.vehicle.build()))
         for name, effect in EFFECTS.items():
             found = tuple(one.value for one in self.vehicle.effects if one.effect == name)
@@ -65,23 +65,23 @@ class Kept(NamedTuple):
 
     @property
     def forces(self) -> tuple[float, float]:
-        """Strongest brake force (negative) and drive force, after the gain of the drive [N]."""
+        """Return the strongest brake force (negative) and drive force, after the gain of the drive [N]."""
         gain = 1 + self.value("drive_gain.p")
         return gain * self.vehicle.Fxr_min, gain * self.vehicle.Fxr_max
 
     @property
     def wheel_radius(self) -> float:
-        """Rolling radius that a car of this size usually has [m]."""
+        """Return the rolling radius that a car of this size usually has [m]."""
         return WHEEL * (self.vehicle.a + self.vehicle.b)
 
 
 class Format(NamedTuple):
-    """A target: what it is, the effects that it can hold, and how it is written."""
+    """Export target: title, effects that it can represent, and writer."""
 
     title: str
     holds: frozenset[str]
     notes: tuple[str, ...]  # how the target differs from any of these cars, and what was chosen for it
-    write: Callable[[Kept, Path], tuple[str, ...]]  # writes into a folder and returns the names of the files
+    write: Callable[[ReducedCar, Path], tuple[str, ...]]  # writes into a folder and returns the names of the files
     predicts: bool = True  # whether it is a model of motion, whose loss a prediction can measure
 
 
@@ -89,10 +89,10 @@ def _in_floats(car: Car) -> Any:
     return jax.tree.map(float, car)
 
 
-def keep(vehicle: VehicleConfig, holds: frozenset[str], options: Options) -> Kept:
-    """Return the car with the effects in `holds` only."""
+def restrict_effects(vehicle: VehicleConfig, holds: frozenset[str], options: TargetOptions) -> ReducedCar:
+    """Reduce the car to the effects in `holds`."""
     effects = tuple(one for one in vehicle.effects if one.effect in holds)
-    return Kept(dataclasses.replace(vehicle, effects=effects, covariance=()), vehicle, options)
+    return ReducedCar(dataclasses.replace(vehicle, effects=effects, covariance=()), vehicle, options)
 
 
 def car_with(vehicle: VehicleConfig, names: tuple[str, ...]) -> Universal:

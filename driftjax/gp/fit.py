@@ -15,7 +15,7 @@ from driftjax.environment import require_float64
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, data_scales, squared_differences
-from driftjax.gp.optimise import minimise
+from driftjax.gp.optimise import minimise_batch
 from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.
@@ -87,7 +87,7 @@ def _best(starts: Array, X: Array, T: Array, *rest: Array, kernel: str, **option
             value, gradient, information = derivatives(kernel, _hyper(x), X, pairs, y, mask, *Q)
             return -value / rows, -gradient / rows, information / rows  # per row: one tolerance serves all sizes
 
-        ends = jax.lax.map(lambda x: minimise(evaluate, x, **options), starts)
+        ends = jax.lax.map(lambda x: minimise_batch(evaluate, x, **options), starts)
         best = jnp.argmin(jnp.where(jnp.isfinite(ends.value), ends.value, jnp.inf))
         return jax.tree.map(lambda leaf: leaf[best], ends)
 

@@ -121,7 +121,7 @@ class GP(eqx.Module):
 
     @property
     def prior_variance(self) -> Array:
-        """Latent variance (D,) without data."""
+        """Return the latent variance (D,) without data."""
         return jnp.exp(2 * self.hyper.log_amplitude) * self.output_scale**2
 
     def variance(self, z: Array) -> Array:

@@ -64,7 +64,7 @@ def _next(s: _State, found: tuple[Array, Array, Array], lower: Array, upper: Arr
     return _State(x, value, gradient, curvature, trial, promised, damping, s.num_steps + 1)
 
 
-def minimise(
+def minimise_batch(
     evaluate: Callable[[Array], tuple[Array, Array, Array]],
     guess: Array,
     lower: Array,

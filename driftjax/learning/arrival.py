@@ -1,4 +1,4 @@
-"""Estimate the state in which the car arrives where the drift controller takes over; the corner is planned from it."""
+"""Estimate the arrival state, where the drift controller takes over; the corner is planned from it."""
 
 import equinox as eqx
 import jax.numpy as jnp

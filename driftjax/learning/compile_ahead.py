@@ -12,8 +12,8 @@ from driftjax.parallel import CompileAheadExecutor
 ROWS = (("nominal", "gpr-best"), ("pursuit", "lqr", "gpr-1", "explore-1"))
 
 
-def compile_ahead(scenario: Scenario, names: list[str], before_stage: Callable[[str], object]) -> None:
-    """Compile in the workers what the stages `names` need; does nothing without workers."""
+def compile_stages(scenario: Scenario, names: list[str], before_stage: Callable[[str], object]) -> None:
+    """Compile the programs of the stages `names` in the workers; does nothing without workers."""
     if scenario.executor.pool is None:
         return
     dry = dataclasses.replace(scenario, executor=CompileAheadExecutor(scenario.executor.pool))

@@ -18,7 +18,7 @@ GAP = 5  # rows excluded next to a stretch: smoothing over so many samples corre
 
 
 class ModelState(eqx.Module):
-    """Rows of the dictionary and the residual learnt from them, for one batch entry."""
+    """Dictionary rows and the residual learnt from them, for one batch entry."""
 
     Z: Array  # (M, 5)
     Y: Array  # (M, 3)
@@ -35,7 +35,7 @@ def empty(config: GPConfig, lags: Array | None = None) -> ModelState:
     return ModelState(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
 
-def learn(
+def update_model(
     model_state: ModelState,
     Z: Array,
     Y: Array,
@@ -84,7 +84,7 @@ def trust_factors(
     other order, and neighbours in time carry the same information. Only the part of the targets outside the known
     effects counts; that part is estimated from the other stretches. The hyper-parameters are those of all rows, the
     same for every stretch: some twenty numbers from hundreds of rows, while a fit per stretch would cost four times as
-    much as `learn` in total.
+    much as `update_model` in total.
     """
     last = jnp.where(mask, order, jnp.inf)
     place = jnp.argsort(jnp.argsort(last))  # among the rows that are data, which come first

@@ -52,7 +52,7 @@ class Corner:
     beta: float  # sideslip aimed at, opposite in sign to the turn [rad]
 
 
-def corner(table: ReferenceTable, drift_beta: float) -> Corner:
+def steady_corner(table: ReferenceTable, drift_beta: float) -> Corner:
     """Return the steady part of the corner in `table`, at sideslip magnitude `drift_beta`."""
     s = np.asarray(table.start + table.spacing * np.arange(POINTS))
     middle, half = (table.drift_start + table.drift_end) / 2, CORE * (table.drift_end - table.drift_start) / 2

@@ -11,10 +11,10 @@ import xarray as xr
 from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
 from driftjax.environment import require_float64
-from driftjax.learning.compile_ahead import compile_ahead
+from driftjax.learning.compile_ahead import compile_stages
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.results import results
-from driftjax.learning.scenario import Scenario, build
+from driftjax.learning.scenario import Scenario, build_scenario
 from driftjax.learning.stages import drive_stage, first_progress, stage_names
 from driftjax.learning.updates import Progress
 from driftjax.parallel import num_workers as useful_workers
@@ -76,12 +76,12 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     names = stage_names(config)
     report("plan", len(folder.finished()), len(names) + 1)
     with process_executor(num_workers) as executor:
-        scenario = build(config, executor)
+        scenario = build_scenario(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
         say = lambda name: report(f"compile, or load from the cache: {name}", len(done) + 1, len(names) + 1)
-        compile_ahead(scenario, [name for name in names if name not in done], say)
+        compile_stages(scenario, [name for name in names if name not in done], say)
         before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
         for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))

@@ -14,9 +14,9 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import RESULTS, BadInput, Control, State
-from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve, solve_steady
+from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve_equilibrium, solve_steady
 from driftjax.learning.config import LearnConfig
-from driftjax.learning.reference import Corner, corner, entry_horizon, plan_table
+from driftjax.learning.reference import Corner, entry_horizon, plan_table, steady_corner
 from driftjax.parallel import BatchExecutor
 from driftjax.planner import Plan, load_plan_config, plan
 from driftjax.sim import AnyPlant, batch_of, load_plants
@@ -71,7 +71,7 @@ class Scenario:
 
     @property
     def batch_size(self) -> int:
-        """Number of batch entries."""
+        """Return the number of batch entries."""
         return len(self.batch)
 
     def over_batch(self, tree):
@@ -114,11 +114,11 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
     if not lap.drift_intervals():
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
-    nominal, where = build_car(vehicle), corner(table, config.drift_beta)
+    nominal, where = build_car(vehicle), steady_corner(table, config.drift_beta)
     return Route(vehicle, nominal, track, lap, table, where, *nominal_drift(nominal, where, config))
 
 
-def build(
+def build_scenario(
     config: LearnConfig, executor: BatchExecutor, route: Route | None = None, on: tuple[str, AnyPlant] | None = None
 ) -> Scenario:
     """Set up the batch of `config`, on a given `route` or its own; raises as `route_of` does.
@@ -171,7 +171,7 @@ def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equi
     grip = car.tyre.mu * G
     V = jnp.sqrt(grip * abs(where.R))
     guess = State(V, fixed.beta, V / where.R), Control(jnp.zeros(()), car.m * grip * jnp.sin(jnp.abs(fixed.beta)))
-    steady = eqx.filter_jit(solve)(car, car, fixed, guess, branch=Branch.GRIP)
+    steady = eqx.filter_jit(solve_equilibrium)(car, car, fixed, guess, branch=Branch.GRIP)
     if bool(steady.result == RESULTS.successful):
         return steady, Branch.GRIP
     raise BadInput(f"{config.vehicle}: no drift equilibrium at 'drift_beta' {config.drift_beta}; lower it.")
@@ -204,13 +204,13 @@ def _problems(
 
 
 @eqx.filter_jit
-def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, price: float) -> ScheduledLQR:
+def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, rate_factor: float) -> ScheduledLQR:
     """Compute the gains of every entry (leading axis)."""
-    one = lambda of: schedule_lqr(of[0], of[1], num, jnp.asarray(lead), jnp.asarray(price))
+    one = lambda of: schedule_lqr(of[0], of[1], num, jnp.asarray(lead), jnp.asarray(rate_factor))
     return jax.lax.map(one, (ocp, table))
 
 
-def drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
+def build_drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
     """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)

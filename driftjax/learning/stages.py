@@ -1,4 +1,4 @@
-"""Stages of `driftjax learn`, each one lap per batch entry: what is driven, and what is learnt from it."""
+"""Stages of `driftjax learn`: drive one lap per batch entry, and update the model from it."""
 
 import dataclasses
 
@@ -11,9 +11,9 @@ from driftjax.learning.config import LearnConfig
 from driftjax.learning.explore import Candidates, candidates, choose, offset, remaining
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS, Aim, Planned
-from driftjax.learning.scenario import Scenario, drivers
+from driftjax.learning.scenario import Scenario, build_drivers
 from driftjax.learning.stage import CODES, StageResult, gp_deviation, run_stage, stage_values
-from driftjax.learning.updates import Progress, plan_reference, start, update_progress
+from driftjax.learning.updates import Progress, initial_progress, plan_reference, update_progress
 from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.vehicle import Residual
@@ -42,7 +42,7 @@ def first_progress(scenario: Scenario) -> Progress:
     curve = jnp.zeros((batch, AIM_POINTS))
     sets = jnp.zeros((batch, K, AIM_POINTS))
     none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((batch, K), bool))
-    return start(scenario, none)
+    return initial_progress(scenario, none)
 
 
 def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
@@ -57,20 +57,22 @@ def drive_stage(scenario: Scenario, progress: Progress, name: str, number: int):
     initial = _initial_residual(scenario)
     if kind == "pursuit":
         plan = scenario.over_batch(scenario.table)
-        return progress, _data(scenario, run_stage(scenario, drivers(scenario, kind, plan, initial), number), kind)
+        return progress, _data(
+            scenario, run_stage(scenario, build_drivers(scenario, kind, plan, initial), number), kind
+        )
     if kind == "lqr":  # along the reference of the nominal MPC, with its weights
         planned = _nominal_reference(scenario, initial)
-        stage = run_stage(scenario, drivers(scenario, kind, planned.table, initial), number)
+        stage = run_stage(scenario, build_drivers(scenario, kind, planned.table, initial), number)
         return progress, _data(scenario, stage, kind, planned=planned)
     if kind == "paper":  # the paper's own cost, nominal car: how often it fails is part of the comparison
         batch = tuple(dataclasses.replace(entry, controller="paper") for entry in scenario.batch)
         other, planned = dataclasses.replace(scenario, batch=batch), _nominal_reference(scenario, initial)
-        stage = run_stage(other, drivers(other, "mpc", planned.table, initial), number)
+        stage = run_stage(other, build_drivers(other, "mpc", planned.table, initial), number)
         return progress, _data(other, stage, "mpc", planned=planned)
     if kind == "single":  # the GP in the MPC, the reference from the nominal car
         residual = progress.model_state.residual
         planned = _nominal_reference(scenario, initial)
-        stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
+        stage = run_stage(scenario, build_drivers(scenario, "mpc", planned.table, residual), number)
         return progress, _data(scenario, stage, "mpc", residual, planned=planned)
     stage, planned = drive_nominal(scenario, number)
     return update_progress(scenario, progress, stage, None, number), _data(
@@ -82,7 +84,7 @@ def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned
     """Drive one lap per entry by the drift MPC before learning, and return it with the reference that it tracked."""
     initial = _initial_residual(scenario)
     planned = _nominal_reference(scenario, initial)
-    return run_stage(scenario, drivers(scenario, "mpc", planned.table, initial), number), planned
+    return run_stage(scenario, build_drivers(scenario, "mpc", planned.table, initial), number), planned
 
 
 def _initial_residual(scenario: Scenario) -> Residual:
@@ -110,7 +112,7 @@ def _gpr(scenario: Scenario, progress: Progress, number: int):
     """Drive one GP lap: reference and MPC use the learnt model, then it is updated."""
     known, residual = _layers(scenario, progress.model_state.residual)
     planned = plan_reference(scenario, known, progress.arrival)
-    stage = run_stage(scenario, drivers(scenario, "mpc", planned.table, residual), number)
+    stage = run_stage(scenario, build_drivers(scenario, "mpc", planned.table, residual), number)
     before = progress.last_error
     progress = update_progress(scenario, progress, stage, residual, number)
     change = jnp.abs(before - progress.last_error) / progress.last_error
@@ -123,7 +125,7 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if name == "explore-best" and not bool(progress.explored):
         return None
     best = progress.best
-    stage = run_stage(scenario, drivers(scenario, "mpc", best.table, best.residual), number)
+    stage = run_stage(scenario, build_drivers(scenario, "mpc", best.table, best.residual), number)
     if not scenario.config.explore.num_sets:
         return progress, _data(scenario, stage, "mpc", best.residual)
     if name == "gpr-best":
@@ -149,7 +151,7 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     # an entry that has driven all its sets repeats its best
     best = progress.best.table, progress.best.residual
     table, used = eqx.filter_jit(where_tree)(left, (planned.table, residual), best)
-    stage = run_stage(scenario, drivers(scenario, "mpc", table, used), number)
+    stage = run_stage(scenario, build_drivers(scenario, "mpc", table, used), number)
     before = progress.best.error
     progress = update_progress(scenario, progress, stage, used, number)
     better = progress.best.error < before

@@ -12,7 +12,7 @@ from driftjax.equilibrium import SlipRadius, continuation
 from driftjax.learning.arrival import Arrival, planned_arrival, update_arrival
 from driftjax.learning.config import GPConfig
 from driftjax.learning.explore import Candidates
-from driftjax.learning.model import ModelState, empty, learn
+from driftjax.learning.model import ModelState, empty, update_model
 from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_table
 from driftjax.learning.residual import estimate_lags, known_effect_basis, rows, samples
 from driftjax.learning.scenario import LEARNING, Scenario, entry_problems
@@ -46,7 +46,7 @@ class Progress(eqx.Module):
     explored: Array  # bool: at least one exploration lap was driven
 
 
-def start(scenario: Scenario, empty_candidates: Candidates) -> Progress:
+def initial_progress(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     """Return the progress before the first lap."""
     model_state = scenario.over_batch(empty(scenario.config.gp, scenario.lags))
     table = scenario.over_batch(scenario.table)
@@ -70,7 +70,7 @@ def learn_batch(
     def one(model_state: ModelState, arrival: Arrival, trace: Trace, table: ReferenceTable, key: Array):
         lap = samples(trace)
         lags = estimate_lags(nominal, lap, dt) if config.lags else model_state.residual.lags
-        model_state = learn(model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest)
+        model_state = update_model(model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest)
         return model_state, update_arrival(arrival, trace, table.drift_start - lead, model_state.residual.lags, dt)
 
     return vmap_batch(one)(*batch)
@@ -125,7 +125,9 @@ def entry_table_batch(
 ) -> Planned:
     """Plan the corner for batch entries (problem, arrival, target)."""
     options = Options(tolerance, ENTRY_BARRIER, ENTRY_STEPS)
-    return vmap_batch(lambda o, start, aim: entry_table(o, table, start, lead, aim, options))(*batch)
+    return vmap_batch(lambda o, initial_progress, aim: entry_table(o, table, initial_progress, lead, aim, options))(
+        *batch
+    )
 
 
 @eqx.filter_jit

@@ -85,15 +85,15 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
-    """Return the channels of a run and their rates, as `smooth` does; NaN at low speed too."""
+    """Return the channels of a run and their rates, as `smooth_with_rate` does; NaN at low speed too."""
     V = fill_gaps(run.V)
     fast = V > SLOW * V.max()
     raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
-    both = {name: [np.where(fast, one, np.nan) for one in smooth(y, run.dt)] for name, y in raw.items()}
+    both = {name: [np.where(fast, one, np.nan) for one in smooth_with_rate(y, run.dt)] for name, y in raw.items()}
     return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
 
 
-def smooth(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
+def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
     """Return values and rates (n,) of `y` (n,) by parabolas over `window` [s]; NaN in gaps and of a shorter `y`."""
     from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
 

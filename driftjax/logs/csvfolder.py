@@ -1,4 +1,4 @@
-"""Folders of CSV files, one per topic, each with its own time stamps: what loggers and bag converters write."""
+"""Read folders of CSV files, one per topic with its own time stamps, as loggers and bag converters write them."""
 
 import re
 from collections import defaultdict

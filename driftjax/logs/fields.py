@@ -40,14 +40,14 @@ def is_list(part: Any) -> bool:
     return isinstance(part, Sequence | np.ndarray) and not isinstance(part, str | bytes)
 
 
-def is_number(part: Any) -> bool:
+def is_scalar(part: Any) -> bool:
     """Return whether `part` is one value; true and false count as 1 and 0."""
     return isinstance(part, bool | int | float | np.number | np.bool_)
 
 
 def _yaw(quaternion: Any) -> Any:
     parts = [get_field(quaternion, name) for name in QUATERNION]
-    if not all(map(is_number, parts)):
+    if not all(map(is_scalar, parts)):
         return None if None in parts else ABSENT
     x, y, z, w = parts
     return None if x == y == z == w == 0 else float(heading(x, y, z, w))

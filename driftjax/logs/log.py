@@ -58,7 +58,7 @@ class Log:
 
     @property
     def rows(self) -> int:
-        """Number of samples in all runs."""
+        """Return the number of samples in all runs."""
         return sum(len(run.t) for run in self.runs)
 
     def select_runs(self, patterns: Sequence[str]) -> "Log":

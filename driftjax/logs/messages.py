@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import Stamps
-from driftjax.logs.fields import ABSENT, QUATERNION, get_field, is_list, is_number, message_fields
+from driftjax.logs.fields import ABSENT, QUATERNION, get_field, is_list, is_scalar, message_fields
 from driftjax.logs.series import Series, similar_names
 from driftjax.logs.stamps import header_stamp, message_times
 
@@ -73,7 +73,7 @@ def read_series(
 
 def number_columns(topic: str, content: Any) -> list[str]:
     """Return the names of all columns that a message of `topic` holds numbers for; its header is left out."""
-    if is_number(content):
+    if is_scalar(content):
         return [topic]
     if is_list(content):
         return [name for i, part in enumerate(content[:MOST_ITEMS]) for name in number_columns(f"{topic}[{i}]", part)]
@@ -109,7 +109,7 @@ def _value(path: Path, place: ColumnPath, content: Any) -> Any:
             raise _no_field(path, place, content)  # ROS and protobuf have the same fields in every message
         if part is None or part is ABSENT:
             return part
-    if is_number(part):
+    if is_scalar(part):
         return part
     if isinstance(part, str | bytes):
         raise BadInput(f"{path}: column '{place.column}' holds text, such as {part!r}; map a field that is a number.")

@@ -95,7 +95,7 @@ def _even(run: RawRun, dt: float, every: float) -> Segment:
     if "psi" in values:
         values["psi"] = sampling.unwrap(values["psi"])
     if not sampling.is_uniform(t, dt):
-        t, values = sampling.resample(t, values, COMMANDS, dt, every)
+        t, values = sampling.resample_channels(t, values, COMMANDS, dt, every)
     return Segment(t, values, dt)
 
 

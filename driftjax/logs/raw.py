@@ -27,7 +27,7 @@ class RawRun:
 
     @property
     def where(self) -> str:
-        """File and run, for messages."""
+        """Return file and run, for messages."""
         return f"{self.path}, run '{self.name}'"
 
     def select_rows(self, rows: np.ndarray | slice) -> "RawRun":

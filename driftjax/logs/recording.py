@@ -102,7 +102,7 @@ def _messages(path: Path, kind: str, topics: Collection[str], notes: list[str]) 
 
 
 def all_series(path: Path, kind: str, stamps: Stamps) -> dict[str, tuple[str, Series]]:
-    """Return unit and samples of every column that holds numbers; what cannot be read is left out."""
+    """Return unit and samples of every column of numbers; unreadable columns are left out."""
     if kind in CHANNELS:
         units, read = CHANNELS[kind][0](path), CHANNELS[kind][1]
         try:

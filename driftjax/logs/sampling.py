@@ -74,7 +74,7 @@ def is_uniform(t: np.ndarray, dt: float) -> bool:
     return bool(np.all(np.abs(np.diff(t) - dt) <= UNIFORM * dt))
 
 
-def resample(
+def resample_channels(
     t: np.ndarray, values: Channels, held_names: tuple[str, ...], dt: float, every: float | None = None
 ) -> tuple[np.ndarray, Channels]:
     """Return the channels at every `dt` from the start: samples on the grid unchanged, others interpolated.

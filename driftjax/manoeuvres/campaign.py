@@ -90,23 +90,23 @@ def typical_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise
     return Conditions(jnp.asarray(sigma), jnp.asarray(rates), jnp.asarray(0.54 * unit.time), *slow)
 
 
-def found_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
-    """Return the noise and disturbance that a diagnosis found, as multiples; raises `BadInput` where there are none."""
-    found = vehicle.noise
-    if found is None:
+def estimated_conditions(vehicle: VehicleConfig, noise: float = 1.0, process_noise: float = 1.0) -> Conditions:
+    """Return the noise and disturbance that a diagnosis estimated, as multiples; `BadInput` without them."""
+    estimate = vehicle.noise
+    if estimate is None:
         raise BadInput(
             f"vehicle {vehicle.name}: its file has no key 'noise', which stochastic runs need; give the extended.yaml "
             "of a diagnosis."
         )
     row = lambda channels: jnp.asarray([channels.V, channels.beta, channels.r])
-    slow = noise * row(found.slow_sigma), jnp.asarray(found.slow_correlation_s)
-    correlation = jnp.asarray(found.process_correlation_s)
-    return Conditions(noise * row(found.sigma), process_noise * row(found.process_sigma), correlation, *slow)
+    slow = noise * row(estimate.slow_sigma), jnp.asarray(estimate.slow_correlation_s)
+    correlation = jnp.asarray(estimate.process_correlation_s)
+    return Conditions(noise * row(estimate.sigma), process_noise * row(estimate.process_sigma), correlation, *slow)
 
 
 def campaign_conditions(vehicle: VehicleConfig, campaign: Campaign) -> Conditions:
     """Return the noise and disturbance of the runs of a campaign."""
-    source = found_conditions if campaign.stochastic else typical_conditions
+    source = estimated_conditions if campaign.stochastic else typical_conditions
     return source(vehicle, campaign.noise, campaign.process_noise)
 
 

@@ -71,7 +71,7 @@ class BatchExecutor:
 
 
 class CompileAheadExecutor(BatchExecutor):
-    """Compile in the workers what `BatchExecutor.map` would call, each program once, and return zeros."""
+    """Compile the programs of `BatchExecutor.map` in the workers, each once, and return zeros."""
 
     def __init__(self, pool: Executor):
         super().__init__()

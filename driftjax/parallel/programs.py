@@ -47,7 +47,7 @@ def call(function: Callable[..., PyTree], *args: Any) -> PyTree:
 
 
 def compile_ahead(function: Callable[..., PyTree], *args: Any) -> PyTree:
-    """Compile what `call` would run, and return zeros of the shapes of its result."""
+    """Compile the program of `call`, and return zeros of the shapes of its result."""
     run, _, skeleton = _program(function, args)
     return _filled(skeleton, [jnp.zeros(out.shape, out.dtype) for out in run.out_info])
 

@@ -48,7 +48,7 @@ class _Call(NamedTuple):
 
     @property
     def program(self) -> tuple:
-        """Return what is equal for calls that can be concatenated."""
+        """Return the key that is equal for calls that can be concatenated."""
         (batch, shared), static = eqx.partition((self.batch, self.shared), eqx.is_array)
         entry = [(a.dtype, a.shape[1:]) for a in jax.tree.leaves(batch)]
         shapes = [(a.dtype, a.shape) for a in jax.tree.leaves(shared)]

@@ -45,7 +45,7 @@ def source_files(*modules: str) -> dict[str, Path]:
 
 
 def unchanged(*modules: str) -> bool:
-    """Return whether no source file changed since this process started, so that they are what it has loaded."""
+    """Return whether no source file changed since this process started, so that they equal the loaded code."""
     return all(file.stat().st_mtime < STARTED for file in source_files(*modules).values())
 
 

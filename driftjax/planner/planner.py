@@ -13,12 +13,10 @@ from driftjax.core import RESULTS, Control, State, as_float
 from driftjax.environment import require_float64
 from driftjax.parallel import call
 from driftjax.planner.config import PlanConfig, load_plan_config
-from driftjax.planner.filter_solver import solve
 from driftjax.planner.nodes import nodes
 from driftjax.planner.problem import Limits, MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
-from driftjax.solve import Options
-from driftjax.solve import Plan as Solution
+from driftjax.solve import Options, Solution, solve_with_filter
 from driftjax.track import Track, check_width, resample
 from driftjax.vehicle import VehicleConfig, build_car
 
@@ -78,8 +76,8 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     nominal = build_car(vehicle)
     model = nominal if model is None else model
     fair = jnp.inf if config.V_fair is None else config.V_fair
-    prices = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
-    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *prices)
+    weights = (config.rate_weight, config.course_weight, config.front_slip, nominal, fair)
+    return MinimumTime(model, limits, ds, config.entry_speed, L0, e0, *weights)
 
 
 def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Options) -> Solution:
@@ -87,7 +85,7 @@ def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Opt
     slowness = jax.vmap(ocp.slowness)(X, stage.kappa[:, 0])[:-1, None]
     full = jnp.stack([ocp.limits.delta_rate_max, ocp.limits.Fxr_rate_max])
     U = jnp.clip(jnp.diff(X[:, 5:] * ocp.scale[5:], axis=0) / (ocp.ds * slowness) / full, -0.8, 0.8)
-    return solve(ocp, x0, stage, X, U, options)
+    return solve_with_filter(ocp, x0, stage, X, U, options)
 
 
 def _fastest(found: list[Solution]) -> Solution:

@@ -15,7 +15,7 @@ from driftjax.vehicle import AnyCar, beyond_peak
 SLOWEST = 0.1  # progress s_dot is held above this share of the speed scale, to survive wild trial steps
 
 
-ENERGY_PRICE = 0.1  # of kinetic energy, in times at V_fair per energy at V_fair, so that excess speed is not kept
+ENERGY_WEIGHT = 0.1  # of kinetic energy, in times at V_fair per energy at V_fair, so that excess speed is not kept
 SHARPNESS = 16.0  # of the maximum that takes the reward from speeds above V_fair
 
 
@@ -60,13 +60,13 @@ class MinimumTime(AbstractOCP):
     e0: Array = eqx.field(converter=as_float)  # scale of the lateral offset [m]
     rate_weight: Array = eqx.field(converter=as_float)  # [-]
     course_weight: Array = eqx.field(converter=as_float)  # [-]
-    front_slip: Array = eqx.field(converter=as_float)  # price of front slip beyond the peak [-]
-    nominal: AnyCar  # whose front slip angle is priced
+    front_slip: Array = eqx.field(converter=as_float)  # weight of front slip beyond the peak [-]
+    nominal: AnyCar  # whose front slip angle is penalised
     V_fair: Array = eqx.field(converter=as_float)  # progress that hardly earns more time [m/s]
 
     @property
     def scale(self) -> Array:
-        """SI value of one unit of each state."""
+        """Return the SI value of one unit of each state."""
         one = jnp.ones_like(self.V0)
         r0, F0 = self.V0 / self.L0, self.limits.Fxr_max
         return jnp.stack([self.V0, one, r0, self.e0, one, one, F0])
@@ -101,11 +101,11 @@ class MinimumTime(AbstractOCP):
         slowness = self.slowness(x, p.kappa[0]) * self.V0
         floor = self.V0 / self.V_fair  # a smooth maximum of the two
         time = (slowness**SHARPNESS + floor**SHARPNESS) ** (1 / SHARPNESS)
-        time = time + ENERGY_PRICE * floor * (x[0] * floor) ** 2
+        time = time + ENERGY_WEIGHT * floor * (x[0] * floor) ** 2
         V, beta, r, _, _, delta, Fxr = x * self.scale
         beyond = beyond_peak(self.nominal, State(V, beta, r), Control(delta, Fxr))
-        price = self.course_weight * (x[1] + x[4]) ** 2 + self.front_slip * beyond**2
-        return p.share * self.ds / self.L0 * (time + price)
+        penalty = self.course_weight * (x[1] + x[4]) ** 2 + self.front_slip * beyond**2
+        return p.share * self.ds / self.L0 * (time + penalty)
 
     def constraints(self, x: Array, u: Array, p: Stage) -> Array:
         """Return the gaps of a stage, in scaled units."""

@@ -7,6 +7,7 @@ from driftjax.report.diagnosis import closed_loop_table as closed_loop_table
 from driftjax.report.diagnosis import gain_table as gain_table
 from driftjax.report.diagnosis import parity_statement as parity_statement
 from driftjax.report.diagnosis_page import write_diagnosis as write_diagnosis
+from driftjax.report.error_share import error_share_table as error_share_table
 from driftjax.report.inspection import write_inspection as write_inspection
 from driftjax.report.learn import write_report as write_report
 from driftjax.report.plan import save_plan as save_plan
@@ -15,5 +16,4 @@ from driftjax.report.table import results_table as results_table
 from driftjax.report.table import run_line as run_line
 from driftjax.report.tuning import tuning_summary as tuning_summary
 from driftjax.report.tuning import write_tuning as write_tuning
-from driftjax.report.worth import worth_table as worth_table
 from driftjax.report.write import write_page as write_page

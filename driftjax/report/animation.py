@@ -16,7 +16,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 from driftjax.core import BadInput, write_atomically
-from driftjax.report.drives import Drive
+from driftjax.report.drives import CarDrive
 from driftjax.report.player import AFTER, BEFORE
 from driftjax.report.shape import outline, wheel_corners
 from driftjax.report.style import DRIVES, new_figure
@@ -30,7 +30,7 @@ FOLLOWED = 2.5  # half of the view that follows a car, in car lengths
 
 
 @dataclasses.dataclass(frozen=True)
-class Car:
+class AnimatedCar:
     """A car in a panel, and its curve in the strip below."""
 
     states: list[dict[str, float] | None]  # per frame; None where there is no prediction
@@ -62,7 +62,7 @@ class Panel:
     """One panel: a car, perhaps a ghost, and the numbers beside it."""
 
     axis: Axes
-    cars: list[Car]
+    cars: list[AnimatedCar]
     words: Text
     follows: bool
 
@@ -90,7 +90,7 @@ def draw_road(axis: Axes, plan: xr.Dataset) -> None:
     axis.plot(plan["path_x"], plan["path_y"], color=PATH, lw=1.0, ls=(0, (4, 3)), zorder=2)
 
 
-def add_car(axis: Axes, strip: Axes, drive: Drive, times: Sequence[float], ghost: bool) -> Car:
+def add_car(axis: Axes, strip: Axes, drive: CarDrive, times: Sequence[float], ghost: bool) -> AnimatedCar:
     """Create the artists of a car."""
     states = [drive.at(t) for t in times]
     points = [(one["x"], one["y"], *strip_point(one)) if one else (np.nan,) * 4 for one in states]
@@ -101,13 +101,13 @@ def add_car(axis: Axes, strip: Axes, drive: Drive, times: Sequence[float], ghost
         axis.add_patch(patch)
     (trail,) = axis.plot([], [], color=colour, lw=1.0 if ghost else 2.2, zorder=3)
     (curve,) = strip.plot([], [], color=colour, lw=1.4 if drive.kind == "measured" else 2.0)
-    return Car(states, np.array(points), body, wheels, trail, curve)
+    return AnimatedCar(states, np.array(points), body, wheels, trail, curve)
 
 
-def build(
-    vehicle: VehicleConfig, pairs: Sequence[Sequence[Drive]], times: Sequence[float], plan: xr.Dataset | None
+def build_animation(
+    vehicle: VehicleConfig, pairs: Sequence[Sequence[CarDrive]], times: Sequence[float], plan: xr.Dataset | None
 ) -> tuple[Figure, list[Panel]]:
-    """Draw what does not move and create what does: a panel per pair of a car and, perhaps, its ghost."""
+    """Draw the static parts and create the moving ones: a panel per car and, if given, its ghost."""
     figure, axes = new_figure(2, len(pairs), (4.2 * len(pairs), 5.6), height_ratios=[3.4, 1.0])
     for axis in axes[1]:
         axis.remove()
@@ -143,7 +143,7 @@ def _span(plan: xr.Dataset) -> tuple[float, float]:
     return plan.attrs["drift_start"] - BEFORE, plan.attrs["drift_end"] + AFTER
 
 
-def film_times(pairs: Sequence[Sequence[Drive]], plan: xr.Dataset | None) -> list[float]:
+def film_times(pairs: Sequence[Sequence[CarDrive]], plan: xr.Dataset | None) -> list[float]:
     """Return the times of the frames [s]: of the corner of a lap, else of the whole run."""
     laps = [drives[0].pieces[0] for drives in pairs]
     step = max(float(laps[0]["t"][1] - laps[0]["t"][0]), 1 / RATE)
@@ -156,7 +156,7 @@ def film_times(pairs: Sequence[Sequence[Drive]], plan: xr.Dataset | None) -> lis
 
 
 def animate(
-    path: Path, vehicle: VehicleConfig, pairs: Sequence[Sequence[Drive]], plan: xr.Dataset | None = None
+    path: Path, vehicle: VehicleConfig, pairs: Sequence[Sequence[CarDrive]], plan: xr.Dataset | None = None
 ) -> int:
     """Write a film with a panel per pair, as GIF or MP4 by the suffix of `path`; returns the number of frames.
 
@@ -168,7 +168,7 @@ def animate(
         raise BadInput(
             f"{path}: an MP4 needs the program ffmpeg; install it (apt-get install ffmpeg) or write a --gif."
         )
-    figure, panels = build(vehicle, pairs, times, plan)
+    figure, panels = build_animation(vehicle, pairs, times, plan)
 
     def frames() -> Iterator[None]:
         for k in range(len(times)):

@@ -113,12 +113,12 @@ def write_comparison(run: RunFolder) -> Path:
     """Write figures/gap.png and .pdf and report.html from the folder alone; returns the page's path."""
     content, page = run.read_json("compare"), run.path / "report.html"
     pictures = [save(plot_gap(content), run.path / "figures", "gap")] if content["gap"] else []
-    text = comparison_page(run, content, pictures)
+    text = log_comparison_page(run, content, pictures)
     write_atomically(page, lambda path: path.write_text(text, encoding="utf-8"))
     return page
 
 
-def comparison_page(run: RunFolder, content: dict[str, Any], pictures: list[Path]) -> str:
+def log_comparison_page(run: RunFolder, content: dict[str, Any], pictures: list[Path]) -> str:
     """Return the page of a comparison."""
     source = paragraph("Source: compare.json, verdict and sentence.", "source")
     parts = [section(f"Verdict: {content['verdict']}", [paragraph(content["sentence"], "lead"), source])]

@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 from driftjax.diagnosis.residual import FORCES
 from driftjax.logs.columns import MEASURED
+from driftjax.report.error_share import plot_error_shares
 from driftjax.report.evidence import plot_confusability, plot_posterior, plot_scores
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
 from driftjax.report.residuals import plot_residual_forces, plot_whiteness
-from driftjax.report.table import aligned, interval, number, with_interval
+from driftjax.report.table import aligned, format_interval, number, with_interval
 from driftjax.report.tyre_curve import plot_tyre_curves
-from driftjax.report.worth import plot_worth
 from driftjax.store import RunFolder
 
 TITLES = {
@@ -22,12 +22,13 @@ TITLES = {
                            "and the disturbances that no effect explains, to first order: in an unstable drift that "
                            "grows beyond what a car can do. Dotted: the sensor noise alone."),
     "residual_forces": ("Residual forces", "Disturbances of the rates from all samples before and after, as forces of "
-                        "each axle. Where the data say little they are told smaller than they are. An error of a "
+                        "each axle. Where the data have little information they are underestimated. An error of a "
                         "sensor shows as a force too; kinematic parity tells it from the car's."),
     "scores": ("Scores of all effects", "What the nominal car's errors say of each effect by itself. Where much is "
-               "wrong many effects pass the test; the one that is named is worth most once refitted."),
-    "worth": ("What each named effect is worth", "Shares of what all named effects explain of the squared error that a "
-              "right model would not make; effects that explain the same share it alike (Shapley 1953)."),
+               "wrong many effects pass the test; the one that is named explains most once refitted."),
+    "worth": ("Share of each named effect in the explained error", "Shares of what all named effects explain of "
+              "the squared error that a right model would not make; effects that explain the same share it alike "
+              "(Shapley 1953)."),
     "tyre_curves": ("Side force over slip", "At static load without drive, of the nominal car and with all named "
                     "effects, over the slips that the log covers. The band is a 95 % interval."),
     "posterior": ("Named effects and their rivals", ""),
@@ -52,7 +53,7 @@ def diagnosis_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
         yield "residual_forces", figure
     yield "scores", plot_scores(data)
     content = run.read_json("diagnosis")
-    if (figure := plot_worth(content)) is not None:
+    if (figure := plot_error_shares(content)) is not None:
         yield "worth", figure
     if (figure := plot_tyre_curves(content)) is not None:
         yield "tyre_curves", figure
@@ -105,13 +106,13 @@ def closed_loop_rows(driven: dict[str, Any]) -> list[tuple[str, ...]]:
         means = (number(laps[key]["mean"], ".3f") for key in CLOSED_LOOP)
         rows.append((name, *means, f"{done}/{of}", ", ".join(failed) or "none"))
     if driven["difference"]:
-        apart = (interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
+        apart = (format_interval(driven["difference"][key], ".3f") for key in CLOSED_LOOP)
         rows.append(("extended less nominal", *apart, "", ""))
     return rows
 
 
 def closed_loop_notes(driven: dict[str, Any]) -> list[str]:
-    """Return what was driven, models that were not, and how to read the errors."""
+    """Return notes: the laps driven, models without laps, and the meaning of the errors."""
     notes = [
         f"closed loop: the {driven['corner']} corner on {driven['plant']}, path-tracking drift MPC before any learning"
     ]

@@ -19,13 +19,14 @@ from driftjax.report.diagnosis import (
     residual_force_rows,
 )
 from driftjax.report.drives import diagnosis_drives, shown_vehicle
+from driftjax.report.error_share import waterfall
 from driftjax.report.evidence import best_scores
 from driftjax.report.html import (
     Cell,
     collapsible,
     document,
     figures,
-    heading,
+    html_heading,
     image,
     paragraph,
     section,
@@ -36,7 +37,6 @@ from driftjax.report.player import player_data
 from driftjax.report.predictions import drawn_models
 from driftjax.report.style import save
 from driftjax.report.table import number, with_interval
-from driftjax.report.worth import waterfall
 from driftjax.store import RunFolder
 from driftjax.vehicle.effect import EFFECTS
 
@@ -68,7 +68,9 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
         "causes": [cause_errors(cause, content["gain"]) for cause in content.get("causes", ())],
     }
     if page["waterfall"]:
-        parts.append(section("What each cause is worth", [stage_for("waterfall", "Shares of the excess error")]))
+        parts.append(
+            section("Share of each cause in the error", [stage_for("waterfall", "Shares of the excess error")])
+        )
     if content.get("causes"):
         parts.append(section("Causes", [_cause(k, cause, content) for k, cause in enumerate(content["causes"])]))
     if data is not None:
@@ -99,12 +101,12 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
 def _verdict(content: dict[str, Any]) -> str:
     """Return verdict, sentence and what to drive next."""
     verdict, proposal = content["verdict"], content.get("next_manoeuvre")
-    first = _worth_together(content)
+    first = _joint_error_share(content)
     parts = [
         *([paragraph(first, "lead")] if first else []),
         paragraph(content["sentence"], "" if first else "lead"),
         paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
-        heading("What to drive next"),
+        html_heading("What to drive next"),
     ]
     if not proposal:
         return section(f"Verdict: {verdict}", [*parts, paragraph(NEXT.get(verdict, ""))])
@@ -145,7 +147,7 @@ def cause_errors(cause: dict[str, Any], gain: dict[str, Any]) -> dict[str, Any]:
     return {"effect": name, "channels": channels, "horizon": gain["horizons_s"][at]}
 
 
-def _worth_together(content: dict[str, Any]) -> str:
+def _joint_error_share(content: dict[str, Any]) -> str:
     """Return what the named effects explain together; empty where there are none or their share is not known."""
     names, explained = [cause["effect"] for cause in content.get("causes", ())], content.get("explained") or {}
     if not names or explained.get("share") is None:
@@ -206,7 +208,7 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
         parts.append(paragraph(f"Looks alike in these data: {', '.join(confusable)}."))
     if cause_errors(cause, content["gain"])["channels"]:
         parts.append(stage_for(f"cause-{place}", f"Error of the predictions without {name}, over the noise floor"))
-    return "\n".join([heading(name), *parts])
+    return "\n".join([html_heading(name), *parts])
 
 
 def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[str]:

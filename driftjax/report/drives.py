@@ -23,8 +23,8 @@ LONGEST = 120.0  # of a measured run, shown from its start [s]
 POINTS = 4000  # of a measured run at most
 
 
-class Drive(NamedTuple):
-    """One car to show: a lap, a measured run, or the predictions of it, each from its own start."""
+class CarDrive(NamedTuple):
+    """Car in the player: a lap, a measured run, or its predictions, each from its own start."""
 
     group: str  # plant or run: what is shown together
     name: str
@@ -52,22 +52,22 @@ def shown_vehicle(run: RunFolder) -> VehicleConfig:
     return load_vehicle(str(named))
 
 
-def lap_drives(run: RunFolder, plan: xr.Dataset) -> list[Drive]:
+def lap_drives(run: RunFolder, plan: xr.Dataset) -> list[CarDrive]:
     """Return the laps of all finished stages; those to show before all others come first."""
     stages = {name: run.read_stage(name) for name in run.finished()}
-    found: list[tuple[tuple[bool, int, int], Drive]] = []
+    found: list[tuple[tuple[bool, int, int], CarDrive]] = []
     for number, (name, data) in enumerate(stages.items()):
         for controller in dict.fromkeys(data["controller"].values.tolist()):
             lanes = np.flatnonzero(data["controller"].values == controller).tolist()
             words = stage_label(name) + (f", {CONTROLLERS[controller]}" if controller == "paper" else "")
             for place, (lane, lap) in enumerate(zip(lanes, read_laps(data, controller), strict=True)):
                 source = f"stages/{number:02d}_{name}.nc, lane {lane}"
-                drive = Drive(lap_group(lap, data), words, stage_kind(name), source, *_lap(lap, data, lane, plan))
+                drive = CarDrive(lap_group(lap, data), words, stage_kind(name), source, *_lap(lap, data, lane, plan))
                 found.append(((name not in FIRST, place, number), drive))
     return [drive for _, drive in sorted(found, key=lambda one: one[0]) if len(drive.pieces[0]["t"]) > 1]
 
 
-def run_drives(run: RunFolder) -> tuple[list[Drive], xr.Dataset | None]:
+def run_drives(run: RunFolder) -> tuple[list[CarDrive], xr.Dataset | None]:
     """Return the cars of a run of `learn` or `diagnose`, and the plan where it has one.
 
     Raises `BadInput` where the run holds no car to show.
@@ -83,7 +83,7 @@ def run_drives(run: RunFolder) -> tuple[list[Drive], xr.Dataset | None]:
     return drives, plan
 
 
-def shown_together(drives: Sequence[Drive], name: str | None) -> list[Drive]:
+def shown_together(drives: Sequence[CarDrive], name: str | None) -> list[CarDrive]:
     """Return the cars of the plant or run `name`, of the first if None: laps of one kind are its best or its last.
 
     Raises `BadInput` that lists the names where there is no such one.
@@ -92,15 +92,15 @@ def shown_together(drives: Sequence[Drive], name: str | None) -> list[Drive]:
     wanted = groups[0] if name is None else name if name in groups else f"plant {name}"
     if wanted not in groups:
         raise BadInput(f"--show {name}: there is no such plant or run; choose one of {', '.join(groups)}.")
-    kinds: dict[str, Drive] = {}
+    kinds: dict[str, CarDrive] = {}
     for drive in drives:
         if drive.group == wanted and drive.kind != "other":
             kinds.setdefault(drive.kind, drive)
     return list(kinds.values())
 
 
-def film_pairs(drives: Sequence[Drive]) -> list[list[Drive]]:
-    """Return what is shown side by side: the first and the best lap, or a measured run with each prediction."""
+def film_pairs(drives: Sequence[CarDrive]) -> list[list[CarDrive]]:
+    """Return the pairs shown side by side: first and best lap, or a measured run and each prediction."""
     measured = [drive for drive in drives if drive.kind == "measured"]
     if measured:
         return [[measured[0], drive] for drive in drives if drive.kind != "measured"] or [measured]
@@ -130,7 +130,7 @@ def _lap(lap: Lap, data: xr.Dataset, lane: int, plan: xr.Dataset) -> tuple[str, 
     return f"{note}, mean lateral error {lap.lateral_error:.2f} m", [values]
 
 
-def diagnosis_drives(data: xr.Dataset) -> list[Drive]:
+def diagnosis_drives(data: xr.Dataset) -> list[CarDrive]:
     """Return the measured runs, and for each the predictions of every model.
 
     Poses are integrated from V, beta and r: from 0 for a run, from the run's own pose for a prediction.
@@ -143,12 +143,12 @@ def diagnosis_drives(data: xr.Dataset) -> list[Drive]:
             continue
         thin = {name: a[:: max(len(a) // POINTS, 1)] for name, a in measured.items()}
         source = f"diagnosis.nc, panel {panel}"
-        found.append(Drive(group, "measured", "measured", f"{source}: measured", "", [thin]))
+        found.append(CarDrive(group, "measured", "measured", f"{source}: measured", "", [thin]))
         for model in drawn_models(data):
             pieces = list(_predictions(one.sel(model=model), measured))
             kind, words = "extended" if model == "extended" else "nominal", f"predicted, {COMPARED[model][1]}"
             if pieces:
-                found.append(Drive(group, words, kind, f"{source}: predicted, {model}", "", pieces))
+                found.append(CarDrive(group, words, kind, f"{source}: predicted, {model}", "", pieces))
     return found
 
 

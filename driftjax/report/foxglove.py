@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgba
 
 from driftjax.core import write_atomically
 from driftjax.logs.extras import import_extra
-from driftjax.report.drives import Drive
+from driftjax.report.drives import CarDrive
 from driftjax.report.shape import wheels
 from driftjax.report.style import DRIVES
 from driftjax.vehicle import VehicleConfig
@@ -82,7 +82,7 @@ class Recorder:
         poses = [self.pose(*one) for one in zip(*pose, strict=True)]
         self.write(topic, 0.0, self.types["PosesInFrame"](frame_id=FRAME, poses=poses))
 
-    def car(self, vehicle: VehicleConfig, drive: Drive, t: float, at: dict[str, float]) -> None:
+    def car(self, vehicle: VehicleConfig, drive: CarDrive, t: float, at: dict[str, float]) -> None:
         """Write transform, pose, scene and state of a car at time `t` [s]."""
         name = topic_name(drive.name)
         pose = self.pose(at["x"], at["y"], at["psi"])
@@ -94,7 +94,7 @@ class Recorder:
         values = {field: at.get(field, float("nan")) for field in self.state.DESCRIPTOR.fields_by_name}
         self.write(f"/{name}/state", t, self.state(**values))
 
-    def entity(self, vehicle: VehicleConfig, drive: Drive, at: dict[str, float]) -> Any:
+    def entity(self, vehicle: VehicleConfig, drive: CarDrive, at: dict[str, float]) -> Any:
         """Return body, steered wheels and velocity of a car, in the car's frame, which they follow between samples."""
         name, shape = topic_name(drive.name), wheels(vehicle)
         entity = self.types["SceneEntity"](id=name, frame_id=name, frame_locked=True)
@@ -141,7 +141,7 @@ def state_class(get: Callable[[str], Any], names: Sequence[str]) -> Any:
     return get("google.protobuf.message_factory").GetMessageClass(found)
 
 
-def write_mcap(path: Path, vehicle: VehicleConfig, drives: Sequence[Drive], plan: xr.Dataset | None) -> Counter[str]:
+def write_mcap(path: Path, vehicle: VehicleConfig, drives: Sequence[CarDrive], plan: xr.Dataset | None) -> Counter[str]:
     """Write `drives`, which are shown together, and the road of `plan`; returns the number of messages per topic.
 
     Raises `BadInput` where the extra `mcap` is not installed.

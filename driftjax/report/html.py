@@ -93,7 +93,7 @@ def section(title: str, parts: Iterable[str], name: str = "") -> str:
     return f"<section{_attribute('id', name)}><h2>{html.escape(title)}</h2>\n{chr(10).join(parts)}</section>"
 
 
-def heading(words: str) -> str:
+def html_heading(words: str) -> str:
     """Return the heading of a part of a section."""
     return f"<h3>{html.escape(words)}</h3>"
 

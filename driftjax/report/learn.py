@@ -16,7 +16,7 @@ from driftjax.report.plan import plot_states, plot_trajectory
 from driftjax.report.player import player_data
 from driftjax.report.posture import plot_posture
 from driftjax.report.style import save, stage_label
-from driftjax.report.table import CONTROLLERS, HEAD, REDUCTIONS, interval, number, result_row, results_table
+from driftjax.report.table import CONTROLLERS, HEAD, REDUCTIONS, format_interval, number, result_row, results_table
 from driftjax.report.tracking import plot_lateral_error, plot_velocity
 from driftjax.store import RunFolder
 
@@ -168,7 +168,7 @@ def _reduction_table(results: dict[str, Any]) -> str:
     for key, words in REDUCTIONS.items():
         cells = [(summary[controller] or {}).get(key) or {} for controller in summary]
         values = [
-            Cell(interval(cell, ".1f"), f"results.json: summary.{controller}.{key}", cell.get("value"))
+            Cell(format_interval(cell, ".1f"), f"results.json: summary.{controller}.{key}", cell.get("value"))
             for controller, cell in zip(summary, cells, strict=True)
         ]
         published = next((cell["paper"] for cell in cells if cell.get("paper") is not None), None)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from driftjax.report.drives import Drive
+from driftjax.report.drives import CarDrive
 from driftjax.report.html import pack
 from driftjax.report.shape import body, wheels
 from driftjax.vehicle import VehicleConfig
@@ -15,8 +15,8 @@ ROOM = 1_800_000  # characters of packed numbers in a page at most: further cars
 BEFORE, AFTER = 15.0, 12.0  # around the planned drift, in the view of the corner [m]
 
 
-def player_data(vehicle: VehicleConfig, drives: Sequence[Drive], plan: xr.Dataset | None = None) -> dict[str, Any]:
-    """Return what the player shows: as many of `drives`, from the first, as there is room for."""
+def player_data(vehicle: VehicleConfig, drives: Sequence[CarDrive], plan: xr.Dataset | None = None) -> dict[str, Any]:
+    """Return the data of the player: the first of `drives`, up to its size limit."""
     shown, size = [], 0
     for drive in drives:
         size += sum(len(a) for piece in drive.pieces for a in piece.values()) * 8 // 3  # 2 bytes each, as base64

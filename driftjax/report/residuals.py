@@ -1,4 +1,4 @@
-"""Plot what a model leaves unexplained: residual forces of each axle, and the whiteness of innovations."""
+"""Plot the unexplained errors of a model: residual forces of each axle, and the whiteness of innovations."""
 
 import numpy as np
 import xarray as xr

@@ -1,4 +1,4 @@
-"""Colours, sections and saving: what all figures share."""
+"""Colours, sections and saving, shared by all figures."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -37,7 +37,7 @@ def with_interval(value: float | None, ci95: Any, form: str = ".2f", missing: st
     return f"{number(value, form)} [{number(low, form)}, {number(high, form)}]"
 
 
-def interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
+def format_interval(cell: dict[str, Any] | None, form: str = ".2f") -> str:
     """Format mean (or value) and 95 % interval of a summary, and the number of plants where some lack the figure."""
     cell = cell or {}
     few = f" ({cell['plants']}/{cell['all_plants']})" if 0 < cell.get("plants", 0) < cell["all_plants"] else ""
@@ -53,7 +53,7 @@ def result_row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, 
     failed += [f"{asked - found} references not found"] if found < asked else []
     failures = ", ".join(failed) or "none"
     share = (cell.get("drift_share") or {}).get("mean")
-    errors = interval(cell.get("lateral_error")), interval(cell.get("velocity_rmse"))
+    errors = format_interval(cell.get("lateral_error")), format_interval(cell.get("velocity_rmse"))
     name = CONTROLLERS.get(controller, controller)
     return (stage_label(stage), name, *errors, number(share), f"{done}/{of}", failures)
 
@@ -92,7 +92,7 @@ def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     for key, words in REDUCTIONS.items():
         cells = [(summary[controller] or {}).get(key) or {} for controller in summary]
         published = next((cell["paper"] for cell in cells if cell.get("paper") is not None), None)
-        rows.append((words, *(interval(cell, ".1f") for cell in cells), number(published, ".1f")))
+        rows.append((words, *(format_interval(cell, ".1f") for cell in cells), number(published, ".1f")))
     return rows
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, save
-from driftjax.report.table import aligned, interval, number
+from driftjax.report.table import aligned, format_interval, number
 from driftjax.store import RunFolder
 
 KINDS = {"default": (NOMINAL, "default"), "tuned": (EXPLORED, "tuned by gradients"), "random": (GPR, "random search")}
@@ -25,8 +25,8 @@ def tuning_summary(results: dict[str, Any]) -> str:
             *(format(value, ".3g") for value in settings[kind]["values"].values()),
             str(settings[kind]["cost"]),
             number(settings[kind]["loss"], ".3f"),
-            interval(held["loss"][kind], ".3f"),
-            interval(held["lateral_error"][kind], ".3f"),
+            format_interval(held["loss"][kind], ".3f"),
+            format_interval(held["lateral_error"][kind], ".3f"),
             f"{held['completed'][kind]}/{num}",
         )
         for kind, (_, label) in KINDS.items()
@@ -37,7 +37,7 @@ def tuning_summary(results: dict[str, Any]) -> str:
         "Paired differences on the plants held out (in brackets: 95 % interval over plants, Student's t):",
     ]
     lines += [
-        f"  {pair}: loss {interval(cell, '.3f')}, lateral error {interval(apart, '.3f')} m"
+        f"  {pair}: loss {format_interval(cell, '.3f')}, lateral error {format_interval(apart, '.3f')} m"
         for (pair, cell), apart in zip(
             held["loss_difference"].items(), held["lateral_error_difference"].values(), strict=True
         )
@@ -46,7 +46,7 @@ def tuning_summary(results: dict[str, Any]) -> str:
 
 
 def sentences(results: dict[str, Any]) -> list[str]:
-    """Return sentences about who won, on what, and which laps failed."""
+    """Return sentences on the winner of each comparison and on failed laps."""
     held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
     return [
         f"Against the default, tuning by gradients {_verdict(held, 'tuned - default')}.",

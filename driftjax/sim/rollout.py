@@ -25,7 +25,9 @@ class StepResult(NamedTuple):
     rates: Float[Array, "3 3"]  # of V, beta, r: mean over the step, at its start and at its end
 
 
-def acting(model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"], dt: float) -> Float[Array, "w 4"]:
+def actuator_response(
+    model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"], dt: float
+) -> Float[Array, "w 4"]:
     """Return means and slopes of the actuator response from rest to held commands: steering [rad], drive [N].
 
     Lags and delays have finite memory: start `SETTLE` before the commands of interest.

@@ -16,12 +16,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
-from driftjax.solve.interior_point import Iterate, Problem, minimise, problem_of, quadratic
-from driftjax.solve.ocp import AbstractOCP, Options, Plan
+from driftjax.solve.interior_point import Iterate, OCPInstance, problem_of, quadratic, solve_interior_point
+from driftjax.solve.ocp import AbstractOCP, Options, Solution
 from driftjax.solve.riccati import Quadratic
+from driftjax.solve.riccati_factors import RiccatiFactors
 
 
-def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Plan:
+def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options | None = None) -> Solution:
     """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
 
     Returns the last iterate with its residuals. `result` is `successful` only where KKT residual and violation are
@@ -35,21 +36,12 @@ def solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, optio
 
 
 @eqx.filter_custom_jvp
-def _solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> Plan:
-    return minimise(ocp, x0, params, X, U, options)[0]
+def _solve(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> Solution:
+    return solve_interior_point(ocp, x0, params, X, U, options)[0]
 
 
-class Factors(NamedTuple):
-    """Riccati factors of the Newton matrix at a solution."""
-
-    K: Float[Array, "N nu nx"]
-    inverse: Float[Array, "N nu nu"]  # of the input Hessians
-    P: Float[Array, "N nx nx"]  # Hessians of the values after each stage
-    minimum: Bool[Array, ""]  # whether all input Hessians are positive
-
-
-class Change(NamedTuple):
-    """Derivative of the optimality conditions at a fixed point in the data of the problem."""
+class ConditionsTangent(NamedTuple):
+    """Directional derivative of the optimality conditions in the data of the problem, at a fixed point."""
 
     hx: Float[Array, "N nx"]  # gradient of the Lagrangian
     hu: Float[Array, "N nu"]
@@ -61,25 +53,25 @@ class Change(NamedTuple):
 @_solve.def_jvp
 def _tangent(primals, tangents):
     ocp, x0, params, *_, options = primals
-    plan, it = minimise(*primals)
+    plan, it = solve_interior_point(*primals)
     d_ocp, d_x0, d_params, *_ = tangents
     problem = problem_of(ocp, params, it.X, it.U)
     m = problem.linearise(it.X, it.U)
     zero = jnp.zeros((), int)
     q = quadratic(problem, m, it, jnp.zeros(()), zero)
-    factors = factorise(q)
-    change = _change(problem, it, (ocp, params), (d_ocp, d_params))
-    change = change._replace(dx0=jnp.zeros_like(x0) if d_x0 is None else d_x0)
-    dX, dU = sweep(q, factors, change)
+    factors = factorise_exactly(q)
+    tangent = _conditions_tangent(problem, it, (ocp, params), (d_ocp, d_params))
+    tangent = tangent._replace(dx0=jnp.zeros_like(x0) if d_x0 is None else d_x0)
+    dX, dU = state_input_tangent(q, factors, tangent)
     objective = lambda ocp, params, X, U: problem_of(ocp, params, it.X, it.U).objective(X, U)
     d_cost = _along(objective, (ocp, params, it.X, it.U), (d_ocp, d_params, dX, dU))
     known = jnp.maximum(plan.kkt, plan.violation) <= options.implicit * options.tolerance  # False on NaN
-    mark = jnp.where(known & factors.minimum, 1.0, jnp.nan)
+    mark = jnp.where(known & factors.convex, 1.0, jnp.nan)
     none = jax.tree.map(lambda _: None, plan.result)
-    return plan, Plan(mark * dX, mark * dU, mark * d_cost, None, None, None, none)  # pyright: ignore
+    return plan, Solution(mark * dX, mark * dU, mark * d_cost, None, None, None, none)  # pyright: ignore
 
 
-def _change(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> Change:
+def _conditions_tangent(problem: OCPInstance, it: Iterate, theta: tuple, d_theta: tuple) -> ConditionsTangent:
     """Return the derivative of the conditions along `d_theta`; multipliers and slacks are eliminated."""
 
     def conditions(ocp, params):
@@ -94,7 +86,7 @@ def _change(problem: Problem, it: Iterate, theta: tuple, d_theta: tuple) -> Chan
 
     (gX, gU), c, gap = _along(conditions, theta, d_theta)
     pull = jax.tree.map(lambda z, s, g: z / s * g, it.dual, it.slack, gap)
-    return Change(
+    return ConditionsTangent(
         hx=gX[:-1] + jnp.einsum("kgi,kg->ki", problem.Gx, pull[0]),
         hu=gU + jnp.einsum("kgi,kg->ki", problem.Gu, pull[0]),
         hN=gX[-1] + problem.GN.T @ pull[1],
@@ -109,8 +101,8 @@ def _along(function: Callable[..., PyTree], theta: tuple, d_theta: tuple) -> PyT
     return jax.tree.map(lambda y, d: jnp.zeros_like(y) if d is None else d, out, d_out)
 
 
-def factorise(q: Quadratic) -> Factors:
-    """Return the Riccati factors of `q`, independent of its linear part."""
+def factorise_exactly(q: Quadratic) -> RiccatiFactors:
+    """Return the Riccati factors of `q` at a solution, independent of its linear part; no eigenvalue is raised."""
 
     def backward(P, stage):
         Hxx, Hux, Huu, A, B = stage
@@ -122,7 +114,7 @@ def factorise(q: Quadratic) -> Factors:
         return 0.5 * (before + before.T), (K, inverse, P, positive)
 
     _, (K, inverse, P, positive) = jax.lax.scan(backward, q.HN, (q.Hxx, q.Hux, q.Huu, q.A, q.B), reverse=True)
-    return Factors(K, inverse, P, jnp.all(positive))
+    return RiccatiFactors(K, inverse, P, jnp.all(positive))
 
 
 def _inverse(R: Float[Array, "nu nu"]) -> tuple[Float[Array, "nu nu"], Bool[Array, ""]]:
@@ -138,8 +130,10 @@ def _inverse(R: Float[Array, "nu nu"]) -> tuple[Float[Array, "nu nu"], Bool[Arra
     return inverse, (R[0, 0] > 0) & (schur > 0)
 
 
-def sweep(q: Quadratic, factors: Factors, change: Change) -> tuple[Float[Array, "N+1 nx"], Float[Array, "N nu"]]:
-    """Return the steps of states and inputs that compensate `change`; linear in it."""
+def state_input_tangent(
+    q: Quadratic, factors: RiccatiFactors, tangent: ConditionsTangent
+) -> tuple[Float[Array, "N+1 nx"], Float[Array, "N nu"]]:
+    """Return the derivatives of states and inputs that keep the optimality conditions; linear in `tangent`."""
     K, inverse, P, _ = factors
 
     def backward(p, stage):
@@ -148,8 +142,8 @@ def sweep(q: Quadratic, factors: Factors, change: Change) -> tuple[Float[Array, 
         k = -inverse @ (hu + B.T @ g)
         return hx + A.T @ g + K.T @ (hu + B.T @ g), k
 
-    stages = (q.A, q.B, K, inverse, P, change.hx, change.hu, change.c)
-    _, k = jax.lax.scan(backward, change.hN, stages, reverse=True)
+    stages = (q.A, q.B, K, inverse, P, tangent.hx, tangent.hu, tangent.c)
+    _, k = jax.lax.scan(backward, tangent.hN, stages, reverse=True)
 
     def forward(dx, stage):
         A, B, K, k, c = stage
@@ -157,5 +151,5 @@ def sweep(q: Quadratic, factors: Factors, change: Change) -> tuple[Float[Array, 
         after = A @ dx + B @ du + c
         return after, (after, du)
 
-    _, (dX, dU) = jax.lax.scan(forward, change.dx0, (q.A, q.B, K, k, change.c))
-    return jnp.concatenate([change.dx0[None], dX]), dU
+    _, (dX, dU) = jax.lax.scan(forward, tangent.dx0, (q.A, q.B, K, k, tangent.c))
+    return jnp.concatenate([tangent.dx0[None], dX]), dU

@@ -17,7 +17,7 @@ from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.core import RESULTS
-from driftjax.solve.ocp import AbstractOCP, Options, Plan
+from driftjax.solve.ocp import AbstractOCP, Options, Solution
 from driftjax.solve.riccati import Direction, Quadratic, newton_direction
 
 BOUNDARY_FRACTION = 0.995  # of the way to a bound that one step may take
@@ -42,20 +42,20 @@ class Iterate(NamedTuple):
     dual: tuple[Array, Array]
 
 
-class Model(NamedTuple):
+class IterateDerivatives(NamedTuple):
     """Derivatives of a problem at one iterate."""
 
     cost_x: Array
     cost_u: Array
     A: Array
     B: Array
-    around: PyTree
+    expansion: PyTree
     defect: Array
     gap: tuple[Array, Array]
     grad_N: Array
 
 
-class Loop(NamedTuple):
+class IterationState(NamedTuple):
     it: Iterate
     barrier: Array
     caution: Array  # level in CURVATURE and DAMPING
@@ -72,7 +72,7 @@ def split(params: PyTree) -> tuple[PyTree, PyTree]:
     return jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
 
 
-class Problem(eqx.Module):
+class OCPInstance(eqx.Module):
     """One problem with its data; its methods depend on the iterate only."""
 
     ocp: AbstractOCP
@@ -92,23 +92,23 @@ class Problem(eqx.Module):
     def defects(self, X: Array, U: Array) -> Array:
         return jax.vmap(self.ocp.step)(X[:-1], U, self.stages) - X[1:]
 
-    def linearise(self, X: Array, U: Array) -> Model:
+    def linearise(self, X: Array, U: Array) -> IterateDerivatives:
         cost_x, cost_u = jax.vmap(jax.grad(self.ocp.cost, (0, 1)))(X[:-1], U, self.stages)
-        around = self.ocp.around(X[:-1], U, self.stages)
-        y, A, B = jax.vmap(self.ocp.linearise)(X[:-1], U, self.stages, around)
+        expansion = self.ocp.local_expansion(X[:-1], U, self.stages)
+        y, A, B = jax.vmap(self.ocp.linearise)(X[:-1], U, self.stages, expansion)
         grad_N = jax.grad(self.ocp.terminal)(X[-1], self.last)
-        return Model(cost_x, cost_u, A, B, around, y - X[1:], self.gaps(X, U), grad_N)
+        return IterateDerivatives(cost_x, cost_u, A, B, expansion, y - X[1:], self.gaps(X, U), grad_N)
 
-    def hessian(self, it: Iterate, around: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
+    def hessian(self, it: Iterate, expansion: PyTree, curvature: Array) -> tuple[Array, Array, Array, Array]:
         """Return the blocks xx, ux, uu of the stages' Lagrangian, and the Hessian of the last state."""
 
         nx = it.X.shape[1]
 
-        def stage(x, u, costate, p, around):
+        def stage(x, u, costate, p, expansion):
             H = jax.hessian(lambda w: self.ocp.cost(w[:nx], w[nx:], p))(jnp.concatenate([x, u]))
-            return H + curvature * self.ocp.curvature(x, u, costate, p, around)
+            return H + curvature * self.ocp.curvature(x, u, costate, p, expansion)
 
-        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages, around)
+        H = jax.vmap(stage)(it.X[:-1], it.U, it.costates, self.stages, expansion)
         return (
             H[:, :nx, :nx],
             H[:, nx:, :nx],
@@ -117,17 +117,17 @@ class Problem(eqx.Module):
         )
 
 
-def problem_of(ocp: AbstractOCP, params: PyTree, X: Array, U: Array) -> Problem:
+def problem_of(ocp: AbstractOCP, params: PyTree, X: Array, U: Array) -> OCPInstance:
     """Return `ocp` with the data `params` (N+1 rows); its affine gaps have the same Jacobian at any `X`, `U`."""
     stages, last = split(params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
-    return Problem(ocp, stages, last, Gx, Gu, jax.jacfwd(ocp.terminal_constraints)(X[-1], last))
+    return OCPInstance(ocp, stages, last, Gx, Gu, jax.jacfwd(ocp.terminal_constraints)(X[-1], last))
 
 
-def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
+def quadratic(problem: OCPInstance, m: IterateDerivatives, it: Iterate, barrier: Array, caution: Array) -> Quadratic:
     """Return the Newton system with slacks and duals eliminated."""
     damping = jnp.asarray(DAMPING)[caution]
-    Hxx, Hux, Huu, HN = problem.hessian(it, m.around, jnp.asarray(CURVATURE)[caution])
+    Hxx, Hux, Huu, HN = problem.hessian(it, m.expansion, jnp.asarray(CURVATURE)[caution])
     weight = jax.tree.map(lambda z, s: z / s, it.dual, it.slack)
     pull = jax.tree.map(lambda w, g, s: w * (g - s) - barrier / s, weight, m.gap, it.slack)
 
@@ -150,7 +150,9 @@ def quadratic(problem: Problem, m: Model, it: Iterate, barrier: Array, caution: 
     )
 
 
-def _direction(problem: Problem, m: Model, it: Iterate, q: Quadratic, barrier: Array) -> tuple[Iterate, Direction]:
+def _direction(
+    problem: OCPInstance, m: IterateDerivatives, it: Iterate, q: Quadratic, barrier: Array
+) -> tuple[Iterate, Direction]:
     newton = newton_direction(q)
     d_gap = (
         jnp.einsum("kgi,ki->kg", problem.Gx, newton.dX[:-1]) + jnp.einsum("kgi,ki->kg", problem.Gu, newton.dU),
@@ -167,7 +169,7 @@ def _to_boundary(values: PyTree, steps: PyTree) -> Array:
     return jnp.minimum(1.0, BOUNDARY_FRACTION / jnp.maximum(jnp.max(jnp.stack(jax.tree.leaves(rates))), 1e-12))
 
 
-def _kkt(problem: Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
+def _kkt(problem: OCPInstance, m: IterateDerivatives, it: Iterate) -> tuple[Array, Array]:
     """Return the scaled optimality error (Waechter and Biegler 2006, Eq. 5) and the largest primal violation."""
     in_costates = jnp.concatenate([jnp.zeros_like(it.costates[:1]), it.costates[:-1]])
     stage_x = m.cost_x + jnp.einsum("kij,ki->kj", m.A, it.costates) - in_costates
@@ -184,7 +186,7 @@ def _kkt(problem: Problem, m: Model, it: Iterate) -> tuple[Array, Array]:
     return jnp.max(jnp.stack(parts + products)) / scale, violation
 
 
-class Trial(NamedTuple):
+class TrialPoint(NamedTuple):
     """Trial point of the line search."""
 
     X: Array
@@ -193,7 +195,9 @@ class Trial(NamedTuple):
     merit: Array
 
 
-def _roll(problem: Problem, m: Model, it: Iterate, newton: Direction, length: Array) -> tuple[Array, Array]:
+def _roll(
+    problem: OCPInstance, m: IterateDerivatives, it: Iterate, newton: Direction, length: Array
+) -> tuple[Array, Array]:
     """Roll out the dynamics under the policy at step `length`; defects shrink by exactly 1 - length."""
 
     def move(x, stage):
@@ -207,7 +211,9 @@ def _roll(problem: Problem, m: Model, it: Iterate, newton: Direction, length: Ar
     return jnp.concatenate([it.X[:1], X]), U
 
 
-def _try(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, weights, length: Array) -> Trial:
+def _try(
+    problem: OCPInstance, m: IterateDerivatives, it: Iterate, step: Iterate, newton: Direction, weights, length: Array
+) -> TrialPoint:
     barrier, penalty = weights
     X, U = _roll(problem, m, it, newton, length)
     gap = problem.gaps(X, U)
@@ -218,10 +224,12 @@ def _try(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Directi
     bad = (1 - length) * jnp.sum(jnp.abs(m.defect))
     bad = bad + sum(jnp.sum(jnp.abs(g - s)) for g, s in zip(gap, slack, strict=True))
     logs = sum(jnp.sum(jnp.log(s)) for s in slack)
-    return Trial(X, U, slack, problem.objective(X, U) - barrier * logs + penalty * bad)
+    return TrialPoint(X, U, slack, problem.objective(X, U) - barrier * logs + penalty * bad)
 
 
-def _line_search(problem: Problem, m: Model, it: Iterate, step: Iterate, newton: Direction, barrier, longest):
+def _line_search(
+    problem: OCPInstance, m: IterateDerivatives, it: Iterate, step: Iterate, newton: Direction, barrier, longest
+):
     """Return step length and point by backtracking on the l1 merit function; length 0 without descent."""
     # 1.1 x the largest multiplier makes the l1 penalty exact, so that the Newton step is a descent direction
     worst = [jnp.max(jnp.abs(it.costates + step.costates))]
@@ -246,13 +254,13 @@ def _line_search(problem: Problem, m: Model, it: Iterate, step: Iterate, newton:
         return length / 2, count + 1, attempt(length / 2)
 
     hopeless = along > rounding  # not a descent direction: no step along it is worth trying
-    untried = Trial(it.X, it.U, it.slack, jnp.full_like(start, jnp.inf))
+    untried = TrialPoint(it.X, it.U, it.slack, jnp.full_like(start, jnp.inf))
     first = (2 * longest, jnp.where(hopeless, MAX_BACKTRACKS, -1), untried)
     length, count, trial = jax.lax.while_loop(fails, shorten, first)
     return jnp.where(count < MAX_BACKTRACKS, length, 0.0), trial
 
 
-def _start(problem: Problem, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
+def _start(problem: OCPInstance, x0: Array, X: Array, U: Array, barrier: Array) -> Iterate:
     X = X.at[0].set(x0)
     slack = jax.tree.map(lambda g: jnp.maximum(g, SLACK_FLOOR), problem.gaps(X, U))
     return Iterate(X, U, jnp.zeros_like(X[1:]), slack, jax.tree.map(lambda s: barrier / s, slack))
@@ -270,7 +278,7 @@ def _next_barrier(barrier: Array, gap: Array, kkt: Array, length: Array, toleran
     return jnp.maximum(jnp.where(length > 0.8, jnp.minimum(follow, barrier), stay), 0.1 * tolerance)
 
 
-def _judge(problem: Problem, m: Model, loop: Loop, options: Options) -> Loop:
+def _judge(problem: OCPInstance, m: IterateDerivatives, loop: IterationState, options: Options) -> IterationState:
     """Return the residuals of the iterate, the next barrier parameter, and whether to continue."""
     it, moved = loop.it, loop.length > 0
     kkt, violation = _kkt(problem, m, it)
@@ -282,7 +290,7 @@ def _judge(problem: Problem, m: Model, loop: Loop, options: Options) -> Loop:
     return loop._replace(barrier=jnp.where(moved, lower, loop.barrier), kkt=kkt, violation=violation, open=open_)
 
 
-def _move(problem: Problem, m: Model, loop: Loop) -> Loop:
+def _move(problem: OCPInstance, m: IterateDerivatives, loop: IterationState) -> IterationState:
     """Return the next iterate; unchanged if no step gives descent."""
     it, barrier = loop.it, loop.barrier
     step, newton = _direction(problem, m, it, quadratic(problem, m, it, barrier, loop.caution), barrier)
@@ -305,32 +313,36 @@ def _move(problem: Problem, m: Model, loop: Loop) -> Loop:
 
 
 @eqx.filter_jit  # batching a loop passes over its body several times; a compiled body is passed over once
-def _iterate(problem: Problem, loop: Loop, options: Options) -> Loop:
+def _iterate(problem: OCPInstance, loop: IterationState, options: Options) -> IterationState:
     """Evaluate the iterate and step; derivatives occur here only, which keeps the program short."""
     m = problem.linearise(loop.it.X, loop.it.U)
     loop = _judge(problem, m, loop, options)
     return jax.lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
 
 
-def minimise(ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options) -> tuple[Plan, Iterate]:
+def solve_interior_point(
+    ocp: AbstractOCP, x0: Array, params: PyTree, X: Array, U: Array, options: Options
+) -> tuple[Solution, Iterate]:
     """Return the last iterate from the guess `X`, `U`, with its multipliers; see `driftjax.solve.solve`."""
     problem = problem_of(ocp, params, X, U)
     it = _start(problem, x0, X, U, options.barrier)
     large = jnp.asarray(jnp.inf, X.dtype)
     zero = jnp.zeros((), int)
-    loop = Loop(it, options.barrier, zero, zero, zero, large, large, jnp.zeros((), X.dtype), options.max_steps > 0)
+    loop = IterationState(
+        it, options.barrier, zero, zero, zero, large, large, jnp.zeros((), X.dtype), options.max_steps > 0
+    )
     end = jax.lax.while_loop(lambda s: s.open, lambda s: _iterate(problem, s, options), loop)
     return _plan(problem, end, options), end.it
 
 
-def _plan(problem: Problem, end: Loop, options: Options) -> Plan:
+def _plan(problem: OCPInstance, end: IterationState, options: Options) -> Solution:
     done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
     failed = RESULTS.where(end.failures >= MAX_FAILURES, RESULTS.stalled, RESULTS.not_converged)
     finite = jnp.isfinite(end.kkt) & jnp.isfinite(end.violation)
     failed = RESULTS.where(finite, failed, RESULTS.non_finite)
     result = RESULTS.where(done, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
     cost = problem.objective(end.it.X, end.it.U)
-    return Plan(end.it.X, end.it.U, cost, end.kkt, end.violation, end.num_steps, result)
+    return Solution(end.it.X, end.it.U, cost, end.kkt, end.violation, end.num_steps, result)
 
 
 def shift(sequence: Float[Array, "*batch N n"]) -> Float[Array, "*batch N n"]:

@@ -50,17 +50,17 @@ class AbstractOCP(eqx.Module):
         """Return the constraint values of the last state; none by default."""
         return jnp.zeros((0,), x.dtype)
 
-    def around(self, X: Float[Array, "N nx"], U: Float[Array, "N nu"], p: PyTree) -> PyTree:
+    def local_expansion(self, X: Float[Array, "N nx"], U: Float[Array, "N nu"], p: PyTree) -> PyTree:
         """Return the local expansion that `linearise` and `curvature` read, N rows for all stages; None by default."""
 
-    def linearise(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree, around: PyTree) -> Linear:
+    def linearise(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree, expansion: PyTree) -> Linear:
         """Return the next state (nx,) and its derivatives (nx, nx), (nx, nu); override for a cheaper computation."""
         step = lambda x, u: (lambda y: (y, y))(self.step(x, u, p))
         (A, B), y = jax.jacfwd(step, (0, 1), has_aux=True)(x, u)
         return Linear(y, A, B)
 
     def curvature(
-        self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree, around: PyTree
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree, expansion: PyTree
     ) -> Array:
         """Return the second derivative of `costate @ step` in (x, u), square of size nx + nu.
 
@@ -80,7 +80,7 @@ class Options(eqx.Module):
     implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which there are derivatives
 
 
-class Plan(eqx.Module):
+class Solution(eqx.Module):
     """Solution of one problem with its residuals."""
 
     X: Float[Array, "N+1 nx"]  # states

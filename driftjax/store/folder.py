@@ -76,12 +76,12 @@ class RunFolder:
 
     @property
     def created(self) -> str:
-        """When the run was started, ISO 8601, UTC."""
+        """Return the start time of the run, ISO 8601, UTC."""
         return str(self.read_json("versions").get("created", ""))
 
     @property
     def verb(self) -> str:
-        """The verb that made the run."""
+        """Return the verb that made the run."""
         return str(self.read_json("versions").get("verb", "learn"))
 
     def finished(self) -> list[str]:
@@ -143,12 +143,12 @@ class RunFolder:
 
     @property
     def results(self) -> dict[str, Any]:
-        """Results of the run: results.json."""
+        """Return the results of the run: results.json."""
         return self.read_json("results")
 
     @property
     def laps(self) -> xr.Dataset:
-        """Laps of all stages of a finished run: laps.nc, dimensions stage, lane, step."""
+        """Return the laps of all stages of a finished run: laps.nc, dimensions stage, lane, step."""
         return self.read_dataset("laps.nc")
 
     def write_laps(self) -> xr.Dataset:

@@ -1,4 +1,4 @@
-"""Versions that identify what produced a run."""
+"""Record the versions that produced a run."""
 
 import platform
 import subprocess

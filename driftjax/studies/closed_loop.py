@@ -11,7 +11,7 @@ from driftjax.core import BadInput, read_yaml
 from driftjax.diagnosis.diagnose import Diagnosis
 from driftjax.learning.config import LearnConfig, load_learn_config
 from driftjax.learning.metrics import difference
-from driftjax.learning.scenario import build, route_of
+from driftjax.learning.scenario import build_scenario, route_of
 from driftjax.learning.stage import StageResult
 from driftjax.learning.stages import drive_nominal
 from driftjax.manoeuvres.truth import read_truth
@@ -72,7 +72,9 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
     with process_executor(num_workers(SEEDS)) as executor:
         for name, vehicle in models.items():
             try:
-                scenario = build(case.config, executor, route_of(case.config, vehicle), (case.name, case.plant))
+                scenario = build_scenario(
+                    case.config, executor, route_of(case.config, vehicle), (case.name, case.plant)
+                )
             except BadInput as error:  # of the corner on this car: the diagnosis stands without it
                 models_content[name] = {"not_driven": str(error)}
                 continue

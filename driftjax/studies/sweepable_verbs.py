@@ -13,7 +13,7 @@ from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.learning.config import LearnConfig, complete_learn_config, files_of, load_learn_config
 from driftjax.learning.run import drive_stages
-from driftjax.learning.scenario import Route, build, route_of
+from driftjax.learning.scenario import Route, build_scenario, route_of
 from driftjax.learning.stages import first_progress
 from driftjax.logs import read_log
 from driftjax.parallel import BatchExecutor
@@ -47,7 +47,7 @@ def learn_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterat
     made_from = json.dumps([config[name] for name in ROUTE])
     if made_from not in _routes:
         _routes[made_from] = route_of(options)
-    scenario = build(options, executor, _routes[made_from])
+    scenario = build_scenario(options, executor, _routes[made_from])
     for name, data, _ in drive_stages(scenario, first_progress(scenario)):
         yield lap_rows(name, data)
 

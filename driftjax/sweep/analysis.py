@@ -32,13 +32,13 @@ class Analysis:
 
     @property
     def labels(self) -> dict[str, list[str]]:
-        """Labels of a field's values 0, 1, ... where they are no numbers."""
+        """Return the labels of a field's values 0, 1, ... where they are no numbers."""
         words = {name: _words(values) for name, values in self.config.varied.items()}
         return {name: list(map(str, found)) for name, found in words.items() if found}
 
     @property
     def front(self) -> np.ndarray:
-        """Indices of the trials that no other beats in both figures."""
+        """Return the indices of the trials that no other beats in both figures."""
         both = np.flatnonzero(np.isfinite(self.second))
         least, found = np.inf, []
         for i in both[np.lexsort((self.second[both], self.objective[both]))]:

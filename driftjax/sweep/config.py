@@ -94,7 +94,7 @@ class SweepConfig:
 
     @property
     def varied(self) -> dict[str, Field]:
-        """The fields with their values."""
+        """Return the fields with their values."""
         return {name: _field(value, f"key 'fields.{name}'") for name, value in self.fields.items()}
 
 

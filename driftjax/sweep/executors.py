@@ -22,7 +22,7 @@ class ChunkExecutor:
 
     @property
     def slots(self) -> int:
-        """Number of chunks to submit at once."""
+        """Return the number of chunks to submit at once."""
         return 1
 
     def submit(self, function: Callable, *args: Any) -> Future:
@@ -45,7 +45,7 @@ class ProcessExecutor(ChunkExecutor):
 
     @property
     def slots(self) -> int:
-        """Two for each process."""
+        """Return two chunks for each process."""
         return 2 * self.num
 
     def submit(self, function: Callable, *args: Any) -> Future:
@@ -75,7 +75,7 @@ class RayExecutor(ChunkExecutor):
 
     @property
     def slots(self) -> int:
-        """Two for each core that the cluster has now."""
+        """Return two chunks for each core that the cluster has now."""
         return 2 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def submit(self, function: Callable, *args: Any) -> Future:

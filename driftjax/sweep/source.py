@@ -49,7 +49,7 @@ class Source:
 
     @property
     def watcher(self) -> Callable[[Trial, SweepConfig], Watch] | None:
-        """Callback that may prune a trial, made in the process that runs it; None without pruning."""
+        """Return a callback that may prune a trial, made in the process that runs it; None without pruning."""
         return None
 
     def trials(self) -> Iterator[Trial]:

@@ -31,12 +31,12 @@ class Track(eqx.Module):
 
     @property
     def spacing(self) -> Array:
-        """Distance between grid points [m]."""
+        """Return the distance between grid points [m]."""
         return self.length / (self.s.shape[0] if self.closed else self.s.shape[0] - 1)
 
     @property
     def turn(self) -> Array:
-        """Heading gained in one lap, a multiple of 2 pi; 0 on an open track [rad]."""
+        """Return the heading gained in one lap, a multiple of 2 pi; 0 on an open track [rad]."""
         if not self.closed:
             return jnp.zeros_like(self.length)
         gained = self.psi[-1] - self.psi[0] + self.spacing * (self.kappa[-1] + self.kappa[0]) / 2

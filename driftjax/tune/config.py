@@ -64,7 +64,7 @@ class TuneConfig:
 
     @property
     def box(self) -> Float[np.ndarray, " 6"]:
-        """Largest magnitude of each parameter, a logarithm of a factor [-]."""
+        """Return the largest magnitude of each parameter, a logarithm of a factor [-]."""
         return np.log([self.lead if name == "lead" else self.weights for name in NAMES])
 
 

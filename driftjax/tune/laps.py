@@ -15,7 +15,7 @@ from driftjax.control.driver import Driver
 from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
 from driftjax.learning.metrics import LapFigures
-from driftjax.learning.scenario import Scenario, drivers
+from driftjax.learning.scenario import Scenario, build_drivers
 from driftjax.learning.stage import drive_batch
 from driftjax.parallel import concatenate
 from driftjax.sim import LapCode, Trace
@@ -41,22 +41,22 @@ class LapEvaluator:
     scenario: Scenario
 
     @cached_property
-    def drivers(self) -> Driver:
-        """Nominal drivers of all plants, before tuning."""
+    def untuned_drivers(self) -> Driver:
+        """Build the drivers of all plants before tuning."""
         scenario = self.scenario
         initial = scenario.over_batch(no_residual(zero_gp(1, 5, 3), scenario.lags))
-        return drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
+        return build_drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
 
     @cached_property
     def plants(self) -> list[str]:
-        """Names of the plants: the training plants, then the held-out ones."""
+        """Return the names of the plants: the training plants, then the held-out ones."""
         return [entry.plant for entry in self.scenario.batch]
 
     def batch(self, p: Float[np.ndarray, " 6"], which: slice):
         """Return the batch of the plants `which` at `p`."""
         scenario = self.scenario
         speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
-        every = (scaled_drivers(self.drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
+        every = (scaled_drivers(self.untuned_drivers, jnp.asarray(p)), scenario.plants, speed, scenario.keys)
         return jax.tree.map(lambda a: a[which] if eqx.is_array(a) else a, every)
 
     def drive(self, points: Float[np.ndarray, "K 6"], which: slice) -> LapResults:

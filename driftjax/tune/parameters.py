@@ -21,7 +21,7 @@ def scaled_drivers(drivers: Driver, p: Float[Array, " 6"]) -> Driver:
     return eqx.tree_at(lambda d: (d.ocp.Q, d.ocp.R, d.lead), drivers, values)
 
 
-def values(drivers: Driver, p: Float[np.ndarray, " 6"]) -> dict[str, Any]:
+def parameter_values(drivers: Driver, p: Float[np.ndarray, " 6"]) -> dict[str, Any]:
     """Return Q [SI], R [SI] and lead [m] at `p`."""
     now = scaled_drivers(drivers, jnp.asarray(p))
     every = np.concatenate([now.ocp.Q[0, :3], now.ocp.R[0], now.lead[:1]])

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from driftjax.learning.metrics import interval
-from driftjax.learning.scenario import build
+from driftjax.learning.scenario import build_scenario
 from driftjax.parallel import process_executor
 from driftjax.store.folder import RunFolder
 from driftjax.tune.config import TuneConfig
 from driftjax.tune.laps import LapEvaluator, LapResults, lap_outcome
-from driftjax.tune.parameters import NAMES, values
+from driftjax.tune.parameters import NAMES, parameter_values
 from driftjax.tune.search import Search, descend, random_search
 
 Report = Callable[[str, int, int], None]
@@ -27,7 +27,7 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
     num = config.training + config.held_out
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
     with process_executor(num_workers) as executor:
-        evaluator = LapEvaluator(config, build(learn, executor))
+        evaluator = LapEvaluator(config, build_scenario(learn, executor))
         found = run_searches(evaluator, report)
         report("laps of held-out plants", 3, 4)
         points = np.stack([found[kind]["p"] for kind in KINDS])
@@ -75,7 +75,10 @@ def results_content(evaluator: LapEvaluator, searches: dict[str, dict[str, Any]]
     error = np.asarray(driven.figures.lateral_error)
     settings = {
         kind: one
-        | {"p": dict(zip(NAMES, one["p"].tolist(), strict=True)), "values": values(evaluator.drivers, one["p"])}
+        | {
+            "p": dict(zip(NAMES, one["p"].tolist(), strict=True)),
+            "values": parameter_values(evaluator.untuned_drivers, one["p"]),
+        }
         for kind, one in searches.items()
     }
     per_plant = [

@@ -15,7 +15,7 @@ GIVE_UP = 2  # rounds of trials in a row without a better point
 
 
 class Search(NamedTuple):
-    """Best point found, and the history of the search."""
+    """Best point, and the history of the search."""
 
     p: Float[np.ndarray, " P"]
     loss: float
@@ -33,13 +33,13 @@ def descend(evaluate: Evaluate, slope: Slope, box: Float[np.ndarray, " P"], budg
     loss, cost = float(evaluate(p[None])[0]), 1
     history, gradient, failures, harder = [(cost, loss)], None, 0, 1.0
     while failures < GIVE_UP:
-        price = len(DAMPINGS) + (1 + len(box) if gradient is None else 0)
-        if cost + price > budget:
+        num_evaluations = len(DAMPINGS) + (1 + len(box) if gradient is None else 0)
+        if cost + num_evaluations > budget:
             break
         if gradient is None:
             gradient = slope(p)
         trials = np.array([_step(p, *gradient, harder * damping, box) for damping in DAMPINGS])
-        losses, cost = evaluate(trials), cost + price
+        losses, cost = evaluate(trials), cost + num_evaluations
         best = int(np.argmin(losses))
         if losses[best] < loss:
             p, loss, gradient, failures, harder = trials[best], float(losses[best]), None, 0, 1.0

@@ -61,7 +61,7 @@ class CurvedPacejka(eqx.Module):
 
     @property
     def alpha_peak(self) -> Array:
-        """Slip angle of the largest force [rad]: theta + D = pi/2; the largest one where the force only rises."""
+        """Return the slip angle of the largest force [rad]: theta + D = pi/2; the largest angle for a rising force."""
         bent = jnp.pi / 2 * jnp.linspace(0.0, LAST, GRID)
         at = jnp.interp(jnp.pi / 2, self._angle(bent), bent)
         for _ in range(NEWTON):

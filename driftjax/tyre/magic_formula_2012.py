@@ -25,7 +25,7 @@ COEFFICIENTS = (
 
 
 class Slip(NamedTuple):
-    """What a contact patch does: arrays of one shape, or broadcast against each other."""
+    """Slip of a contact patch: arrays of one shape, or broadcast against each other."""
 
     kappa: Array  # longitudinal slip, driving positive [-]
     alpha: Array  # slip angle with the sign of the lateral velocity [rad]
@@ -48,7 +48,7 @@ class Curve(NamedTuple):
 
     @property
     def force(self) -> Array:
-        """The force."""
+        """Return the force."""
         return self.D * jnp.sin(self.C * jnp.arctan(bent(self.B * self.x, self.E))) + self.V
 
 

@@ -21,5 +21,5 @@ class SimplifiedPacejka(eqx.Module):
 
     @property
     def alpha_peak(self) -> Array:
-        """Slip angle of the largest force [rad]: C arctan(B alpha) = pi/2."""
+        """Return the slip angle of the largest force [rad]: C arctan(B alpha) = pi/2."""
         return jnp.tan(jnp.pi / (2 * self.C)) / self.B

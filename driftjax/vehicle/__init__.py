@@ -15,7 +15,7 @@ from driftjax.vehicle.extended import unmodelled_effects as unmodelled_effects
 from driftjax.vehicle.load import load_vehicle as load_vehicle
 from driftjax.vehicle.load import write_vehicle as write_vehicle
 from driftjax.vehicle.parameters import EffectParameterValue as EffectParameterValue
-from driftjax.vehicle.parameters import FoundNoise as FoundNoise
+from driftjax.vehicle.parameters import EstimatedNoise as EstimatedNoise
 from driftjax.vehicle.parameters import PerChannel as PerChannel
 from driftjax.vehicle.parameters import VehicleConfig as VehicleConfig
 from driftjax.vehicle.plant_config import PlantConfig as PlantConfig

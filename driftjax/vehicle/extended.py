@@ -33,32 +33,32 @@ class Extended(eqx.Module):
 
     @property
     def m(self) -> Array:
-        """Mass of the nominal car [kg], as the unit of forces."""
+        """Return the mass of the nominal car [kg], as the unit of forces."""
         return self.nominal.m
 
     @property
     def Iz(self) -> Array:
-        """Yaw inertia of the nominal car [kg m^2], as the unit of moments."""
+        """Return the yaw inertia of the nominal car [kg m^2], as the unit of moments."""
         return self.nominal.Iz
 
     @property
     def a(self) -> Array:
-        """Nominal centre of mass to front axle [m], as the unit of lengths."""
+        """Return the nominal centre of mass to front axle [m], as the unit of lengths."""
         return self.nominal.a
 
     @property
     def b(self) -> Array:
-        """Nominal centre of mass to rear axle [m]."""
+        """Return the nominal centre of mass to rear axle [m]."""
         return self.nominal.b
 
     @property
     def tyre(self) -> SimplifiedPacejka:
-        """Tyre of the nominal car, as the unit of friction."""
+        """Return the tyre of the nominal car, as the unit of friction."""
         return self.nominal.tyre
 
     @property
     def universal(self) -> Universal:
-        """Universal car with the same effects."""
+        """Return the universal car with the same effects."""
         return Universal(base_car(self.nominal), effects_by_name(self.names), self.scale, self.theta)
 
     def with_parameters(self, theta: Float[Array, " K"]) -> "Extended":
@@ -86,7 +86,7 @@ class Extended(eqx.Module):
 
     @property
     def peaks(self) -> tuple[Array, Array]:
-        """Slip angle at which the front and the rear tyre reach their largest force [rad]."""
+        """Return the slip angle at which the front and the rear tyre reach their largest force [rad]."""
         car = self.universal.car
         return car.tyre_f.alpha_peak, car.tyre_r.alpha_peak
 

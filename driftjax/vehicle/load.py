@@ -11,7 +11,7 @@ import yaml
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
 from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import Parameter, effects_by_name
-from driftjax.vehicle.parameters import EffectParameterValue, FoundNoise, VehicleConfig
+from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
 from driftjax.vehicle.single_track import G
 
 ROUNDING = 1e-9  # share of its bound by which a value may exceed it: a fit ends on bounds, and YAML rounds
@@ -25,8 +25,8 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     Keys are the parameters of the nominal car (`tyre`, a .tir file beside this one, stands for mu, B and C: the nearest
     ones at the static load of a wheel), at the top or below `nominal`, and for an extended car `effects`
     (effect -> parameter -> value in SI, or {value, ci95_half}), `covariance` ({parameters: [effect.parameter], matrix})
-    and `noise` (see `FoundNoise`), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces the
-    file's friction ellipse: 0 none (as published), 1 a circle.
+    and `noise` (see `EstimatedNoise`), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces
+    the file's friction ellipse: 0 none (as published), 1 a circle.
     """
     path = find_config("vehicle", name)
     content = read_yaml(path)
@@ -49,8 +49,8 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     there = [one.parameter in effects[one.effect] for one in found]
     matrix = () if covariance is None else _covariance(covariance, found, there, f"{path}: key 'covariance'")
     at = f"{path}: key 'noise'"
-    told = None if noise is None else from_dict(FoundNoise, _mapping(noise, at), at)
-    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix, noise=told)
+    estimated_noise = None if noise is None else from_dict(EstimatedNoise, _mapping(noise, at), at)
+    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix, noise=estimated_noise)
     return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 

@@ -21,7 +21,7 @@ class EffectParameterValue:
 
     @property
     def name(self) -> str:
-        """Qualified name `effect.parameter`, as on the command line of `driftjax simulate`."""
+        """Return the qualified name `effect.parameter`, as on the command line of `driftjax simulate`."""
         return f"{self.effect}.{self.parameter}"
 
 
@@ -42,8 +42,8 @@ class PerChannel:
 
 
 @dataclass(frozen=True)
-class FoundNoise:
-    """Noise that a diagnosis or calibration found in the data: what no effect of the catalogue explains."""
+class EstimatedNoise:
+    """Noise that a diagnosis or calibration estimated: the part that no effect of the catalogue explains."""
 
     sigma: PerChannel
     """Standard deviation of the white errors of the measured V, beta, r."""
@@ -102,7 +102,7 @@ class VehicleConfig:
     """What a diagnosis named, all parameters of an effect, in the catalogue's order: see `load_vehicle`."""
     covariance: tuple[tuple[float, ...], ...] = ()
     """Covariance of the values of `effects`, in their order, SI; empty where the file gives none."""
-    noise: FoundNoise | None = None
+    noise: EstimatedNoise | None = None
     """Noise that a diagnosis found; None where the file gives none."""
 
     def __post_init__(self) -> None:

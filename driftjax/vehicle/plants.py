@@ -34,7 +34,7 @@ class Spread:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lowest and highest value that can be drawn."""
+        """Return the lowest and highest value that can be drawn."""
         if self.uniform is not None:
             return self.uniform
         mean, deviation = self.normal or (0.0, 0.0)

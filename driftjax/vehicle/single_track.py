@@ -34,17 +34,17 @@ class SingleTrack(eqx.Module):
 
     @property
     def Fzf(self) -> Array:
-        """Static load of the front axle [N]."""
+        """Return the static load of the front axle [N]."""
         return self.m * G * self.b / (self.a + self.b)
 
     @property
     def Fzr(self) -> Array:
-        """Static load of the rear axle [N]."""
+        """Return the static load of the rear axle [N]."""
         return self.m * G * self.a / (self.a + self.b)
 
     @property
     def peaks(self) -> tuple[Array, Array]:
-        """Slip angle at which the front and the rear tyre reach their largest force [rad]."""
+        """Return the slip angle at which the front and the rear tyre reach their largest force [rad]."""
         peak = self.tyre.alpha_peak
         return peak, peak
 

@@ -147,6 +147,6 @@ def line(result: Result) -> str:
     if "error" in result:
         return f"{head} -> failed: {result['error'].strip().splitlines()[-1]}"
     s = score(result)
-    told = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
+    named = ", ".join(f"{c['effect']} {c['probability']:.2f}" for c in result["causes"]) or "-"
     wrong = "".join(f"; {what}: {', '.join(s[what])}" for what in ("missed", "false", "false_exploratory") if s[what])
-    return f"{head} -> {result['verdict']} {told}{wrong}; {result['seconds']:.0f} s"
+    return f"{head} -> {result['verdict']} {named}{wrong}; {result['seconds']:.0f} s"

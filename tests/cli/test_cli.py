@@ -121,10 +121,10 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(case, here, loop, capsys):
     argv = arguments()
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
     assert main(argv) == 2
-    told = capsys.readouterr()
-    lines = told.err.strip().splitlines()
-    assert len(lines) == 1 and lines[0].endswith(".") and words in lines[0], told.err
-    assert "Traceback" not in told.err + told.out and told.out == ""
+    output = capsys.readouterr()
+    lines = output.err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].endswith(".") and words in lines[0], output.err
+    assert "Traceback" not in output.err + output.out and output.out == ""
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
     assert not Path("runs").exists() and loop.configs == []
 
@@ -203,8 +203,8 @@ def test_a_run_that_stops_keeps_its_stages_and_goes_on(how, code, here, loop, ca
     before = signal.getsignal(signal.SIGTERM)
     loop.stop["gpr-1"] = how
     assert main(["learn", "--seed", "3", "--out", "r"]) == code
-    told = capsys.readouterr().err
-    assert len(told.strip().splitlines()) == 1 and "driftjax learn --resume r" in told
+    output = capsys.readouterr().err
+    assert len(output.strip().splitlines()) == 1 and "driftjax learn --resume r" in output
     assert signal.getsignal(signal.SIGTERM) is before
     assert RunFolder.open("r").finished() == ["nominal"]
     assert main(["runs", "--root", "."]) == 0 and "stopped after nominal" in capsys.readouterr().out

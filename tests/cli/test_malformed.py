@@ -37,13 +37,13 @@ def refused(argv: list[str], files: dict[str, str | bytes], *places: str) -> Non
         try:
             for name, content in files.items():
                 Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
-            told = io.StringIO()
-            with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
+            errors = io.StringIO()
+            with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
                 code = main(argv)
             left = {path.name for path in Path().iterdir()}
         finally:
             os.chdir(before)
-    sentence = told.getvalue()
+    sentence = errors.getvalue()
     assert code == 2, sentence
     assert len(sentence.strip().splitlines()) == 1 and "Traceback" not in sentence, sentence
     assert any(place in sentence for place in places), sentence

@@ -17,7 +17,7 @@ from driftjax.manoeuvres.campaign import Campaign, drive_manoeuvre, record_runs,
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.manoeuvres.truth import effect_strengths
 from driftjax.sim.logged import dropouts
-from driftjax.vehicle import FoundNoise, PerChannel, load_vehicle
+from driftjax.vehicle import EstimatedNoise, PerChannel, load_vehicle
 from driftjax.vehicle.effect import EFFECTS
 
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
@@ -75,7 +75,7 @@ def test_accelerations_of_a_car_faster_than_its_log_tell_its_motion_too():
     assert (found.rms < np.array([0.3, 0.6]) * found.floor).all() and np.abs(found.mean).max() < 5e-3, found
 
 
-NOISE = FoundNoise(PerChannel(0.02, 0.001, 0.03), PerChannel(2.0, 0.05, 0.2), 0.05)
+NOISE = EstimatedNoise(PerChannel(0.02, 0.001, 0.03), PerChannel(2.0, 0.05, 0.2), 0.05)
 
 
 def test_stochastic_runs_have_the_noise_that_a_diagnosis_found():
@@ -113,8 +113,8 @@ def test_without_noise_and_disturbance_a_log_is_the_truth_but_for_effects():
     scale = EFFECTS["gyro_bias"].parameters[0].scale(SEDAN)
     assert truth.effects["friction_front"] == {"p": -0.1}
     assert truth.effects["gyro_bias"]["p"] == pytest.approx(scale)
-    told = signals(changed, "r")[..., 0] - np.stack(list(truth.states.values()))[..., 2]
-    np.testing.assert_allclose(told, scale, atol=1e-12)
+    noise_difference = signals(changed, "r")[..., 0] - np.stack(list(truth.states.values()))[..., 2]
+    np.testing.assert_allclose(noise_difference, scale, atol=1e-12)
     assert np.abs(signals(changed, "beta") - signals(plain, "beta")).max() > 1e-4
 
 
@@ -225,7 +225,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(flags, here, capsys):
     Path("file").write_text("mine")
     before = sorted(here.rglob("*"))
     assert main(["simulate", *flags.split()]) == 2
-    told = capsys.readouterr()
-    lines = told.err.strip().splitlines()
-    assert len(lines) == 1 and lines[0].endswith(".") and BAD[flags] in lines[0], told.err
-    assert told.out == "" and sorted(here.rglob("*")) == before
+    output = capsys.readouterr()
+    lines = output.err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].endswith(".") and BAD[flags] in lines[0], output.err
+    assert output.out == "" and sorted(here.rglob("*")) == before

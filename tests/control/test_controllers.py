@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 from driftjax.control.lqr import lqr, schedule_lqr
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
-from driftjax.control.residual import nearby
+from driftjax.control.residual import expand_residual
 from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput, Control, State, features, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
@@ -52,19 +52,19 @@ def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
     assert abs(float(at(0.0, 10.0, 50.0, 1.2).Fxr)) < 1e-2 * rear * 9.81  # no grip is left
 
 
-def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discrete_riccati_equation(price=7.0):
+def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discrete_riccati_equation(rate_factor=7.0):
     (x, u), weights = DRIFT, Weights((1.0, 700.0, 500.0), (30.0, 200.0))
     residual = no_residual(zero_gp(1, 5, 3))
     ocp = drift_ocp(MPCConfig(), weights, CAR, eqx.tree_at(lambda d: d.lags, residual, jnp.array([0.05, 0.1])))
     values = (x.V, x.r / x.V, x.V, x.beta, x.r, 0.0, -x.beta, u.delta, u.Fxr)
     table = ReferenceTable(0.0, 1.0, *(jnp.full(101, value) for value in values), drift_start=20.0, drift_end=40.0)
-    gains = jax.jit(schedule_lqr, static_argnums=2)(ocp, table, 30, jnp.asarray(5.0), jnp.asarray(price))
+    gains = jax.jit(schedule_lqr, static_argnums=2)(ocp, table, 30, jnp.asarray(5.0), jnp.asarray(rate_factor))
     assert gains.s[0] == 15.0 and len(gains.s) == 30
     p, at = jax.tree.map(lambda a: a[0], table.reference(gains.s[:1])), jnp.stack(u) / ocp.u_scale
     z = jnp.concatenate([p.states(), jnp.stack(u), jnp.stack(u)]) / ocp.x_scale
     A, B = (np.asarray(J) for J in jax.jit(jax.jacfwd(ocp.step, (0, 1)))(z, at, p))
     weight, unit = np.diag(np.r_[ocp.Q, 0, 0, 0, 0]) * np.asarray(ocp.x_scale) ** 2, np.asarray(ocp.u_scale)
-    R = price * np.diag(np.asarray(ocp.R) * unit**2)
+    R = rate_factor * np.diag(np.asarray(ocp.R) * unit**2)
     change = np.eye(9)[5:7]
     P = solve_discrete_are(A, B, weight + change.T @ R @ change, R, s=-change.T @ R)
     K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A - R @ change)
@@ -188,7 +188,7 @@ def test_the_residual_near_a_point_has_its_value_and_its_derivatives(bounded):
     z = np.asarray(features(*DRIFT)) + [0.3, 0.05, -0.1, 0.02, 300.0]
     exact, bend = (jax.jit(by)(z) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
     value = np.asarray(eqx.filter_jit(d)(z))
-    several = jax.jit(lambda z: nearby(d, z))(np.stack([0.9 * z, z]))
+    several = jax.jit(lambda z: expand_residual(d, z))(np.stack([0.9 * z, z]))
     near = jax.tree.map(lambda a: np.asarray(a)[1], several)
     np.testing.assert_allclose(eqx.filter_jit(near.at)(z), value, rtol=1e-12)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(near.at))(z), exact, rtol=1e-9, atol=1e-15)
@@ -231,7 +231,7 @@ def test_the_derivatives_of_the_problem_are_those_of_its_step():
     u, costate = np.array([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
     p = Reference(*map(jnp.asarray, (9.0, -0.5, 1.1, 0.0, 0.5, 0.06)))
     h = 1e-6
-    at = lambda w: jax.tree.map(lambda a: a[0], ocp.around(w[None, :9], w[None, 9:], p))
+    at = lambda w: jax.tree.map(lambda a: a[0], ocp.local_expansion(w[None, :9], w[None, 9:], p))
     jitted = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
     derivatives = lambda w: [np.asarray(a) for a in jitted(w)]
     step = lambda x, u, p: np.asarray(jitted_step(x, u, p))

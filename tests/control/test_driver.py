@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.control.batch_solve import solve_with_fallback
 from driftjax.control.driver import Driver, DriverState, decide
-from driftjax.control.lane_solve import solve_with_fallback
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
@@ -116,7 +116,7 @@ def test_a_solve_starts_from_the_reference_whatever_was_driven_before():
 
 
 @pytest.mark.slow
-def test_each_lane_is_driven_by_its_own_controller_and_the_others_do_not_matter():
+def test_each_entry_is_driven_by_its_own_controller_and_the_others_do_not_matter():
     one = driver("mpc")
     stack = lambda *trees: jax.tree.map(lambda *a: jnp.asarray(np.stack(a)) if eqx.is_array(a[0]) else a[0], *trees)
     start = one.start()._replace(command=jnp.asarray([-0.29, 6000.0]))

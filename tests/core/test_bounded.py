@@ -49,7 +49,7 @@ def test_the_minimum_on_a_bound_is_found_from_a_start_outside():
     np.testing.assert_allclose(end.value, 0.25, rtol=1e-12)
 
 
-def test_failures_are_told():
+def test_failures_are_reported():
     few = jax.jit(lambda x: minimise_within(valley, x, LOW, HIGH, 100.0, tolerance=1e-9, max_steps=3))
     assert few(jnp.array([-1.2, 1.0])).result == RESULTS.not_converged
     assert found(jnp.array([-1.9, 1.0])).result == RESULTS.non_finite

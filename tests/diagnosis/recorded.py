@@ -46,7 +46,7 @@ def catalogue(name: str = "sedan") -> Universal:
 def truth(name: str = "sedan") -> Noise:
     """Noise of good sensors, and rates disturbed as a real car's are."""
     conditions = typical_conditions(nominal_car(name))
-    return Noise(*map(np.asarray, conditions))
+    return Noise.from_vector(np.hstack(conditions))
 
 
 def hidden(**found: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from driftjax.diagnosis.beam import QuadraticCost, beam_search, gains_of_adding, minimise_over
 from driftjax.diagnosis.fit import Fit
 from driftjax.diagnosis.score import pair_p_value
-from driftjax.diagnosis.worth import shapley_shares
+from driftjax.diagnosis.shapley import shapley_shares
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.effect.families import FAMILIES, FAMILY_OF
 
@@ -28,11 +28,11 @@ def brute_force(J: np.ndarray, y: np.ndarray, most: int) -> tuple[int, ...]:
     """The set of least penalised cost among all."""
     columns = ([0], [1], [2], [3], [4], [5, 6])
 
-    def price(chosen: tuple[int, ...]) -> float:
+    def penalty(chosen: tuple[int, ...]) -> float:
         c = [k for i in chosen for k in columns[i]]
         return float(np.sum((y - J[:, c] @ np.linalg.lstsq(J[:, c], y, rcond=None)[0]) ** 2)) + PENALTY * len(c)
 
-    return min((s for n in range(1, most + 1) for s in combinations(range(6), n)), key=price)
+    return min((s for n in range(1, most + 1) for s in combinations(range(6), n)), key=penalty)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -35,12 +35,12 @@ def test_sizes_are_those_hidden_and_gain_on_runs_held_out(by, monkeypatch, capsy
     for one in car.effects:
         assert one.ci95_half is not None
         assert abs(one.value - TRUE[one.effect] * typical[one.effect]) < 1.5 * one.ci95_half < 0.3 * typical[one.effect]
-    told = json.loads(Path("car/calibration.json").read_text())
-    assert not any(row["at_bound"] or row["dead"] or row["flat"] for row in told["parameters"])
-    assert all(np.isclose(sum(row["decided_by"].values()), 1, atol=0.01) for row in told["parameters"])
-    decided = {row["parameter"]: max(row["decided_by"], key=row["decided_by"].get) for row in told["parameters"]}
-    assert decided["friction_rear.p"] == "limit" and told["staged"] == bool(by)
-    assert told["gain"]["ci95"]["fitted"][0] > 0.5 and len(told["gain"]["held_out_runs"]) == 2
+    content = json.loads(Path("car/calibration.json").read_text())
+    assert not any(row["at_bound"] or row["dead"] or row["flat"] for row in content["parameters"])
+    assert all(np.isclose(sum(row["decided_by"].values()), 1, atol=0.01) for row in content["parameters"])
+    decided = {row["parameter"]: max(row["decided_by"], key=row["decided_by"].get) for row in content["parameters"]}
+    assert decided["friction_rear.p"] == "limit" and content["staged"] == bool(by)
+    assert content["gain"]["ci95"]["fitted"][0] > 0.5 and len(content["gain"]["held_out_runs"]) == 2
     words = capsys.readouterr().out
     assert "friction_rear.p" in words and "nominal" in words and "fitted" in words
     stages = [f"21/100 fit: pass 1, {stage}" for stage in ("cornering", "limit") if by]  # straight: nothing to fit
@@ -59,9 +59,9 @@ def test_sizes_are_those_hidden_and_gain_on_runs_held_out(by, monkeypatch, capsy
 
 def test_help_names_the_default_effects(capsys):
     assert main(["calibrate", "--help"]) == 0
-    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "left out: friction, stiffness_front, stiffness_rear, drive_gain, steer_offset, and with" in told
-    assert "drive_lag, rolling_resistance, aero_drag, steer_gain, steer_lag, tyre_shape, combined_slip." in told
+    output = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "left out: friction, stiffness_front, stiffness_rear, drive_gain, steer_offset, and with" in output
+    assert "drive_lag, rolling_resistance, aero_drag, steer_gain, steer_lag, tyre_shape, combined_slip." in output
 
 
 @pytest.mark.parametrize(
@@ -73,10 +73,10 @@ def test_help_names_the_default_effects(capsys):
         (["--runs", "lap*"], "no run is called lap*; the log holds drift"),
     ],
 )
-def test_bad_input_is_told_in_one_sentence(flags, words, capsys):
+def test_bad_input_is_reported_in_one_sentence(flags, words, capsys):
     runs = recorded(hidden(), 5, 6)[:2]
     bare = [type(run)(run.name, run.t, run.V, run.beta, run.r, run.delta, run.Fxr, run.dt) for run in runs]
     write_log(Path("log.csv"), bare)
     assert main(["calibrate", "log.csv", *flags, "--out", "car"]) == 2
-    told = capsys.readouterr()
-    assert words in told.err and told.err.count("\n") == 1 and not Path("car").exists()
+    output = capsys.readouterr()
+    assert words in output.err and output.err.count("\n") == 1 and not Path("car").exists()

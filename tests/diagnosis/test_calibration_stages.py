@@ -15,8 +15,8 @@ from driftjax.diagnosis import stages
 from driftjax.diagnosis.fit import Fit
 from driftjax.diagnosis.identifiability import identifiability, stretch_shares
 from driftjax.diagnosis.noise import PRIOR
-from driftjax.diagnosis.stages import STAGES, consider, count_only, run_stages
-from driftjax.diagnosis.stretches import NOWHERE, Stretch, axle_forces, find_stretches, tyre_use
+from driftjax.diagnosis.stages import STAGES, marginal_precision, restrict_to_samples, run_stages
+from driftjax.diagnosis.stretches import NOWHERE, Stretch, find_stretches, grip_use, tyre_use
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.universal import base_car
 
@@ -31,7 +31,7 @@ def test_a_parameter_that_trades_off_with_a_later_one_waits_for_it():
     J1, J2, y1, y2 = np.array([[5.0, 5.0]]), np.array([[0.0, 4.0]]), np.array([10.0]), np.array([4.0])
     prior = np.eye(2) / PRIOR**2
     first = np.array([J1[0, 0] * y1[0] / (J1[0, 0] ** 2 + 1 / PRIOR**2), 0.0])  # b stays 0
-    known = consider(prior + J1.T @ J1, np.array([True, False]))
+    known = marginal_precision(prior + J1.T @ J1, np.array([True, False]))
     P = np.linalg.inv(known + np.diag([0.0, 1 / PRIOR**2]))
     assert P[0, 0] > 0.9 * PRIOR**2 and P[0, 1] < -0.9 * PRIOR**2  # nearly unknown, but tied to b
     assert P[1, 1] == pytest.approx(PRIOR**2)  # of which stage 1 says nothing
@@ -70,10 +70,10 @@ def _solve(part: Linear, fit: Fit, columns: np.ndarray) -> tuple[Fit, Any]:
 
 @pytest.mark.parametrize("kinds", [(1, 2, 3), (3, 3, 3), (1, 3, 3)])
 def test_stages_find_the_truth_and_say_where_harder_stretches_disagree(kinds, monkeypatch):
-    monkeypatch.setattr(stages, "evaluate", lambda part, theta: Fit(theta, 0.0, part.y))
-    monkeypatch.setattr(stages, "count_only", lambda problem, counts: problem._replace(use=counts))
+    monkeypatch.setattr(stages, "evaluate_fit", lambda part, theta: Fit(theta, 0.0, part.y))
+    monkeypatch.setattr(stages, "restrict_to_samples", lambda problem, counts: problem._replace(use=counts))
     monkeypatch.setattr(stages, "refit_to_convergence", _solve)
-    monkeypatch.setattr(stages, "score_dispersion", lambda *_: 1.0)
+    monkeypatch.setattr(stages, "stage_dispersion", lambda *_: 1.0)
     J = 5 * np.random.default_rng(2).standard_normal((1, 60, 1, 3))
     truth, stretch = np.array([1.0, -2.0, 0.5]), np.repeat(kinds, 20)[None]
     J[stretch == Stretch.STRAIGHT, :, 1:] = 0.0  # where steering and friction change nothing
@@ -118,7 +118,7 @@ def test_axle_forces_are_those_of_the_tyres():
     x, u = State(*map(jnp.asarray, (12.0, -0.03, 0.3))), Control(jnp.asarray(0.06), jnp.asarray(0.0))
     rates, base = car(x, u), base_car(car)
     z = np.array([[[*map(float, x), 0.0, 0.0, 0.0]]])
-    lateral, slip, Fx = axle_forces(base, z, np.array([[list(map(float, rates))]]), np.array([[[0.06, 0.0, 0.0, 0.0]]]))
+    lateral, slip, Fx = grip_use(base, z, np.array([[list(map(float, rates))]]), np.array([[[0.06, 0.0, 0.0, 0.0]]]))
     Fyf, Fyr = map(float, car.lateral_forces(x, u))
     front = Fyf * np.cos(0.06) / float(base.muf * car.Fzf)
     np.testing.assert_allclose(lateral[0, 0], [front, Fyr / float(base.mur * car.Fzr)], rtol=1e-6)
@@ -143,7 +143,7 @@ def test_only_what_is_measured_in_a_stretch_counts():
     problem = problem_of(21, 22, steer_lag=1.0)
     counts = find_stretches(problem) == Stretch.LIMIT
     counts[0] = False
-    part = count_only(problem, counts)
+    part = restrict_to_samples(problem, counts)
     assert len(part.data.run) == int(counts.any(axis=1).sum()) < len(problem.data.run)
     whitening = np.asarray(part.gains.whitening)
     assert not whitening[~counts[counts.any(axis=1)]].any() and whitening[counts[counts.any(axis=1)]].any()

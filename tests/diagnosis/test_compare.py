@@ -59,8 +59,8 @@ def test_the_verb_prints_and_draws_what_was_found(example, monkeypatch, capsys):
     for name, log in zip("ab", example["logs"], strict=True):
         write_log(Path(f"{name}.csv"), log.runs)
     assert main(["compare", "a.csv", "b.csv", "--out", "out"]) == 0
-    told, page = capsys.readouterr().out, Path("out/report.html").read_text()
-    assert example["comparison"].sentence in told and "car of A with the named differences" in told
+    output, page = capsys.readouterr().out, Path("out/report.html").read_text()
+    assert example["comparison"].sentence in output and "car of A with the named differences" in output
     assert page.count("data:image/png;base64,") == 1 and "friction_rear.p" in page
     assert main(["report", "out"]) == 0
 
@@ -99,8 +99,8 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(flags, words, capsys):
     write_log(Path("b.csv"), runs(phase=1.0))
     write_log(Path("slow.csv"), runs(dt=0.02))
     assert main(["compare", *flags, "--out", "out"]) == 2
-    told = capsys.readouterr().err
-    assert words in told and told.count("\n") == 1 and not Path("out").exists()
+    output = capsys.readouterr().err
+    assert words in output and output.count("\n") == 1 and not Path("out").exists()
 
 
 def gap_of(closed: float, left: float) -> Gap:
@@ -148,7 +148,7 @@ def test_the_verdict_is_about_names_and_about_what_is_left_of_the_gap(one, force
     assert ("Something differs" in found.sentence) == (verdict == "UNKNOWN")
 
 
-def test_ranges_that_hardly_overlap_are_told():
+def test_ranges_that_hardly_overlap_are_reported():
     slow_and_fast = {"V": Overlap((5.0, 8.0), (9.0, 14.0), 0.04), "beta": Overlap((-0.1, 0.1), (-0.1, 0.2), 0.8)}
     (text,) = range_sentence(slow_and_fast)
     assert "V (4 %: 5 to 8 in A, 9 to 14 in B)" in text and "beta" not in text

@@ -59,18 +59,18 @@ def test_a_floor_above_what_a_model_reaches_makes_no_share_above_one():
     assert value == pytest.approx(1.0) and low <= high <= 1.0 and left == pytest.approx(0.0)
 
 
-def test_what_is_left_is_told_over_the_error_of_the_model_itself():
+def test_what_is_left_is_reported_over_the_error_of_the_model_itself():
     value, _, left, (low, high) = skill(errors(5.0), errors(1.0, seed=1), FLOOR)
     assert value == pytest.approx(24 / 25, abs=0.02) and low < left < high
     assert left == pytest.approx(1 / 2, abs=0.1)
 
 
-def test_no_share_is_told_where_noise_explains_everything():
+def test_no_share_is_reported_where_noise_explains_everything():
     value, interval, *_ = skill(errors(0.0), errors(1.0, seed=1), FLOOR)
     assert np.isnan([value, *interval]).all()
 
 
-def test_errors_are_told_over_those_of_the_nominal_car_also_where_noise_explains_everything():
+def test_errors_are_reported_over_those_of_the_nominal_car_also_where_noise_explains_everything():
     before, half = errors(5.0), errors(5.0)
     found = ratios(before, half._replace(squares=half.squares / 4))
     np.testing.assert_allclose(found, [[0.5, 0.5, 0.5]] * 2)
@@ -128,6 +128,6 @@ def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)
     ]
-    told = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
-    assert told.gain
-    assert told.verdict is Verdict.UNKNOWN and not told.gain.skills["extended"].ci95[0] > 0
+    diagnosis = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
+    assert diagnosis.gain
+    assert diagnosis.verdict is Verdict.UNKNOWN and not diagnosis.gain.skills["extended"].ci95[0] > 0

@@ -1,4 +1,4 @@
-"""A cause has nearly the same size in every run: what differs is told from what merely is not exact."""
+"""A cause has nearly the same size in every run: a size that differs is distinguished from one that is only inexact."""
 
 import numpy as np
 

@@ -10,7 +10,7 @@ from driftjax.core import State
 from driftjax.diagnosis.fit import initial_problem
 from driftjax.diagnosis.residual_gp import residual_rates
 from driftjax.logs import Run
-from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
+from driftjax.sim.rollout import SETTLE, actuator_response, begin, move, sensor_reading
 from driftjax.vehicle.effect import effects_by_name
 from driftjax.vehicle.effect.flow import Place
 from driftjax.vehicle.universal import universal_car
@@ -25,7 +25,7 @@ def noise_free(theta, x0, delta, Fxr, dt: float, push=(0.0, 0.0, 0.0)) -> Run:
     lead, step = round(SETTLE / dt), jnp.asarray(dt)
     model = universal_car(sedan(), EFFECTS, substeps=10).with_parameters(jnp.asarray(theta))
     commands = np.pad(np.stack([delta, Fxr], axis=1), ((lead, 0), (0, 0)), mode="edge")
-    u = acting(model, jnp.asarray(commands), jnp.full(len(commands), 10.0), dt)
+    u = actuator_response(model, jnp.asarray(commands), jnp.full(len(commands), 10.0), dt)
     place = Place(*(jnp.zeros(()),) * 4)
 
     def on(carry, u):

@@ -9,7 +9,7 @@ import pytest
 import driftjax as dj
 from driftjax.core import BadInput
 from driftjax.diagnosis import fit
-from driftjax.diagnosis.missing import Lost
+from driftjax.diagnosis.missing import Unidentifiable
 from driftjax.diagnosis.runs import Linearisation
 
 P, T, K = 5, 40, 3
@@ -60,7 +60,7 @@ def test_information_is_that_of_the_other_samples(monkeypatch):
     assert whole.lost is None and whole.J is J
 
 
-def test_a_car_that_is_lost_most_of_the_time_is_told():
+def test_a_car_that_is_lost_most_of_the_time_is_reported():
     valid = np.ones((P, T, 3))
     problem: Any = SimpleNamespace(data=SimpleNamespace(padded=SimpleNamespace(valid=valid), dt=0.1))
     lost = np.zeros((P, T), bool)
@@ -74,8 +74,11 @@ def test_a_car_that_is_lost_most_of_the_time_is_told():
 
 
 def test_the_sentence_says_how_long_the_car_was_lost():
-    assert "The observer loses the car in 12.5 s of the log, which do not count." in Lost((), {}, {}, (), 12.5).sentence
-    assert Lost((), {}, {}, ()).sentence == ""
+    assert (
+        "The observer loses the car in 12.5 s of the log, which do not count."
+        in Unidentifiable((), {}, {}, (), 12.5).sentence
+    )
+    assert Unidentifiable((), {}, {}, ()).sentence == ""
 
 
 def run_at(V: np.ndarray) -> dj.Run:
@@ -87,10 +90,14 @@ def test_steps_are_small_enough_for_the_slowest_stretch():
     """A stiff tyre at a few slow samples diverges by itself; a single wrong sample asks for nothing."""
     car, slow = dj.load_vehicle("f1tenth"), np.full(100, 1.3)
     slow[40:44] = 0.5
-    steps = fit.substeps(car, (run_at(np.full(100, 1.3)), run_at(slow)))
-    assert steps == fit.substeps(car, (run_at(np.full(100, 0.5)),)) > fit.substeps(car, (run_at(np.full(100, 1.3)),))
+    steps = fit.stable_substeps(car, (run_at(np.full(100, 1.3)), run_at(slow)))
+    assert (
+        steps
+        == fit.stable_substeps(car, (run_at(np.full(100, 0.5)),))
+        > fit.stable_substeps(car, (run_at(np.full(100, 1.3)),))
+    )
     wrong = np.full(100, 1.3)
     wrong[[7, 50]] = 0.0, np.nan
-    assert fit.substeps(car, (run_at(wrong),)) == fit.substeps(car, (run_at(np.full(100, 1.3)),))
+    assert fit.stable_substeps(car, (run_at(wrong),)) == fit.stable_substeps(car, (run_at(np.full(100, 1.3)),))
     rate = car.mu * car.B * car.C * 9.81 / 0.5 * car.m * car.a * car.b / car.Iz
     assert 0.0625 * rate / steps < 2.78  # what the Runge-Kutta method bears

@@ -10,7 +10,7 @@ from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, record
 from driftjax.diagnosis.assumed import force, sideslip
 from driftjax.diagnosis.fit import depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.missing import information_with_sideslip, lost_by_missing
+from driftjax.diagnosis.missing import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNSEEN
 from driftjax.diagnosis.runs import run_observer
@@ -72,8 +72,8 @@ def test_a_sideslip_sensor_would_add_information_and_the_sentence_says_what():
     assert (np.diag(with_it) > 0.99 * np.diag(without_it)).all()  # whitened anew, by another noise
     front = ORDER.index("stiffness_front")
     assert with_it[front, front] > 1.5 * without_it[front, front]
-    lost = lost_by_missing(problem, selection, {i: () for i in selection.selected})
-    assert lost.channels == ("beta",) and lost.sentence.startswith("The log has no sideslip;")
+    unidentifiable = find_unidentifiable(problem, selection, {i: () for i in selection.selected})
+    assert unidentifiable.channels == ("beta",) and unidentifiable.sentence.startswith("The log has no sideslip;")
 
 
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():
@@ -86,7 +86,7 @@ def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is
     assert judged == {effect.name for effect in EFFECTS if not depends_on_force(effect)}
     assert {"drive_gain", "aero_drag", "load_transfer_long"}.isdisjoint(judged) and "yaw_inertia" in judged
     assert problem.measured.tolist() == [False, True, True]
-    assert not initial_problem(sedan(), EFFECTS, measured()).not_judged
+    assert not initial_problem(sedan(), EFFECTS, measured()).unidentifiable_effects
 
 
 def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis.recorded import nominal_car
 
-from driftjax.diagnosis.fit import Problem, evaluate, initial_problem, linearise, with_motion_noise
+from driftjax.diagnosis.fit import Problem, evaluate_fit, initial_problem, linearise, with_motion_noise
 from driftjax.diagnosis.motion import piece_derivatives, piece_residuals
 from driftjax.diagnosis.select import motion_effects
 from driftjax.logs import Run
@@ -52,20 +52,20 @@ def problem_of(run: Run) -> Problem:
 
 def estimate(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
     """Values and standard deviations [SI] of all parameters, from the channels beside V, beta and r alone."""
-    scale, fit = np.asarray(problem.model.scale), evaluate(problem, problem.start)
+    scale, fit = np.asarray(problem.model.scale), evaluate_fit(problem, problem.start)
     H = np.eye(len(scale))
     for _ in range(4):
         at = linearise(problem, fit)
         e, J = (np.asarray(a)[:, :, 3:] for a in (at.e, at.J))
         H = np.einsum("ptij,ptik->jk", J, J) + np.eye(len(scale)) / 9
         step = np.linalg.solve(H, np.einsum("ptij,pti->j", J, e) - (fit.theta - problem.start) / 9)
-        fit = evaluate(problem, np.clip(fit.theta + step, problem.lower, problem.upper))
+        fit = evaluate_fit(problem, np.clip(fit.theta + step, problem.lower, problem.upper))
     spread = np.sqrt(np.diag(np.linalg.inv(H)))
     return dict(zip(NAMES, fit.theta * scale, strict=True)), dict(zip(NAMES, spread * scale, strict=True))
 
 
 def named(problem: Problem) -> set[str]:
-    start = evaluate(problem, problem.start)
+    start = evaluate_fit(problem, problem.start)
     return {EFFECTS[i].name for i in motion_effects(problem, start, linearise(problem, start), 0, 8)}
 
 
@@ -138,5 +138,5 @@ def test_residuals_are_zero_for_the_sensors_that_measured():
     theta = np.array(list(truth.values())) / np.asarray(problem.model.scale)
     assert problem.motion is not None
     for at, least, most in ((theta, 0.6, 1.3), (problem.start, 10.0, np.inf)):
-        e = evaluate(problem, at).e[..., 3:]
+        e = evaluate_fit(problem, at).e[..., 3:]
         assert least < np.sum(e**2) / problem.motion.used.sum() < most

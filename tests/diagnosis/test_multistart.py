@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.core import BadInput
 from driftjax.diagnosis import multistart
-from driftjax.diagnosis.fit import Fit, evaluate, initial_noise, with_noise
+from driftjax.diagnosis.fit import Fit, evaluate_fit, initial_noise, with_noise
 from driftjax.diagnosis.multistart import LOST_MISFIT, misfit, nominal_fit, search_from_far, search_multistart
 
 
@@ -37,7 +37,7 @@ def test_a_lost_observer_is_no_end():
     assert misfit(trusting, nominal_fit(trusting)) > LOST_MISFIT
     anew, found = search_multistart(trusting)
     assert [ORDER[i] for i in found.selected] == ["friction_rear"] and anew is not trusting
-    assert found.fit.cost < evaluate(anew, truth).cost + 1.0
+    assert found.fit.cost < evaluate_fit(anew, truth).cost + 1.0
 
 
 def test_data_that_no_car_can_have_made_are_refused():
@@ -62,7 +62,7 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
     )  # fmt: skip
     cost = lambda theta: 100.0 * (1 - saved * np.exp(-(((theta[1] * 0.02 - true) / 0.05) ** 2)))
     fit = lambda problem, theta: Fit(theta, cost(theta), np.zeros(1))
-    monkeypatch.setattr(multistart, "evaluate", fit)
+    monkeypatch.setattr(multistart, "evaluate_fit", fit)
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
     searched = []
 

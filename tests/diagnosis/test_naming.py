@@ -7,7 +7,7 @@ from diagnosis.recorded import ORDER, problem_of
 import driftjax.diagnosis.fit as fitting
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
-from driftjax.diagnosis.fit import TOLERANCE, evaluate, information_and_score, refine, refit_to_convergence
+from driftjax.diagnosis.fit import TOLERANCE, evaluate_fit, information_and_score, refine, refit_to_convergence
 from driftjax.diagnosis.naming import prefer_probable
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
@@ -16,7 +16,7 @@ from driftjax.diagnosis.verdict import describe_cause
 
 def selection_of(problem, names) -> Selection:
     """The selection of these effects, fitted, whatever a search would choose."""
-    selected, start = tuple(sorted(ORDER.index(name) for name in names)), evaluate(problem, problem.start)
+    selected, start = tuple(sorted(ORDER.index(name) for name in names)), evaluate_fit(problem, problem.start)
     fit, at = refit_to_convergence(problem, start, problem.columns(selected))
     tested = scores(problem, at, fit.theta, selected, 0)
     return Selection(selected, fit, at, tested, problem, start, tested)
@@ -77,12 +77,12 @@ def test_beside_a_parameter_at_its_bound_the_others_are_fitted_to_the_end(monkey
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
     lag, gain = problem.columns((ORDER.index("steer_lag"),))[0], problem.columns((ORDER.index("drive_gain"),))[0]
     problem = problem._replace(upper=np.where(np.arange(len(ORDER)) == lag, 0.5, problem.upper))
-    fit, at = refit_to_convergence(problem, evaluate(problem, problem.start), np.array([lag, gain]))
+    fit, at = refit_to_convergence(problem, evaluate_fit(problem, problem.start), np.array([lag, gain]))
     H, score = information_and_score(at)
     slope = score - problem.prior @ (fit.theta - problem.start)
     assert fit.theta[lag] == 0.5 and slope[lag] > 0, "the data ask for more"
     assert slope[gain] ** 2 / H[gain, gain] < TOLERANCE
-    monkeypatch.delattr(fitting, "evaluate")
+    monkeypatch.delattr(fitting, "evaluate_fit")
     assert refine(problem, fit, np.array([lag, gain]), at) is fit
 
 

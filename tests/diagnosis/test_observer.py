@@ -136,9 +136,9 @@ def with_late_sensors():
 
 def test_whole_samples_of_delay_are_a_shift_of_the_data():
     (model, known), late = with_late_sensors(), 3
-    told = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
+    delayed = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
     theta = np.array([0.0, 0.0, 0.0, (late + 1e-9) * DT]) / np.asarray(model.scale)
-    data = pieces(sedan(), tuple(told))
+    data = pieces(sedan(), tuple(delayed))
     found, path = run_observer(model, data, theta, known), run_observer(model, watched()[0], np.zeros(4), known)
     np.testing.assert_array_equal(found.valid[:, : ROWS - late], path.valid[:, : ROWS - late])
     np.testing.assert_allclose(found.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)
@@ -200,9 +200,9 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     fixed, start = fixed_gain(data), initial_noise(data)
     path = run_observer(catalogue(), data, NEUTRAL, fixed)
     steps = step_derivatives(catalogue(), data, NEUTRAL, path, EVERY)
-    ours = estimate_noise(steps, path.e, fixed, start, data.dt, data.counts)
-    scale, counts = search_scale(start), jnp.asarray(data.counts)
-    cost = lambda x: restricted_likelihood(scale.noise(x), steps, path.e, fixed.L, data.dt, counts)[0]
+    ours = estimate_noise(steps, path.e, fixed, start, data.dt, data.informative)
+    scale, informative = search_scale(start), jnp.asarray(data.informative)
+    cost = lambda x: restricted_likelihood(scale.noise(x), steps, path.e, fixed.L, data.dt, informative)[0]
     slope = jax.jit(jax.value_and_grad(cost))
     scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
     bounds = noise_bounds(start, np.ones(3, bool), data.dt)
@@ -214,7 +214,7 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     np.testing.assert_allclose(at, other.x, atol=0.05)
     h = 0.02 * np.eye(11)[:3]
     curvature = [(scaled(at + one)[1] - scaled(at - one)[1]) @ one / (2 * 0.02**2) for one in h]
-    H = information_of_noise(jnp.asarray(at), scale, steps, path.e, fixed.L, data.dt, counts)
+    H = information_of_noise(jnp.asarray(at), scale, steps, path.e, fixed.L, data.dt, informative)
     np.testing.assert_allclose(2 * np.diag(H)[:3], curvature, rtol=0.1)
 
 

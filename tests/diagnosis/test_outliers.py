@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
-from driftjax.diagnosis.beam import minimise, quadratic_cost
-from driftjax.diagnosis.fit import evaluate, linearise
+from driftjax.diagnosis.beam import best_parameters, quadratic_cost
+from driftjax.diagnosis.fit import evaluate_fit, linearise
 from driftjax.diagnosis.outliers import outliers, without_outliers
 from driftjax.logs import Run
 
@@ -51,9 +51,9 @@ def test_a_log_that_hardly_resolves_the_motion_loses_nothing():
 def estimate(runs: tuple[Run, ...]) -> tuple[np.ndarray, np.ndarray]:
     """All parameters of the small catalogue, fitted to first order, and their standard deviations."""
     problem = build_problem(sedan(), EFFECTS, runs)
-    start = evaluate(problem, problem.start)
+    start = evaluate_fit(problem, problem.start)
     model = quadratic_cost(problem, start, linearise(problem, start))
-    return minimise(model, tuple(range(len(ORDER)))), np.sqrt(np.diag(np.linalg.inv(model.H)))
+    return best_parameters(model, tuple(range(len(ORDER)))), np.sqrt(np.diag(np.linalg.inv(model.H)))
 
 
 def test_outliers_of_a_sensor_do_not_move_estimates():

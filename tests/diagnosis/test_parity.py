@@ -1,4 +1,4 @@
-"""Kinematic parity: nothing off on exact kinematics, a biased sensor told from the car, gaps and missing columns."""
+"""Kinematic parity: zero on exact kinematics, a biased sensor distinguished from the car, gaps, missing columns."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def test_exact_kinematics_leave_nothing():
     assert found.num == 2 * ((NUM - 1) // round(WINDOW / DT))
 
 
-def test_noise_alone_is_told_to_be_noise():
+def test_noise_alone_is_reported_as_noise():
     for seed in range(5):
         found = parity(sedan(), [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(2)], SIGMA)
         assert found is not None and "agree within noise" in found.statement
@@ -76,7 +76,7 @@ def test_an_error_without_a_mean_shows_too():
     assert found is not None and found.excess[1] > 1.5 and "errs by" in found.statement
 
 
-def test_gaps_are_left_out_and_missing_columns_told():
+def test_gaps_are_left_out_and_missing_columns_reported():
     run = noisy(exact(0), 0)
     V = run.V.copy()
     V[500:560] = np.nan
@@ -88,7 +88,7 @@ def test_gaps_are_left_out_and_missing_columns_told():
     assert parity(sedan(), [replace(run, V=0.1 + 0 * run.V)], SIGMA) is None  # too slow for a sideslip
 
 
-@pytest.mark.parametrize(("name", "size", "told"), [("friction_rear", -2.0, False), ("gyro_bias", 2.0, True)])
-def test_recordings_tell_sensors_from_physics(name, size, told):
+@pytest.mark.parametrize(("name", "size", "is_sensor"), [("friction_rear", -2.0, False), ("gyro_bias", 2.0, True)])
+def test_recordings_tell_sensors_from_physics(name, size, is_sensor):
     found = parity(sedan(), recorded(hidden(**{name: size}), 3, 4), truth().sigma)
-    assert found is not None and ("a sensor or the road" in found.statement) == told
+    assert found is not None and ("a sensor or the road" in found.statement) == is_sensor

@@ -13,14 +13,14 @@ from driftjax.diagnosis.noise_model import Noise, decay_of
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.residual import (
     FORCES,
-    Residuals,
-    axle_forces,
+    ResidualForces,
+    disturbance_forces,
     force_limits,
     nominal_noise,
     observer_path,
     residual_forces,
 )
-from driftjax.diagnosis.smooth import kalman_filter, linear_model, smooth
+from driftjax.diagnosis.smooth import kalman_filter, linear_model, smooth_disturbances
 
 DT = 0.02
 NOISE = Noise(np.array([0.05, 0.01, 0.02]), np.array([0.5, 0.2, 0.8]), 0.4, np.array([0.03, 0.02, 0.01]), 0.2)
@@ -42,15 +42,15 @@ def test_a_known_force_at_each_axle_is_found_from_the_rates_it_causes():
         more = car.rates(at, Control(jnp.asarray(angle), jnp.asarray(Fx)), jnp.asarray(Fyf), jnp.asarray(Fyr))
         none = car.rates(at, Control(jnp.asarray(angle), jnp.zeros(())), jnp.zeros(()), jnp.zeros(()))
         push.append(np.array(more) - np.array(none))
-    np.testing.assert_allclose(axle_forces(sedan(), x, delta, np.stack(push)), extra, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(disturbance_forces(sedan(), x, delta, np.stack(push)), extra, rtol=1e-6, atol=1e-6)
 
 
 def test_forces_mirror_with_the_car():
     x, delta = states(np.random.default_rng(2))
     push, mirror = np.random.default_rng(3).normal(size=(50, 3)), np.array([1, -1, -1])
     np.testing.assert_allclose(
-        axle_forces(sedan(), x * mirror, -delta, push * mirror),
-        axle_forces(sedan(), x, delta, push) * mirror, rtol=1e-12,
+        disturbance_forces(sedan(), x * mirror, -delta, push * mirror),
+        disturbance_forces(sedan(), x, delta, push) * mirror, rtol=1e-12,
     )  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
     C, y = C.reshape(9 * T, 9 * T), np.asarray(path.e)[0, :T].ravel()[which]
     S = read @ C @ read.T + np.diag(np.tile(NOISE.sigma**2, T)[which])
     expected = (C @ read.T @ np.linalg.solve(S, y)).reshape(T, 9)
-    x, d = smooth(path, steps, valid, NOISE, DT)
+    x, d = smooth_disturbances(path, steps, valid, NOISE, DT)
     np.testing.assert_allclose(x[0, :T], expected[:, :3], atol=1e-8)
     np.testing.assert_allclose(d[0, :T], expected[:, 3:6], atol=1e-8)
     assert np.isfinite(x).all() and np.isfinite(d).all()
@@ -110,7 +110,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
     driven = samples_in_run(valid)
     assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2
-    x, d = smooth(path, steps, valid, NOISE, DT)
+    x, d = smooth_disturbances(path, steps, valid, NOISE, DT)
     assert np.abs(x[driven]).max() < 1 and np.abs(d[driven]).max() < 10
 
 
@@ -124,7 +124,7 @@ def test_bins_find_the_driver_and_how_much_it_explains():
     rng = np.random.default_rng(5)
     forces, (one, two), block = drawn(rng)
     forces[:, 2] += 2 * one
-    found = summarise_forces(Residuals(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
+    found = summarise_forces(ResidualForces(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
     assert found.p_value < 0.01 and best_variable(found, 2) == "slip_rear"
     assert found.variables["slip_rear"].explained[2] == pytest.approx(4 / 5, abs=0.1)
     assert found.variables["speed"].explained[2] < 0.2
@@ -133,8 +133,8 @@ def test_bins_find_the_driver_and_how_much_it_explains():
     assert "rear axle" in words and "rear slip angle" in words and " N RMS" in words
 
 
-def test_forces_that_go_with_nothing_are_rarely_told_to():
-    found = [summarise_forces(Residuals(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
+def test_forces_that_go_with_nothing_are_rarely_reported_to():
+    found = [summarise_forces(ResidualForces(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
              ((k, drawn(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
     assert sum(one.p_value < 0.05 for one in found) <= 6
     assert np.mean([one.variables["a"].explained for one in found]) < 0.05

@@ -10,7 +10,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, problem_of
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
-from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, evaluate, information, information_and_score
+from driftjax.diagnosis.fit import TOLERANCE, Fit, Problem, evaluate_fit, information, information_and_score
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation, Pieces
 from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
@@ -24,7 +24,7 @@ FREE, ONE_SIDED = np.full(SIZE, -4.0), np.zeros(SIZE)
 def diagnosed(seed, **truth):
     """The search on a recording of a car with the effects `truth`; all cases drive the same manoeuvres."""
     problem = problem_of(31, seed, **truth)
-    return problem, search(problem, evaluate(problem, np.zeros(len(ORDER))))
+    return problem, search(problem, evaluate_fit(problem, np.zeros(len(ORDER))))
 
 
 @pytest.mark.slow
@@ -56,7 +56,7 @@ def test_a_search_begins_where_the_file_of_the_car_does():
     vehicle = replace(sedan(), effects=(known,))
     for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
         problem = build_problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
-        found = search(problem, evaluate(problem, problem.start))
+        found = search(problem, evaluate_fit(problem, problem.start))
         assert [ORDER[i] for i in found.selected] == names
         assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
     with pytest.raises(BadInput, match="lacks"):
@@ -65,9 +65,9 @@ def test_a_search_begins_where_the_file_of_the_car_does():
         )
 
 
-def test_no_more_is_named_than_asked_for_and_what_is_left_is_told():
+def test_no_more_is_named_than_requested_and_what_is_left_is_reported():
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
-    found = search(problem, evaluate(problem, problem.start), most=1)
+    found = search(problem, evaluate_fit(problem, problem.start), most=1)
     assert len(found.selected) == 1 and ORDER[found.selected[0]] in ("drive_gain", "steer_lag")
     assert found.scores.p_value < 0.05
 

@@ -10,18 +10,18 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
-from driftjax.diagnosis.fit import Problem, evaluate, linearise, refit_to_convergence, with_noise
-from driftjax.diagnosis.propose import in_full_catalogue, propose
+from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
+from driftjax.diagnosis.shapley import ErrorShare
 from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms
 from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
-from driftjax.diagnosis.worth import Worth
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
 
-ALL = Worth(1.0, (1.0, 1.0))
+ALL = ErrorShare(1.0, (1.0, 1.0))
 FREE = np.zeros(1, bool)  # not at its bound
 MUCH_LEFT = Explained(0.3, (0.2, 0.4), 0.6, (0.5, 0.7), 1.0, True)
 
@@ -31,28 +31,30 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     """Runs with an effect that the catalogue lacks, and a search that has named nothing."""
     theta = hidden(**{name: size}) if size else hidden()
     problem = build_problem(sedan(), EFFECTS, recorded(theta, 1, 2), without=(name,))
-    fit = evaluate(problem, np.zeros(len(ORDER)))
+    fit = evaluate_fit(problem, np.zeros(len(ORDER)))
     at = linearise(problem, fit)
     remaining = scores(problem, at, fit.theta, (), 0)
     return problem, Selection((), fit, at, remaining, problem, fit, remaining)
 
 
-def test_a_missing_drive_gain_is_told_as_a_force_that_goes_with_the_drive():
+def test_a_missing_drive_gain_is_reported_as_a_force_that_goes_with_the_drive():
     problem, found = nominal_only("drive_gain", 2.5)
     remaining = find_unexplained(problem, found, 0)
     gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical
-    assert remaining.significant and "Fxr" in list(remaining.drivers)[:4]  # in a drift, sideslip and drive go together
+    assert (
+        remaining.significant and "Fxr" in list(remaining.variables)[:4]
+    )  # in a drift, sideslip and drive go together
     assert (remaining.term.channel, remaining.term.function, remaining.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
     assert remaining.term.value == pytest.approx(gain * G, rel=0.25) and 0 < remaining.term.half_width < 0.3 * gain * G
-    told = decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1)
-    assert told.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in told.sentence
+    decision = decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1)
+    assert decision.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in decision.sentence
 
 
-def test_a_missing_bias_of_the_gyro_is_told_as_an_error_of_the_sensor():
+def test_a_missing_bias_of_the_gyro_is_reported_as_an_error_of_the_sensor():
     problem, found = nominal_only("gyro_bias", 2.0)
     remaining = find_unexplained(problem, found, 0)
     bias = 2.0 * float(problem.model.scale[ORDER.index("gyro_bias")])
-    assert remaining.significant and next(iter(remaining.drivers)) == "1" == next(iter(remaining.nominal_drivers))
+    assert remaining.significant and next(iter(remaining.variables)) == "1" == next(iter(remaining.nominal_variables))
     assert remaining.term[:3] == ("r", "sensor", "1") and remaining.term.unit == "rad/s"
     assert remaining.term.value == pytest.approx(bias, rel=0.15)
     assert "in what is measured as r" in decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
@@ -65,8 +67,11 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
     named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE) for i in useless]
-    told = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
-    assert told.verdict == Verdict.UNKNOWN and "yaw_inertia, steer_offset together explain no more" in told.sentence
+    decision = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
+    assert (
+        decision.verdict == Verdict.UNKNOWN
+        and "yaw_inertia, steer_offset together explain no more" in decision.sentence
+    )
 
 
 @pytest.mark.parametrize(
@@ -87,16 +92,16 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
     assert remaining.significant
     cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
     explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
-    told = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
-    assert told.verdict == verdict and next(iter(remaining.drivers)) in told.sentence
-    assert ("of the excess error" in told.sentence) == np.isfinite(high)
+    decision = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
+    assert decision.verdict == verdict and next(iter(remaining.variables)) in decision.sentence
+    assert ("of the excess error" in decision.sentence) == np.isfinite(high)
     differing = cause._replace(invariance=1e-6)
     if verdict == Verdict.NAMED:
-        told = decide_verdict(problem, found, [differing], remaining, 36.0, explained, 0.1)
-        assert told.verdict == Verdict.SET and "differs from run to run" in told.sentence
+        decision = decide_verdict(problem, found, [differing], remaining, 36.0, explained, 0.1)
+        assert decision.verdict == Verdict.SET and "differs from run to run" in decision.sentence
         beside = [cause, differing._replace(effect=ORDER.index("drive_gain"), exploratory=True)]
-        told = decide_verdict(problem, found, beside, remaining, 36.0, explained, 0.1)
-        assert told.verdict == Verdict.NAMED and "size of drive_gain differs from run to run" in told.sentence
+        decision = decide_verdict(problem, found, beside, remaining, 36.0, explained, 0.1)
+        assert decision.verdict == Verdict.NAMED and "size of drive_gain differs from run to run" in decision.sentence
         small = decide_verdict(problem, found, [], remaining, 36.0, explained, 0.1)
         assert small.verdict == Verdict.NOTHING and "too small" in small.sentence
         assumed = problem._replace(data=problem.data._replace(force_known=False))
@@ -122,7 +127,7 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
     columns = problem.columns((member,))
     third = problem.noise._replace(sigma=problem.noise.sigma / 3, disturbance=problem.noise.disturbance / 3)
     for one in (problem, with_noise(problem, problem.start, third)):
-        fit, at = refit_to_convergence(one, evaluate(one, problem.start), columns)
+        fit, at = refit_to_convergence(one, evaluate_fit(one, problem.start), columns)
         remaining = scores(one, at, fit.theta, (member,), 0)
         whole = Selection((member,), fit, at, remaining, one, fit, remaining)
         model = quadratic_cost(one, fit, at)
@@ -150,12 +155,15 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
     found = found._replace(selected=(own,), fit=fit)
     cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL, FREE)
-    ask = lambda verdict: propose(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
+    ask = lambda verdict: propose_manoeuvre(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
-    told = ask(Verdict.SET)
-    assert told is not None and told.now == pytest.approx(0.6) and told.now < told.after <= 1
-    assert told.after == max(told.others.values()) == told.others[told.manoeuvre] and told.manoeuvre in told.sentence
-    assert min(told.others.values()) < told.after  # coasting straight tells little of load transfer in a drift
+    proposal = ask(Verdict.SET)
+    assert proposal is not None and proposal.now == pytest.approx(0.6) and proposal.now < proposal.after <= 1
+    assert (
+        proposal.after == max(proposal.others.values()) == proposal.others[proposal.manoeuvre]
+        and proposal.manoeuvre in proposal.sentence
+    )
+    assert min(proposal.others.values()) < proposal.after  # coasting straight tells little of load transfer in a drift
 
 
 def test_a_car_that_cannot_drift_is_offered_what_it_can_drive(monkeypatch):

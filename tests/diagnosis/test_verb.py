@@ -36,14 +36,14 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     write_log(Path("log.csv"), hidden_lag)
     asked = ["log.csv", "--combined-slip", "1", "--out", "found", "--without", "friction_rear"]
     assert main(["diagnose", *asked]) == 0
-    told = json.loads(Path("found/diagnosis.json").read_text())
-    assert (told["schema"], told["verdict"]) == (1, "NAMED")
-    assert [cause["effect"] for cause in told["causes"]] == ["steer_lag"]
-    assert told["causes"][0]["exploratory"] is False and told["data"]["outliers"] == {"V": 0, "beta": 0, "r": 0}
-    found = told["causes"][0]["parameters"]["tau"]
+    content = json.loads(Path("found/diagnosis.json").read_text())
+    assert (content["schema"], content["verdict"]) == (1, "NAMED")
+    assert [cause["effect"] for cause in content["causes"]] == ["steer_lag"]
+    assert content["causes"][0]["exploratory"] is False and content["data"]["outliers"] == {"V": 0, "beta": 0, "r": 0}
+    found = content["causes"][0]["parameters"]["tau"]
     true = next(p for p in EFFECTS["steer_lag"].parameters).typical * (3.05 / 9.81) ** 0.5
     assert found["unit"] == "s" and found["value"] == pytest.approx(true, rel=0.1)
-    gain = told["gain"]
+    gain = content["gain"]
     names = [run.name for run in hidden_lag]
     assert gain["held_out_runs"] == names[2::3]
     # what process noise makes of a second in a drift counts as explainable, so that even the true car stays below 1
@@ -54,11 +54,11 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     vehicle = load_vehicle("found/extended.yaml")
     assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
     assert vehicle.noise is not None
-    assert vars(vehicle.noise.process_sigma) == told["data"]["process_sigma"]
-    assert vehicle.noise.process_correlation_s == told["data"]["process_correlation_s"]
+    assert vars(vehicle.noise.process_sigma) == content["data"]["process_sigma"]
+    assert vehicle.noise.process_correlation_s == content["data"]["process_correlation_s"]
     half = vehicle.effects[0].ci95_half
     assert half is not None and 1.9 < half / vehicle.covariance[0][0] ** 0.5 < 2.3  # a quantile of Student's t
-    shown = told["show"]
+    shown = content["show"]
     assert set(shown["residual_forces"]) == {"p_value", "Fx", "Fyf", "Fyr"}
     assert "agree within noise" in shown["kinematic_parity"]["statement"]
     nominal = np.array([shown["open_loop"]["in_noises"][name] for name in ("V", "beta", "r")])
@@ -93,9 +93,9 @@ def test_two_seconds_of_data_say_nothing(capsys):
     wave = 0.1 * np.sin(5 * t)
     write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
     assert main(["diagnose", "short.csv", "--out", "short"]) == 0
-    told = json.loads(Path("short/diagnosis.json").read_text())
-    assert told["verdict"] == "DATA_INSUFFICIENT" and told["causes"] == []
-    assert "2.0 s" in told["sentence"] and "2.0 s" in capsys.readouterr().out
+    content = json.loads(Path("short/diagnosis.json").read_text())
+    assert content["verdict"] == "DATA_INSUFFICIENT" and content["causes"] == []
+    assert "2.0 s" in content["sentence"] and "2.0 s" in capsys.readouterr().out
     assert "2.0 s" in Path("short/report.html").read_text()
 
 
@@ -117,8 +117,8 @@ def test_a_bad_log_is_one_sentence_and_leaves_nothing(change, words, capsys):
     with open("log.csv", "w", newline="") as file:
         csv.writer(file).writerows(change(rows))
     assert main(["diagnose", "log.csv", "--out", "out"]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and all(word in told[0] for word in words)
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and all(word in lines[0] for word in words)
     assert not Path("out").exists()
 
 

@@ -55,7 +55,7 @@ def toy_problem(
 
     monkeypatch.setattr(select, "held_out_errors", held_out_errors)
     for module in (fits, select, evidence, naming, multistart):
-        monkeypatch.setattr(module, "evaluate", evaluate)
+        monkeypatch.setattr(module, "evaluate_fit", evaluate)
     for module in (fits, select):
         monkeypatch.setattr(module, "linearise", linearise)
     known = np.zeros(K), np.arange(K), frozenset[str](), np.ones(K, bool)

@@ -25,7 +25,7 @@ class Missing(eqx.Module):
 
 
 @eqx.filter_jit
-def learnt(d, rows=60):
+def fitted_gp(d, rows=60):
     """A GP that has seen `d` around the nominal drift."""
     centre = jnp.array([12.0, -0.45, 0.8, -0.2, 7e3])
     spread = jnp.array([2.0, 0.2, 0.15, 0.25, 3e3])
@@ -55,7 +55,7 @@ def test_a_gp_without_data_leaves_the_nominal_drift():
 
 def test_learnt_drift_is_the_drift_of_the_true_car():
     d = Missing(jnp.asarray(1.0))
-    truth, gp = follow(d, FIXED), learnt(d)
+    truth, gp = follow(d, FIXED), fitted_gp(d)
     out = follow(gp.bounded_mean, FIXED)
     plain = plain_drift()
     assert out.result == RESULTS.successful and out.eta == 1 and out.kind == Branch.COUNTERSTEER

@@ -8,7 +8,15 @@ import pytest
 from scipy_steady_states import balance, nearest, steady_states
 
 from driftjax.core import RESULTS, Control, State, rk4_step
-from driftjax.equilibrium import Branch, SlipRadius, SlipSpeed, SpeedYaw, decoupled_roots, solve, solve_nominal
+from driftjax.equilibrium import (
+    Branch,
+    SlipRadius,
+    SlipSpeed,
+    SpeedYaw,
+    decoupled_roots,
+    solve_equilibrium,
+    solve_nominal,
+)
 from driftjax.equilibrium.decoupled import drift_roots, pick
 from driftjax.equilibrium.solve import ANY
 from driftjax.vehicle import load_vehicle
@@ -28,7 +36,7 @@ def at_each_root(car, V, r):
 
         def polish(x, u, kind):
             guess = x._replace(beta=x.beta + 0.01), Control(u.delta - 0.01, u.Fxr + 0.01 * car.m * 9.81)
-            return solve(car, car, SpeedYaw(V, r), guess, branch=kind)
+            return solve_equilibrium(car, car, SpeedYaw(V, r), guess, branch=kind)
 
         return roots, jax.vmap(polish)(roots.x, roots.u, roots.kind)
 
@@ -115,14 +123,16 @@ def test_fixing_sideslip_and_radius_finds_the_same_points(name):
     @eqx.filter_vmap
     def through_radius(beta, R):
         x, u, found = pick(drift_roots(car, beta, R), Branch.COUNTERSTEER)
-        return found, solve(car, car, SlipRadius(beta, R), (x._replace(V=1.1 * x.V), u), branch=Branch.COUNTERSTEER)
+        return found, solve_equilibrium(
+            car, car, SlipRadius(beta, R), (x._replace(V=1.1 * x.V), u), branch=Branch.COUNTERSTEER
+        )
 
     found, out = through_radius(direct.x.beta, V / direct.x.r)
     assert jnp.all(found) and jnp.all(out.result == RESULTS.successful)
     for ours, theirs in zip(jax.tree.leaves((out.x, out.u)), jax.tree.leaves((direct.x, direct.u)), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7)
     by_speed = eqx.filter_vmap(
-        lambda x, u: solve(car, car, SlipSpeed(x.beta, x.V), (x._replace(r=1.05 * x.r), u), branch=ANY)
+        lambda x, u: solve_equilibrium(car, car, SlipSpeed(x.beta, x.V), (x._replace(r=1.05 * x.r), u), branch=ANY)
     )(direct.x, direct.u)
     np.testing.assert_allclose(by_speed.x.r, direct.x.r, rtol=1e-7)
 
@@ -133,9 +143,9 @@ def test_a_wrong_guess_never_passes_for_the_branch_asked_for():
     guess = State(*(jnp.asarray(v) for v in (np.full(200, 9.0), rng.uniform(-1.2, 0.6, 200), np.full(200, 1.1))))
     control = Control(jnp.asarray(rng.uniform(-0.9, 0.9, 200)), jnp.asarray(rng.uniform(0, 15e3, 200)))
     V, r = jnp.asarray(9.0), jnp.asarray(1.1)
-    out = eqx.filter_jit(jax.vmap(lambda x, u: solve(car, car, SpeedYaw(V, r), (x, u), branch=Branch.COUNTERSTEER)))(
-        guess, control
-    )
+    out = eqx.filter_jit(
+        jax.vmap(lambda x, u: solve_equilibrium(car, car, SpeedYaw(V, r), (x, u), branch=Branch.COUNTERSTEER))
+    )(guess, control)
     right = np.abs(np.asarray(out.x.beta) + 0.5450732) + np.abs(np.asarray(out.u.delta) + 0.2967579) < 1e-5
     good, off_branch = (np.asarray(out.result == which) for which in (RESULTS.successful, RESULTS.off_branch))
     assert np.all(right[good]) and np.any(good)
@@ -149,7 +159,7 @@ def test_throw_raises_the_sentence():
     other = nominal(car, jnp.asarray(9.0), jnp.asarray(1.1), Branch.FRONT_SATURATED)
     x, u = other.x, other.u
     with pytest.raises(eqx.EquinoxRuntimeError, match="another branch"):
-        eqx.filter_jit(solve)(car, car, SpeedYaw(9.0, 1.1), (x, u), branch=Branch.COUNTERSTEER, throw=True)
+        eqx.filter_jit(solve_equilibrium)(car, car, SpeedYaw(9.0, 1.1), (x, u), branch=Branch.COUNTERSTEER, throw=True)
 
 
 @pytest.mark.parametrize("name", CARS)

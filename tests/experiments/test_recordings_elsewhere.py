@@ -24,7 +24,7 @@ def test_a_run_without_names_and_times_is_read_by_its_path(tmp_path):
     assert np.isnan(run.beta).all() and np.isnan(run.Fxr).all() and {"x", "y", "psi"} == set(run.extra)
 
 
-def test_missing_copies_and_unknown_names_are_told(tmp_path):
+def test_missing_copies_and_unknown_names_are_reported(tmp_path):
     with pytest.raises(dj.BadInput, match="give --data the folder of a copy"):
         paired_runs.main(paired_runs.Config(tmp_path, ("rd_path",), out=tmp_path / "out"))
     with pytest.raises(dj.BadInput, match="path 'road': choose from rd_path"):

@@ -17,7 +17,7 @@ select = jax.jit(explore.select)
 
 
 @jax.jit
-def learnt(Z, Y):
+def fitted_gp(Z, Y):
     """A GP of two inputs and three outputs."""
     mask, hyper = jnp.ones(len(Z), bool), Hyper(jnp.log(LENGTH), jnp.zeros(3), jnp.full(3, -3.0))
     return condition(Z, Y, mask, hyper, *data_scales(Z, Y, mask), "se")
@@ -25,7 +25,7 @@ def learnt(Z, Y):
 
 Z = np.stack([np.linspace(8.0, 11.0, 20), 7e3 + 2e3 * np.sin(np.arange(20))], axis=1)  # speeds around 10 m/s
 Y = np.stack([Z[:, 0], Z[:, 0] ** 2, np.ones(20)], axis=1)
-GP = learnt(Z, Y)
+GP = fitted_gp(Z, Y)
 NONE = np.zeros(4, bool)
 
 
@@ -56,7 +56,7 @@ def test_each_candidate_is_visited_once_then_all_are_exhausted():
 
 def test_units_of_the_inputs_do_not_matter():
     kilo = np.array([1.0, 1e-3])
-    rescaled = learnt(Z * kilo, Y)
+    rescaled = fitted_gp(Z * kilo, Y)
     ours = select(CANDIDATES * kilo, NONE, Z_REF * kilo, rescaled, P, 0.5)
     np.testing.assert_allclose(ours.score, select(CANDIDATES, NONE, Z_REF, GP, P, 0.5).score, rtol=1e-9, atol=1e-12)
 
@@ -66,7 +66,7 @@ def test_a_candidate_at_the_reference_alone_has_distance_zero():
     assert out.distance[0] == 0 and out.variance[0] == 1 and out.candidate == 0
 
 
-def test_lanes_equal_single_calls():
+def test_a_batch_equals_single_calls():
     references = np.stack([Z_REF, CANDIDATES[2]])
     visited = np.stack([NONE, np.arange(4) == 2])
     batch = jax.jit(jax.vmap(lambda v, z: explore.select(CANDIDATES, v, z, GP, P, 0.5)))(visited, references)

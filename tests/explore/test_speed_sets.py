@@ -96,7 +96,7 @@ def test_limits_the_wrong_way_round_are_infeasible_and_others_go_before_the_boun
     assert jnp.all(slow.result == RESULTS.successful) and jnp.max(slow.V) <= 11.0 + 1e-12
 
 
-def test_lanes_equal_single_calls():
+def test_a_batch_equals_single_calls():
     corners = [tuple(jnp.asarray(v) for v in corner(seed)) for seed in (4, 5)]
     batch = jax.jit(jax.vmap(lambda V, s, r_b, e: sets(V, s, r_b, e)))(
         *(jnp.stack(parts) for parts in zip(*corners, strict=True))

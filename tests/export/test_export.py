@@ -17,9 +17,9 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 from driftjax.cli import main
 from driftjax.core import BadInput
 from driftjax.export import FORMATS, export_car
-from driftjax.export.casadi_car import advance, rates_model
+from driftjax.export.casadi_car import advance_model, rates_model
 from driftjax.export.loss import loss
-from driftjax.export.target import Options, keep
+from driftjax.export.target import TargetOptions, restrict_effects
 from driftjax.logs import Log, Run
 from driftjax.vehicle import EffectParameterValue, VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS
@@ -44,7 +44,7 @@ def read_parameters(folder) -> Any:
 def written(car: VehicleConfig, to: str, folder) -> str:
     """Content of the first file of a format, without measuring the loss, whose program takes seconds to compile."""
     export = FORMATS[to]
-    return (folder / export.write(keep(car, export.holds, Options()), folder)[0]).read_text()
+    return (folder / export.write(restrict_effects(car, export.holds, TargetOptions()), folder)[0]).read_text()
 
 
 def test_commonroad_reads_the_files_and_its_tyre_has_our_force(tmp_path):
@@ -143,9 +143,9 @@ def random_inputs(model, seed: int, num: int = 10):
 def same_as_casadi(car, folder) -> None:
     """Both CasADi functions equal ours to 1e-9."""
     export = FORMATS["casadi"]
-    export.write(keep(car, export.holds, Options()), folder)
+    export.write(restrict_effects(car, export.holds, TargetOptions()), folder)
     names = json.loads((folder / "casadi.json").read_text())
-    for kind, model in (("rates", rates_model(car)), ("step", advance(car, Options().dt))):
+    for kind, model in (("rates", rates_model(car)), ("step", advance_model(car, TargetOptions().dt))):
         theirs, ours = ca.Function.load(str(folder / f"{kind}.casadi")), jax.jit(model.function)
         assert names[kind]["x"] == list(model.names) and names[kind]["start"] == model.start.tolist()
         for x, u in random_inputs(model, 1):
@@ -168,9 +168,9 @@ def test_the_loss_on_a_log_is_that_of_the_lost_effect(tmp_path):
     """The log comes from the exported CasADi step, which integrates by itself."""
     car = with_effects(steer_gain__p=-0.15)
     export = FORMATS["casadi"]
-    export.write(keep(car, export.holds, Options()), tmp_path)
-    step, start = ca.Function.load(str(tmp_path / "step.casadi")), advance(car, Options().dt).start
-    dt, num = Options().dt, 200
+    export.write(restrict_effects(car, export.holds, TargetOptions()), tmp_path)
+    step, start = ca.Function.load(str(tmp_path / "step.casadi")), advance_model(car, TargetOptions().dt).start
+    dt, num = TargetOptions().dt, 200
     t = np.arange(num) * dt
     delta, x = 0.04 * np.sin(3 * t), [np.concatenate([[14.0], start[1:]])]
     for k in range(num - 1):

@@ -16,7 +16,7 @@ from driftjax.core import RESULTS
 from driftjax.gp import Hyper, data_scales, fit_kernel
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import condition, squared_differences
-from driftjax.gp.optimise import minimise
+from driftjax.gp.optimise import minimise_batch
 
 KEY, N = jax.random.key(0), 40
 BOUNDS = {"amplitude": (0.05, 20.0), "length": (0.1, 20.0)}  # as `gp.fit`
@@ -65,7 +65,7 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
     low, high = (np.log([BOUNDS["length"][i]] * 3 + [BOUNDS["amplitude"][i], NOISE[i]]) for i in (0, 1))
     start = np.log([1.0, 1.0, 1.0, 1.0, 0.1])
     other = eqx.filter_jit(
-        lambda start, low, high: minimise(closed, start, low, high, max_iterations=100, tolerance=1e-6)
+        lambda start, low, high: minimise_batch(closed, start, low, high, max_iterations=100, tolerance=1e-6)
     )(start, low, high)
     assert other.result == RESULTS.successful
     found = np.log([*ours.parameters["length"], ours.parameters["amplitude"], ours.noise])
@@ -115,14 +115,14 @@ def test_the_posterior_mean_has_a_gradient_by_its_input():
     np.testing.assert_allclose(jax.jit(jax.grad(gp.mean))(z), numbers, rtol=1e-5, atol=1e-8)
 
 
-def test_a_kernel_that_is_not_positive_definite_is_told():
+def test_a_kernel_that_is_not_positive_definite_is_reported():
     Z, y = scaled()
     distance = lambda p, a, b: p["amplitude"] ** 2 * separation(p, a, b)  # 0 on the diagonal
     gp = fit_kernel(distance, Z, y, *box(), noise=(1e-3, 1e-2), key=KEY)
     assert gp.result == RESULTS.not_positive_definite and not np.isfinite(gp.log_marginal_likelihood)
 
 
-def test_few_steps_and_bad_data_are_told():
+def test_few_steps_and_bad_data_are_reported():
     Z, y = scaled()
     assert fitted(squared_exponential, Z, y, max_steps=2).result == RESULTS.not_converged
     y[0] = np.nan

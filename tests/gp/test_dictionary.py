@@ -62,10 +62,10 @@ def test_fewer_rows_than_the_limit_are_all_kept():
     np.testing.assert_allclose(np.sort(Z_M[mask_M][:, 0]), np.sort(Z[:7][:, 0]))
 
 
-def test_lanes_equal_single_calls():
+def test_a_batch_equals_single_calls():
     data = [clustered(seed=seed) for seed in (1, 2)]
     Z, Y = (np.stack(parts) for parts in zip(*data, strict=True))
     mask = np.ones((2, 400), bool)
     batch = jax.jit(jax.vmap(lambda Z, Y, mask: select_dictionary(Z, Y, mask, 15)[0]))(Z, Y, mask)
-    for lane in range(2):
-        np.testing.assert_allclose(batch[lane], select(Z[lane], Y[lane], mask[lane], 15)[0])
+    for entry in range(2):
+        np.testing.assert_allclose(batch[entry], select(Z[entry], Y[entry], mask[entry], 15)[0])

@@ -50,23 +50,23 @@ def test_padding_changes_nothing():
     np.testing.assert_allclose(at(with_padding.gp.mean, Z[3:4]), at(without.gp.mean, Z[3:4]), rtol=1e-4)
 
 
-def test_lanes_equal_single_fits_and_share_one_compile():
+def test_a_batch_equals_single_fits_and_shares_one_compile():
     traces = []
 
     @eqx.filter_jit
-    def lanes(Z, Y, mask, keys):
+    def fit_batch(Z, Y, mask, keys):
         traces.append(1)
         return eqx.filter_vmap(lambda Z, Y, mask, key: fit(Z, Y, mask, max_iterations=60, key=key))(Z, Y, mask, keys)
 
     for n in (30, 38):
         data = [padded(n, seed) for seed in (5, 6)]
         Z, Y, mask = (np.stack(parts) for parts in zip(*data, strict=True))
-        batch = lanes(Z, Y, mask, jnp.stack([KEY, KEY]))
+        batch = fit_batch(Z, Y, mask, jnp.stack([KEY, KEY]))
         assert jnp.all(batch.result == RESULTS.successful)
     assert len(traces) == 1
-    for lane, (Z, Y, mask) in enumerate(data):
+    for entry, (Z, Y, mask) in enumerate(data):
         single = fit(Z, Y, mask, max_iterations=60, key=KEY)
-        np.testing.assert_allclose(batch.log_marginal_likelihood[lane], single.log_marginal_likelihood, rtol=1e-6)
+        np.testing.assert_allclose(batch.log_marginal_likelihood[entry], single.log_marginal_likelihood, rtol=1e-6)
 
 
 def test_held_out_targets_are_predicted_with_honest_variance():
@@ -80,7 +80,7 @@ def test_held_out_targets_are_predicted_with_honest_variance():
     assert np.all(covered > 0.75)
 
 
-def test_no_data_and_bad_data_are_told_apart():
+def test_no_data_and_bad_data_are_distinguished():
     Z, Y, mask = padded(0, 0)
     empty = fit(Z, Y, mask, max_iterations=60, key=KEY)
     assert np.all(np.asarray(at(empty.gp.mean, Z[:1])) == 0) and jnp.all(empty.result == RESULTS.successful)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import RESULTS
-from driftjax.gp.optimise import minimise
+from driftjax.gp.optimise import minimise_batch
 
 WIDE = jnp.array([-5.0, -5.0]), jnp.array([5.0, 5.0])
 
@@ -25,7 +25,7 @@ def waves(x):
 
 
 def solved(evaluate, guess, bounds=WIDE, **options):
-    return jax.jit(lambda guess: minimise(evaluate, guess, *bounds, **options))(jnp.asarray(guess))
+    return jax.jit(lambda guess: minimise_batch(evaluate, guess, *bounds, **options))(jnp.asarray(guess))
 
 
 def test_a_curved_valley_is_followed_to_its_end():
@@ -53,7 +53,7 @@ def test_the_minimum_on_a_bound_is_found_and_no_point_is_evaluated_outside():
 @pytest.mark.parametrize("steps", [1, 3, 40])
 def test_no_end_is_above_its_start(steps):
     starts = jnp.asarray(np.random.default_rng(0).uniform(-4, 4, size=(30, 2)))
-    run = lambda steps: jax.jit(jax.vmap(lambda x: minimise(waves, x, *WIDE, max_iterations=steps)))(starts)
+    run = lambda steps: jax.jit(jax.vmap(lambda x: minimise_batch(waves, x, *WIDE, max_iterations=steps)))(starts)
     ends, before = run(steps), run(0)
     np.testing.assert_array_equal(before.x, starts)
     assert jnp.all(ends.value <= before.value + 1e-14) and jnp.mean(ends.value < before.value - 1e-3) > 0.3
@@ -61,12 +61,12 @@ def test_no_end_is_above_its_start(steps):
     assert steps < 40 or jnp.all(ends.result == RESULTS.successful)
 
 
-def test_too_few_iterations_are_told():
+def test_too_few_iterations_are_reported():
     end = solved(valley, [-1.2, 1.0], max_iterations=3)
     assert end.result == RESULTS.not_converged and end.num_steps == 3 and end.error > 1e-3
 
 
-def test_a_start_without_a_value_is_told_and_a_trial_without_one_is_not_taken():
+def test_a_start_without_a_value_is_reported_and_a_trial_without_one_is_not_taken():
     def root(x):  # NaN left of 0: full steps from 4 go there
         value = lambda x: jnp.sum(-jnp.log(x) + 8 * x)
         return value(x), jax.grad(value)(x), 1e-3 * jnp.eye(x.size)

@@ -12,7 +12,7 @@ import pytest
 from driftjax.core import Control, State
 from driftjax.equilibrium import Branch
 from driftjax.learning.config import GPConfig, load_learn_config
-from driftjax.learning.model import empty, learn
+from driftjax.learning.model import empty, update_model
 from driftjax.learning.reference import Corner
 from driftjax.learning.residual import known_effect_basis
 from driftjax.learning.scenario import nominal_drift
@@ -22,13 +22,13 @@ from driftjax.vehicle.parameters import EffectParameterValue
 FOUND = (EffectParameterValue("load_transfer_long", "h", 0.3), EffectParameterValue("rolling_resistance", "f", 0.015))
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
 CAR: Any = build_car(dataclasses.replace(SEDAN, effects=FOUND))
-CLAIM: Any = known_effect_basis(CAR)
+BASIS: Any = known_effect_basis(CAR)
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 1500.0])
 LAGS = jnp.asarray([0.05, 0.1])
-claims, means = jax.jit(CLAIM), eqx.filter_jit(lambda gp, Z: jax.vmap(gp.mean)(Z))
-learnt = eqx.filter_jit(
-    lambda Z, Y, known_basis: learn(
+basis_of, means = jax.jit(BASIS), eqx.filter_jit(lambda gp, Z: jax.vmap(gp.mean)(Z))
+updated = eqx.filter_jit(
+    lambda Z, Y, known_basis: update_model(
         empty(CONFIG), Z, Y, jnp.ones(len(Z), bool), LAGS, CONFIG, jax.random.key(0), known_basis
     )
 )
@@ -45,13 +45,13 @@ def other(Z):
     return np.stack([0.3 * np.sin(2 * W[:, 3]), 0.1 * W[:, 1] * W[:, 2], 0.3 * np.cos(W[:, 0])], axis=1)
 
 
-def test_the_nominal_car_claims_nothing():
+def test_the_nominal_car_has_no_basis():
     assert known_effect_basis(SEDAN.build()) is None and isinstance(CAR, Extended)
 
 
-def test_claims_are_how_rates_change_with_the_parameters():
+def test_the_basis_is_how_rates_change_with_the_parameters():
     Z, _ = inputs(5)
-    found, h = claims(Z), 1e-5
+    found, h = basis_of(Z), 1e-5
     assert found.shape == (5, 3, 2)
     rates = jax.jit(
         jax.vmap(lambda theta, z: jnp.stack(CAR.with_parameters(theta)(State(*z[:3]), Control(*z[3:]))), (None, 0))
@@ -65,11 +65,11 @@ def test_claims_are_how_rates_change_with_the_parameters():
 @pytest.mark.slow
 def test_another_value_of_a_named_effect_is_not_learnt_as_residual():
     Z, rng = inputs()
-    caused = np.asarray(claims(Z)) @ [0.8, -0.6]
+    caused = np.asarray(basis_of(Z)) @ [0.8, -0.6]
     Y = caused + 0.02 * np.std(caused, axis=0) * rng.normal(size=caused.shape)
     share = {}
-    for name, known_basis in (("plain", None), ("orthogonal", CLAIM)):
-        found = learnt(Z, Y, known_basis)
+    for name, known_basis in (("plain", None), ("orthogonal", BASIS)):
+        found = updated(Z, Y, known_basis)
         mean = np.asarray(means(found.residual.gp, found.Z))
         share[name] = np.sqrt(np.sum(mean**2, axis=0) / np.sum(np.asarray(found.Y) ** 2, axis=0))
     assert np.all(share["plain"] > 0.7)  # without the orthogonality the GP takes nearly all of it
@@ -78,12 +78,12 @@ def test_another_value_of_a_named_effect_is_not_learnt_as_residual():
 
 def test_the_rest_is_learnt_and_trusted_all_the_same():
     Z, rng = inputs()
-    rest, caused = other(Z), np.asarray(claims(Z)) @ [0.8, -0.6]
+    rest, caused = other(Z), np.asarray(basis_of(Z)) @ [0.8, -0.6]
     noise = 0.02 * np.std(rest, axis=0) * rng.normal(size=rest.shape)
-    found = learnt(Z, rest + caused + noise, CLAIM)
+    found = updated(Z, rest + caused + noise, BASIS)
     assert np.all(np.asarray(found.residual.trust_factor) > 0.7)
     mean, mask = np.asarray(means(found.residual.gp, found.Z)), np.asarray(found.mask)
-    basis = np.asarray(claims(found.Z))
+    basis = np.asarray(basis_of(found.Z))
     for d in range(3):
         J = basis[mask, d] / np.linalg.norm(basis[mask, d], axis=0).max()
         assert np.abs(J.T @ mean[mask, d]).max() < 1e-6 * np.linalg.norm(mean[mask, d])

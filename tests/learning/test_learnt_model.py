@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from driftjax.learning.config import GPConfig
-from driftjax.learning.model import FOLDS, empty, learn, trust_factors
+from driftjax.learning.model import FOLDS, empty, trust_factors, update_model
 
 LAGS = jnp.asarray([0.05, 0.1])
 at = eqx.filter_jit(lambda residual, Z: jax.vmap(residual)(Z))
 CONFIG = GPConfig(size=80, num_fit=60, restarts=1)
 MEAN, SPREAD = np.array([9.0, -0.5, 1.1, -0.3, 6000.0]), np.array([0.8, 0.1, 0.2, 0.1, 800.0])
 SIZE = np.array([0.5, 0.2, 0.4])
-fitted: Any = eqx.filter_jit(lambda model_state, Z, Y, mask, key: learn(model_state, Z, Y, mask, LAGS, CONFIG, key))
+fitted: Any = eqx.filter_jit(
+    lambda model_state, Z, Y, mask, key: update_model(model_state, Z, Y, mask, LAGS, CONFIG, key)
+)
 
 
 def planted(W):

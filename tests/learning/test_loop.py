@@ -16,7 +16,7 @@ from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
 from driftjax.learning.run import run
-from driftjax.learning.scenario import build, drivers
+from driftjax.learning.scenario import build_drivers, build_scenario
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal
 from driftjax.parallel import BatchExecutor
@@ -93,7 +93,7 @@ def test_what_was_learnt_is_in_the_laps(finished):
 def test_the_papers_cost_drives_the_corner_sideways():
     """It does so only where every solve starts from the reference: else the front saturates and the speed falls."""
     config = dataclasses.replace(CONFIG, controllers=("paper",))
-    stage, planned = drive_nominal(build(config, BatchExecutor(1)), 0)
+    stage, planned = drive_nominal(build_scenario(config, BatchExecutor(1)), 0)
     assert bool(jnp.all(planned.converged)) and bool(jnp.all(stage.figures.completed))
     assert float(jnp.min(stage.figures.drift_share)) >= 0.5
 
@@ -127,9 +127,9 @@ def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, fin
 @pytest.mark.parametrize("batch", [2, 16])
 def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
-    scenario = build(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
+    scenario = build_scenario(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
     initial = scenario.over_batch(empty(CONFIG.gp).residual)
-    everyone = drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
+    everyone = build_drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
     drive = lambda executor: run_stage(dataclasses.replace(scenario, executor=executor), everyone, 0).laps.trace
     batch, singles = drive(BatchExecutor(None)), drive(BatchExecutor(1))
     assert jnp.all(jnp.any(batch.decision.drifting, axis=1))

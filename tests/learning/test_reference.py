@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import Control, State
-from driftjax.learning.reference import corner, entry_horizon, plan_table, step_table
+from driftjax.learning.reference import entry_horizon, plan_table, steady_corner, step_table
 from driftjax.planner import load_plan_config, plan
 from driftjax.track import load_track
 from driftjax.vehicle import load_vehicle
@@ -46,7 +46,7 @@ def test_the_reference_runs_along_the_path_it_belongs_to(lap, table):
 
 
 def test_the_corner_is_the_mean_of_the_planned_middle(table):
-    found = corner(table, 0.44)
+    found = steady_corner(table, 0.44)
     assert found.V_b == pytest.approx(found.r_b * found.R)
     assert np.sign(found.beta) == -np.sign(found.R) and abs(found.beta) == 0.44
     assert float(jnp.min(table.V)) <= found.V_b <= float(jnp.max(table.V))

@@ -16,7 +16,7 @@ from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
 from driftjax.learning.run import _resume
-from driftjax.learning.scenario import build, drivers
+from driftjax.learning.scenario import build_drivers, build_scenario
 from driftjax.learning.stage import CODES, StageResult, run_stage, stage_values
 from driftjax.learning.stages import _layers, drive_stage, first_progress, stage_names
 from driftjax.learning.updates import update_progress
@@ -32,7 +32,7 @@ SHORT = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return build(SHORT, BatchExecutor())
+    return build_scenario(SHORT, BatchExecutor())
 
 
 def exploring(scenario, **changes):
@@ -48,7 +48,7 @@ def test_there_are_as_many_exploration_laps_as_asked_for_and_none_without_sets()
 
 
 def test_plants_are_numbered_on_and_keep_their_noise(scenario):
-    later = build(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
+    later = build_scenario(dataclasses.replace(SHORT, first_plant=1, plants=1), BatchExecutor())
     assert later.batch[0] == scenario.batch[1]
     assert bool(jnp.all(later.keys[0] == scenario.keys[1]))
 
@@ -58,7 +58,7 @@ def pursued(scenario):
     """A lap of pure pursuit, and what is known before it."""
     residual = scenario.over_batch(empty(SHORT.gp).residual)
     table = scenario.over_batch(scenario.table)
-    return run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
+    return run_stage(scenario, build_drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
 
 
 def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
@@ -200,7 +200,7 @@ def test_the_arrival_is_measured_or_stays_the_planned_one(scenario, pursued):
 def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_path):
     trace, residual = pursued
     table = scenario.over_batch(scenario.table)
-    stage = run_stage(scenario, drivers(scenario, "pursuit", table, residual), 0)
+    stage = run_stage(scenario, build_drivers(scenario, "pursuit", table, residual), 0)
     data = dataset(stage_values(scenario, stage, "pursuit"), {"codes": CODES})
     folder = RunFolder.create(tmp_path / "old", to_dict(SHORT))
     folder.write_stage("pursuit", data.drop_vars("lateral_error_measured"), b"")

@@ -37,9 +37,9 @@ def found(run: Run) -> dict[tuple[str, str], Agreement]:
 
 
 def test_channels_of_one_motion_agree():
-    told = found(drive())
-    assert len(told) == 6
-    for name, one in told.items():
+    agreement = found(drive())
+    assert len(agreement) == 6
+    for name, one in agreement.items():
         assert one.slope == pytest.approx(1, abs=0.02), name
         assert abs(one.offset) < 0.01 and abs(one.shift) < 0.006 and one.correlation > 0.99, name
 
@@ -84,20 +84,20 @@ def test_missing_values_leave_out_their_samples_only():
         channel[rng.random(NUM) < share] = np.nan
     run.beta[1000:1500] = np.nan  # a dropout
     run.extra["ay"][:] = np.nan  # never measured
-    told = found(run)
-    assert ("ay", "V'") not in told
-    assert told["r", "rate"].offset == pytest.approx(0.02, abs=0.002)
-    assert told["V", "speed"].slope == pytest.approx(1, abs=0.02)
+    agreement = found(run)
+    assert ("ay", "V'") not in agreement
+    assert agreement["r", "rate"].offset == pytest.approx(0.02, abs=0.002)
+    assert agreement["V", "speed"].slope == pytest.approx(1, abs=0.02)
     whole = found(drive(r=0.02))["beta", "course"].num
-    assert 0.5 * whole < told["beta", "course"].num < whole - 450
+    assert 0.5 * whole < agreement["beta", "course"].num < whole - 450
 
 
 def test_a_log_is_inspected(tmp_path, capsys):
     write_log(tmp_path / "log.csv", [drive(r=0.02)])
     out = tmp_path / "out"
     assert main(["inspect", str(tmp_path / "log.csv"), "--vehicle", "sedan", "--out", str(out)]) == 0
-    told = capsys.readouterr().out
-    assert "1 runs, 30.0 s at 100 Hz" in told and "rate of the heading" in told
+    output = capsys.readouterr().out
+    assert "1 runs, 30.0 s at 100 Hz" in output and "rate of the heading" in output
     content = json.loads((out / "inspection.json").read_text())
     assert content["channels"]["r"]["unit"] == "rad/s" and len(content["agreement"]) == 6
     assert (out / "figures" / "channels.png").stat().st_size > 10000

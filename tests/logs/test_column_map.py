@@ -94,14 +94,14 @@ def test_a_column_map_thins_to_a_rate(tmp_path):
         (("Fxr_from: {", "Fxr_from: {wheel: 1, "), "unknown key 'wheel'"),
     ],
 )
-def test_column_maps_that_make_no_sense_are_told(tmp_path, change, sentence):
+def test_column_maps_that_make_no_sense_are_reported(tmp_path, change, sentence):
     path = tmp_path / "map.yaml"
     path.write_text(MAP.replace(*change))
     with pytest.raises(BadInput, match=f"^{re.escape(str(path))}: .*{re.escape(sentence)}"):
         load_columns(path)
 
 
-def test_column_maps_that_do_not_fit_the_file_are_told(tmp_path):
+def test_column_maps_that_do_not_fit_the_file_are_reported(tmp_path):
     foreign(tmp_path / "log.csv")
     (tmp_path / "map.yaml").write_text(MAP)
     fits = load_columns(tmp_path / "map.yaml")

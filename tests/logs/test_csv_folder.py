@@ -182,7 +182,7 @@ def test_the_shipped_map_reads_the_files_of_its_logger(tmp_path):
         np.testing.assert_allclose(run.r[there], true["r"][there], atol=0.01)
 
 
-def test_a_table_without_names_is_told(tmp_path):
+def test_a_table_without_names_is_reported(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("0.0,1.5,0.1\n0.1,1.6,0.2\n0.2,1.7,0.1\n")
     with pytest.raises(BadInput, match=r"log.csv, row 1: holds numbers where the names of the columns should be"):

@@ -9,7 +9,7 @@ import yaml
 from driftjax.core import BadInput
 from driftjax.logs import guess_columns, read_log
 from driftjax.logs.columns import load_columns
-from driftjax.logs.guess.material import unwrapped
+from driftjax.logs.guess.log_columns import unwrapped
 from driftjax.logs.guess.names import meaning, parse_unit
 
 DEG, KMH, G = np.pi / 180, 1 / 3.6, 9.80665
@@ -125,7 +125,7 @@ def test_files_of_loggers(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["ros2", "json.mcap", "log.mf4"])
 def test_recordings(tmp_path, name):
-    """Commands in an array without names cannot be told; everything else is."""
+    """Commands in an array without names cannot be identified; everything else is."""
     ns = (2e7 * np.arange(400)).astype(np.int64)
     path, columns = bags.recorded(tmp_path, name, bags.drive(ns, ns, ns))
     got = {channel: column for channel, (column, *_) in placed(path).items()}
@@ -143,13 +143,13 @@ def test_recordings(tmp_path, name):
 )  # fmt: skip
 def test_names_and_units(name, unit, channel, factor):
     said = meaning(name, unit)
-    assert max(said.worth, key=said.worth.__getitem__) == channel
+    assert max(said.name_score, key=said.name_score.__getitem__) == channel
     assert (said.unit and said.unit.factor) == (pytest.approx(factor) if factor else None)
 
 
-def test_units_are_told_from_other_words():
+def test_units_are_distinguished_from_other_words():
     assert parse_unit("furlong") is None and meaning("car v").unit is None
-    assert meaning("yaw_acc_radps2").worth["r"] == 0 and meaning("a_lat").worth["latitude"] < 0.1
+    assert meaning("yaw_acc_radps2").name_score["r"] == 0 and meaning("a_lat").name_score["latitude"] < 0.1
 
 
 def test_only_jumps_by_a_turn_are_taken_out_of_an_angle():

@@ -1,4 +1,4 @@
-"""Measured logs: exact round trips, cuts and repairs that are told, and one sentence for whatever cannot be read."""
+"""Measured logs: exact round trips, cuts and repairs reported, and one sentence for whatever cannot be read."""
 
 import hashlib
 import re
@@ -221,7 +221,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_values_are_told_in_one_sentence(tmp_path, case):
+def test_bad_values_are_reported_in_one_sentence(tmp_path, case):
     values, sentence = BAD[case]
     path = write(tmp_path / "log.csv", values)
     with pytest.raises(BadInput, match=sentence.replace("(", r"\(")) as error:
@@ -241,7 +241,7 @@ def test_bad_values_are_told_in_one_sentence(tmp_path, case):
         (b"\xff\xfe\x00", "neither text in UTF-8 nor Parquet"),
     ],
 )
-def test_files_that_are_no_log_are_told(tmp_path, content, sentence):
+def test_files_that_are_no_log_are_reported(tmp_path, content, sentence):
     path = tmp_path / "log.csv"
     if content is not None:
         path.write_bytes(content)
@@ -249,7 +249,7 @@ def test_files_that_are_no_log_are_told(tmp_path, content, sentence):
         read_log([path])
 
 
-def test_a_folder_no_log_and_the_same_log_twice_are_told(tmp_path):
+def test_a_folder_no_log_and_the_same_log_twice_are_reported(tmp_path):
     with pytest.raises(BadInput, match="is a folder without the metadata.yaml of a ROS 2 bag"):
         read_log([tmp_path])
     with pytest.raises(BadInput, match="No log was given"):
@@ -259,7 +259,7 @@ def test_a_folder_no_log_and_the_same_log_twice_are_told(tmp_path):
         read_log(paths)
 
 
-def test_rates_that_differ_are_told_with_both_runs(tmp_path):
+def test_rates_that_differ_are_reported_with_both_runs(tmp_path):
     paths = [write(tmp_path / f"{name}.csv", columns(dt=dt)) for name, dt in (("slow", 0.05), ("fast", 0.01))]
     with pytest.raises(BadInput, match=r"'slow' has 20 Hz but run 'fast' has 100 Hz; .*rate"):
         read_log(paths)
@@ -283,7 +283,7 @@ def test_parquet_that_is_broken_or_holds_text(tmp_path):
     assert read_log([path]).runs[0].name == "1"
 
 
-def test_logs_that_cannot_be_written_are_told(tmp_path):
+def test_logs_that_cannot_be_written_are_reported(tmp_path):
     for path, runs, sentence in (
         (tmp_path / "log.mat", [run_of("a")], "csv or .parquet"),
         (tmp_path / "none" / "log.csv", [run_of("a")], "cannot be written"),
@@ -307,7 +307,7 @@ def test_a_header_behind_a_hash_and_a_line_of_units_are_read_as_they_are(tmp_pat
         np.testing.assert_array_equal(getattr(with_units.runs[0], name), expected)
 
 
-def test_a_missing_column_is_told_with_those_that_there_are(tmp_path):
+def test_a_missing_column_is_reported_with_those_that_there_are(tmp_path):
     path = write(tmp_path / "log.csv", {{"r": "yaw_rate"}.get(k, k): v for k, v in columns().items()})
     with pytest.raises(BadInput, match="column 'r' is missing; .* There are '.*'yaw_rate'"):
         read_log([path])

@@ -227,7 +227,7 @@ def test_a_bag_without_definitions_is_read_with_those_of_humble(tmp_path):
     assert log.rows == 900 and any("'/odom'" in note and "Humble" in note for note in log.notes)
 
 
-def test_the_kind_is_told_by_content_and_the_hash_covers_what_is_there(tmp_path):
+def test_the_kind_is_detected_by_content_and_the_hash_covers_what_is_there(tmp_path):
     sources = bags.drive(every(0.02), every(0.01), every(0.04))
     for name in ("ros1.bag", "json.mcap", "log.mf4"):
         path, columns = bags.recorded(tmp_path, name, sources)

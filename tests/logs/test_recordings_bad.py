@@ -1,4 +1,4 @@
-"""What cannot be read of a recording is told in one sentence that names it and what to do."""
+"""Whatever cannot be read of a recording is reported in one sentence that names it and what to do."""
 
 import re
 import sqlite3
@@ -37,7 +37,7 @@ def map_with(folder: Path, old: str = "", new: str = "", text: str = bags.MESSAG
     return load_columns(folder / "map.yaml")
 
 
-def told(path: Path, columns: ColumnMap | None, sentence: str) -> None:
+def assert_rejected(path: Path, columns: ColumnMap | None, sentence: str) -> None:
     with pytest.raises(BadInput, match=sentence) as error:
         read_log([path], columns)
     said = str(error.value)
@@ -62,21 +62,21 @@ COLUMNS = {
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2", "ros2.mcap", "json.mcap", "protobuf.mcap"])
 def test_topics_and_fields_that_are_not_there(tmp_path, sources, name, case):
     old, new, sentence = COLUMNS[case]
-    told(bags.WRITERS[name](tmp_path / name, sources), map_with(tmp_path, old, new), sentence)
+    assert_rejected(bags.WRITERS[name](tmp_path / name, sources), map_with(tmp_path, old, new), sentence)
 
 
 @pytest.mark.parametrize("name", bags.WRITERS)
 def test_a_recording_without_a_column_map(tmp_path, sources, name):
     path, _ = bags.recorded(tmp_path, name, sources)
-    told(path, None, "needs a column map.*" + ("'delta'" if name == "log.mf4" else "'/command'"))
+    assert_rejected(path, None, "needs a column map.*" + ("'delta'" if name == "log.mf4" else "'/command'"))
 
 
 @pytest.mark.parametrize("name", MANY)
-def test_a_missing_library_is_told_with_its_extra(tmp_path, sources, name, monkeypatch):
+def test_a_missing_library_is_reported_with_its_extra(tmp_path, sources, name, monkeypatch):
     path, columns = bags.recorded(tmp_path, name, sources)
     extra, module = MANY[name]
     monkeypatch.setitem(sys.modules, module, None)
-    told(path, load_columns(columns), rf"driftjax\[{extra}\]")
+    assert_rejected(path, load_columns(columns), rf"driftjax\[{extra}\]")
 
 
 @pytest.mark.parametrize("name", bags.WRITERS)
@@ -86,7 +86,7 @@ def test_a_file_that_was_cut_off(tmp_path, sources, name):
     content = file.read_bytes()
     for share in (0.02, 0.3, 0.6, 0.9):
         file.write_bytes(content[: int(share * len(content))])
-        told(path, load_columns(columns), "is no readable (ROS bag|MCAP file|MDF file) .*; (mend|write) it")
+        assert_rejected(path, load_columns(columns), "is no readable (ROS bag|MCAP file|MDF file) .*; (mend|write) it")
 
 
 @pytest.mark.parametrize("name", ["ros1.bag", "json.mcap", "log.mf4"])
@@ -103,26 +103,30 @@ def test_a_damaged_file_ends_with_exit_code_2(tmp_path, sources, name, monkeypat
 @pytest.mark.parametrize("name", bags.MESSAGES)
 def test_nothing_recorded(tmp_path, sources, name):
     path = bags.WRITERS[name](tmp_path / name, [])
-    told(path, map_with(tmp_path), "holds no messages|is no readable")
+    assert_rejected(path, map_with(tmp_path), "holds no messages|is no readable")
     silent = sources[0]._replace(ns=NS[:0], columns={})
     if name not in ("protobuf.mcap", "ros2.mcap"):  # their libraries write no topic without a message
         bags.WRITERS[name](tmp_path / f"2{name}", [silent, *sources[1:]])
-        told(tmp_path / f"2{name}", map_with(tmp_path), "topic '/odom' has no messages; record it")
+        assert_rejected(tmp_path / f"2{name}", map_with(tmp_path), "topic '/odom' has no messages; record it")
 
 
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2", "ros2.mcap", "json.mcap", "protobuf.mcap"])
 def test_values_that_are_no_use(tmp_path, sources, name):
     text = bags.Source("/name", "std_msgs/msg/String", NS, {"data": np.full(len(NS), "fast")}, header=False)
     path = bags.WRITERS[name](tmp_path / name, [*sources, text])
-    told(path, map_with(tmp_path, "/imu.angular_velocity.z", "/name.data"), "'/name.data' holds text, such as 'fast'")
+    assert_rejected(
+        path, map_with(tmp_path, "/imu.angular_velocity.z", "/name.data"), "'/name.data' holds text, such as 'fast'"
+    )
     speed = sources[0].columns["twist.twist.linear.x"].copy()
     speed[41] = np.inf
     odom = sources[0]._replace(columns=sources[0].columns | {"twist.twist.linear.x": speed})
     if name != "protobuf.mcap":  # its JSON has no infinity
         path = bags.WRITERS[name](tmp_path / f"2{name}", [odom, *sources[1:]])
-        told(path, map_with(tmp_path), "sample 42 of '/odom': column '/odom.twist.twist.linear.x' is infinite")
+        assert_rejected(
+            path, map_with(tmp_path), "sample 42 of '/odom': column '/odom.twist.twist.linear.x' is infinite"
+        )
     path = bags.WRITERS[name](tmp_path / f"3{name}", [sources[0]._replace(ns=NS[:1]), *sources[1:]])
-    told(path, map_with(tmp_path), "'/odom', which column .* has 1 samples, fewer than 2")
+    assert_rejected(path, map_with(tmp_path), "'/odom', which column .* has 1 samples, fewer than 2")
 
 
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2.mcap", "json.mcap", "protobuf.mcap"])
@@ -141,7 +145,7 @@ def test_time_stamps_that_cannot_be_right(tmp_path, sources, name):
     )
     for i, (changed, sentence) in enumerate(cases):
         path = bags.WRITERS[name](tmp_path / f"{i}{name}", [odom, changed, *others])
-        told(path, map_with(tmp_path), sentence)
+        assert_rejected(path, map_with(tmp_path), sentence)
         assert read_log([path], replace(map_with(tmp_path), stamps="receipt")).rows == len(NS)
 
 
@@ -155,14 +159,18 @@ def test_ros_messages_that_nobody_defines(tmp_path, sources):
     connection.close()
     metadata = path / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("nav_msgs/msg/Odometry", "my_msgs/msg/Odometry"))
-    told(path, load_columns(columns), "does not define the messages of '/odom', my_msgs/msg/Odometry; convert it")
+    assert_rejected(
+        path, load_columns(columns), "does not define the messages of '/odom', my_msgs/msg/Odometry; convert it"
+    )
 
 
 def test_mcap_messages_in_other_encodings(tmp_path, sources):
     for encoding, schema in (("cbor", ""), ("cdr", "omgidl")):
         path = tmp_path / f"{encoding}.mcap"
         bags.write_mcap_plain(path, sources, (encoding, schema), lambda one: b"", lambda one, content: b"")
-        told(path, map_with(tmp_path), f"topic '/odom' are in {encoding}, described by {schema}; those that can")
+        assert_rejected(
+            path, map_with(tmp_path), f"topic '/odom' are in {encoding}, described by {schema}; those that can"
+        )
 
 
 def test_mdf_channels_that_are_no_use(tmp_path, sources):
@@ -183,22 +191,22 @@ def test_mdf_channels_that_are_no_use(tmp_path, sources):
         "pair": "channel 'pair' holds several values at a time",
         "none": "'2:none', which column 'none' is read from, has 0 samples",
     }.items():
-        told(tmp_path / "log.mf4", map_with(tmp_path, "CHANNEL", channel, text), sentence)
+        assert_rejected(tmp_path / "log.mf4", map_with(tmp_path, "CHANNEL", channel, text), sentence)
 
 
 def test_an_mdf_that_was_not_finished(tmp_path, sources):
     path, columns = bags.recorded(tmp_path, "log.mf4", sources)
     path.write_bytes(b"UnFinMF " + path.read_bytes()[8:])
-    told(path, load_columns(columns), "the recorder did not finish the MDF file; finalise it")
+    assert_rejected(path, load_columns(columns), "the recorder did not finish the MDF file; finalise it")
 
 
 def test_folders_that_are_no_bag(tmp_path, sources):
     path, columns = bags.recorded(tmp_path, "ros2", sources)
-    told(tmp_path, load_columns(columns), "is a folder without the metadata.yaml of a ROS 2 bag")
+    assert_rejected(tmp_path, load_columns(columns), "is a folder without the metadata.yaml of a ROS 2 bag")
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9}\n")
-    told(path, load_columns(columns), "is no readable ROS bag .*; mend it")
+    assert_rejected(path, load_columns(columns), "is no readable ROS bag .*; mend it")
     (path / "metadata.yaml").write_text("{")
-    told(path, load_columns(columns), "is no readable ROS bag")
+    assert_rejected(path, load_columns(columns), "is no readable ROS bag")
 
 
 def test_maps_that_make_no_sense_for_a_recording(tmp_path, sources):
@@ -211,4 +219,6 @@ def test_maps_that_make_no_sense_for_a_recording(tmp_path, sources):
             map_with(tmp_path, "columns:", f"{key}\ncolumns:")
     path, _ = bags.recorded(tmp_path, "ros2", sources)
     nothing = "columns: {t: time, vx: time, vy: time, r: time, delta: time, Fxr: time}"
-    told(path, map_with(tmp_path, text=nothing), "the column map says that vx is 'time', the time stamps; only t can")
+    assert_rejected(
+        path, map_with(tmp_path, text=nothing), "the column map says that vx is 'time', the time stamps; only t can"
+    )

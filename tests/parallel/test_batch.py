@@ -1,4 +1,4 @@
-"""A function of every lane: one alone takes one branch only, several give the same."""
+"""A function of every entry: one alone takes one branch only, several give the same."""
 
 import jax
 import jax.numpy as jnp
@@ -7,13 +7,13 @@ import numpy as np
 from driftjax.parallel import vmap_batch
 
 
-def ran(lane: tuple, name: str) -> tuple:
-    x, key = lane
+def ran(entry: tuple, name: str) -> tuple:
+    x, key = entry
     turned = jax.lax.cond(x > 0, lambda: jnp.cosh(x), lambda: x - 1)
     return turned + jax.random.uniform(key), {"name": name, "x": x}
 
 
-def test_one_lane_gives_what_it_gives_among_others():
+def test_an_entry_gives_alone_what_it_gives_among_others():
     x, keys = jnp.asarray([0.5, -0.5]), jax.random.split(jax.random.key(1), 2)
     run = vmap_batch(lambda x, key: ran((x, key), "car"))
     both = run(x, keys)
@@ -23,7 +23,7 @@ def test_one_lane_gives_what_it_gives_among_others():
         np.testing.assert_array_equal(one[0], both[0][i : i + 1])
 
 
-def test_one_lane_keeps_its_branches():
+def test_one_entry_keeps_its_branches():
     program = lambda num: str(
         jax.make_jaxpr(vmap_batch(lambda x: jax.lax.cond(x > 0, jnp.cosh, jnp.sinh, x)))(jnp.ones(num))
     )

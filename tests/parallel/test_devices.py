@@ -15,9 +15,9 @@ import pytest
 from driftjax.parallel import BatchExecutor, DeviceExecutor
 
 
-def settled(lanes, rate, label):
-    """How many steps each lane takes to fall below one, and what is left of it."""
-    x, keys = lanes
+def settled(batch, rate, label):
+    """How many steps each entry takes to fall below one, and what is left of it."""
+    x, keys = batch
 
     def one(x, key):
         step = lambda state: (state[0] * (1 - rate) + 1e-3 * jax.random.normal(key), state[1] + 1)
@@ -86,11 +86,11 @@ def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
     whole = executor.map(settled, some(8), jnp.asarray(0.1), "run")
     call = executor._call
 
-    def short_of_memory(function, num, lanes, shared):
+    def short_of_memory(function, num, batch, shared):
         calls.append(num)
         if num > 3:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")
-        return call(function, num, lanes, shared)
+        return call(function, num, batch, shared)
 
     monkeypatch.setattr(executor, "_call", short_of_memory)
     found = executor.map(settled, some(8), jnp.asarray(0.1), "run")

@@ -16,13 +16,13 @@ class Car(eqx.Module):
     name: str = eqx.field(static=True)
 
 
-def doubled(lanes, shift, label):
-    car, keys = lanes
+def doubled(batch, shift, label):
+    car, keys = batch
     return {"mass": 2 * car.mass + shift + jax.vmap(jax.random.normal)(keys), "car": car, "label": label}
 
 
-def fails(lanes):
-    raise ValueError("no such lane")
+def fails(batch):
+    raise ValueError("no such entry")
 
 
 def some(num: int):
@@ -39,9 +39,9 @@ def test_calls_of_any_size_and_workers_give_the_same_bits():
             np.testing.assert_allclose(later()["mass"], whole["mass"], rtol=1e-15)  # not compiled
             np.testing.assert_array_equal(found["mass"], whole["mass"])
             assert found["car"].name == "sedan"
-        with pytest.raises(ValueError, match="no such lane"):
+        with pytest.raises(ValueError, match="no such entry"):
             workers.map(fails, some(2))
-        with pytest.raises(ValueError, match="no such lane"):
+        with pytest.raises(ValueError, match="no such entry"):
             workers.submit(fails, some(2))()
         assert workers.pool is not None
         dry = CompileAheadExecutor(workers.pool).map(doubled, some(3), jnp.asarray(0.5), "run")
@@ -54,7 +54,7 @@ def test_threads_share_a_batch_and_end_with_the_context(num):
     before = threading.active_count()
     with thread_executor(7, num) as executor:
         found = executor.map(doubled, some(7), jnp.asarray(0.5), "run")
-        with pytest.raises(ValueError, match="no such lane"):
+        with pytest.raises(ValueError, match="no such entry"):
             executor.map(fails, some(7))
     assert threading.active_count() == before
     np.testing.assert_array_equal(found["mass"], whole["mass"])

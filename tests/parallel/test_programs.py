@@ -1,4 +1,4 @@
-"""Stored programs: loaded without tracing, told apart by shapes, static values and source, never the end of a call."""
+"""Stored programs: loaded without tracing, keyed by shapes, static values and source, never the end of a call."""
 
 import os
 import subprocess

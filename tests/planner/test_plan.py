@@ -182,7 +182,7 @@ def test_impossible_demands_are_not_called_a_plan(change):
     assert float(found.violation) > 1e-4 and found.result == RESULTS.infeasible
 
 
-def test_too_few_iterations_are_told():
+def test_too_few_iterations_are_reported():
     track, vehicle, config = setup("sedan", True)
     found = plan(track, vehicle, dataclasses.replace(config, max_steps=2))
     assert found.result != RESULTS.successful and int(found.num_steps) == 2

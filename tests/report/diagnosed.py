@@ -46,7 +46,7 @@ def values(named: tuple[str, ...]) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def told(named: tuple[str, ...]) -> dict:
+def diagnosis_content(named: tuple[str, ...]) -> dict:
     """What `diagnosis.json` holds."""
     channels = lambda *rows: dict(zip(("V", "beta", "r"), rows, strict=True))
     four = lambda last: [0.05, 0.1, last / 2, last]
@@ -89,5 +89,5 @@ def diagnosed(path: Path, named: tuple[str, ...] = ("friction_rear",), drivers: 
             data[name] = data[name][:0] if name == "driver" else data[name][:, :0]
     attrs = {"car": "sedan", "predicted_on": "runs held out", "score_threshold": 3.0, "white_band": 0.02}
     run.write_dataset("diagnosis.nc", dataset(data, attrs, DIAGNOSIS))
-    run.write_json("diagnosis", told(named))
+    run.write_json("diagnosis", diagnosis_content(named))
     return run

@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from diagnosed import DRIVERS, EFFECTS, diagnosed, told
+from diagnosed import DRIVERS, EFFECTS, diagnosed, diagnosis_content
 from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from driftjax.cli import main
-from driftjax.report import closed_loop_table, gain_table, run_line, worth_table, write_diagnosis
+from driftjax.report import closed_loop_table, error_share_table, gain_table, run_line, write_diagnosis
 from driftjax.report.diagnosis import TITLES, diagnosis_figures
 from driftjax.report.evidence import PLAIN, plot_confusability, plot_scores
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
@@ -46,10 +46,10 @@ def test_page_holds_every_figure_and_needs_nothing_else(run, capsys):
 
 
 def test_exploratory_causes_are_marked_in_the_table():
-    content = told(("friction_rear",))
-    assert "exploratory" not in worth_table(content)
+    content = diagnosis_content(("friction_rear",))
+    assert "exploratory" not in error_share_table(content)
     content["causes"][0]["exploratory"] = True
-    assert "friction_rear (exploratory)" in worth_table(content)
+    assert "friction_rear (exploratory)" in error_share_table(content)
 
 
 def test_what_is_stored_describes_itself(run):
@@ -128,7 +128,7 @@ def laps(*codes: str, **means: float | None) -> dict:
     return {"completed": [done, len(codes)], "codes": list(codes)} | each
 
 
-def test_closed_loop_is_told_per_model_with_what_failed(run):
+def test_closed_loop_is_reported_per_model_with_what_failed(run):
     good = laps("COMPLETED", "COMPLETED", lateral_error=0.08, velocity_rmse=0.4, drift_share=0.7)
     bad = laps("SPUN", "OFF_TRACK", lateral_error=6.0, velocity_rmse=None, drift_share=0.1)
     apart = {"mean": -5.92, "ci95": [-6.5, -5.25], "pairs": 2}

@@ -14,7 +14,7 @@ from driftjax.report.learn import learn_figures
 from driftjax.report.plan import flagged_spans, plot_states, plot_trajectory
 from driftjax.report.shape import outline
 from driftjax.report.style import DRIFT, EXPLORED, GPR, NOMINAL
-from driftjax.report.table import best_errors, interval
+from driftjax.report.table import best_errors, format_interval
 from driftjax.report.tracking import plot_lateral_error
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
@@ -72,13 +72,13 @@ def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
 
 
 def test_missing_numbers_are_dashes_not_crashes():
-    assert interval(None) == "-" and interval({"mean": None, "ci95": [None, None]}) == "-"
-    assert interval({"mean": 1.234, "ci95": None}) == "1.23"
-    assert interval({"mean": 5.9, "ci95": [-423943659.8, 100.0]}, ".1f") == "5.9 [-4.2e+08, 100.0]"
+    assert format_interval(None) == "-" and format_interval({"mean": None, "ci95": [None, None]}) == "-"
+    assert format_interval({"mean": 1.234, "ci95": None}) == "1.23"
+    assert format_interval({"mean": 5.9, "ci95": [-423943659.8, 100.0]}, ".1f") == "5.9 [-4.2e+08, 100.0]"
     cell = {"mean": 1.234, "ci95": [1.0, 2.0]}
-    assert interval(cell | {"plants": 3, "all_plants": 4}) == "1.23 [1.00, 2.00] (3/4)"
-    assert interval(cell | {"plants": 4, "all_plants": 4}) == "1.23 [1.00, 2.00]"
-    assert interval({"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 4}) == "-"
+    assert format_interval(cell | {"plants": 3, "all_plants": 4}) == "1.23 [1.00, 2.00] (3/4)"
+    assert format_interval(cell | {"plants": 4, "all_plants": 4}) == "1.23 [1.00, 2.00]"
+    assert format_interval({"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 4}) == "-"
     empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
              "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
     text = results_table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})

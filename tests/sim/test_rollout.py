@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from driftjax.core import Control, State, rk4_step
-from driftjax.sim.rollout import SETTLE, acting, begin, move, sensor_reading
+from driftjax.sim.rollout import SETTLE, actuator_response, begin, move, sensor_reading
 from driftjax.sim.sensitivity import move_with_derivatives
 from driftjax.sim.step import LaggedState, constant_hold, lagged_step, steady_lagged_state
 from driftjax.vehicle import load_vehicle
@@ -151,7 +151,7 @@ def test_lagging_steering_is_that_of_the_differential_equation(tau):
     jumps = np.zeros(lead + num)
     jumps[[0, lead, lead + 7, lead + 30]] = [0.1, *rng.uniform(-0.3, 0.3, 3)]
     commands = np.stack([np.cumsum(jumps), np.full(lead + num, 500.0)], axis=1)
-    found = acting(car_with(steer_lag=tau), jnp.asarray(commands), jnp.full(lead + num, 10.0), DT)
+    found = actuator_response(car_with(steer_lag=tau), jnp.asarray(commands), jnp.full(lead + num, 10.0), DT)
     k = np.arange(lead + num)  # mean over step k of the response 1 - exp(-t / tau) to a jump at its begin
     response = 1 - np.exp(-k * DT / tau) * (1 - np.exp(-DT / tau)) * tau / DT
     np.testing.assert_allclose(found[:, 0], np.convolve(jumps, response)[: lead + num], atol=1e-12)
@@ -174,7 +174,7 @@ def test_actuators_have_forgotten_their_start_after_settling():
     model = car_with(steer_lag=0.14, steer_delay=0.1, drive_lag=0.16)
     lead = round(SETTLE / DT)
     rest = jnp.tile(jnp.array([[0.3, 2000.0]]), (lead + 2, 1))
-    found = acting(model, rest, jnp.full(lead + 2, 10.0), DT)
+    found = actuator_response(model, rest, jnp.full(lead + 2, 10.0), DT)
     np.testing.assert_allclose(found[lead:, :2], rest[lead:], rtol=3e-3)
 
 
@@ -185,7 +185,7 @@ def test_sensors_tell_the_yaw_rate_with_its_bias():
 
 
 @pytest.mark.parametrize("steps", [0.0, 0.3, 0.999, 1.0, 2.6])
-def test_what_is_late_is_told_as_it_was(steps):
+def test_what_is_late_is_reported_as_it_was(steps):
     """Less whole steps, and exactly where the state moves along a cubic."""
     model = universal_car(load_vehicle("sedan"), effects_by_name(("channel_delay",)))
     model = model.with_parameters(jnp.array([0.0, steps, 0.4 * steps]) * DT / model.scale)

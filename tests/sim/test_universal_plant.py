@@ -109,8 +109,8 @@ def test_sensors_tell_what_their_effects_make_of_the_motion():
     car = plant(gyro_bias=0.02)
     state = car.rolling(V0)
     motion = car.motion(state, Control(jnp.asarray(0.0), jnp.asarray(0.0)))
-    told = car.sensor_reading(state, motion)
-    assert float(told.r) == pytest.approx(0.02) and float(told.V) == V0 and float(motion.r) == 0.0
+    readings = car.sensor_reading(state, motion)
+    assert float(readings.r) == pytest.approx(0.02) and float(readings.V) == V0 and float(motion.r) == 0.0
 
 
 def test_a_spinning_entry_keeps_its_code_and_the_others_continue():
@@ -145,11 +145,11 @@ def test_a_late_sensor_tells_what_was():
         motion = car.motion(state, Control(u[0], u[1]))
         return state, (motion, car.sensor_reading(state, motion))
 
-    _, (motion, told) = jax.lax.scan(step, car.rolling(V0), jnp.asarray(commands))
-    np.testing.assert_array_equal(told.V, motion.V)
-    np.testing.assert_allclose(told.beta[13:], motion.beta[:-13], atol=1e-12)
-    np.testing.assert_allclose(told.r[48:], (motion.r[1:-47] + motion.r[:-48]) / 2, atol=1e-12)  # in between
-    assert not np.any(told.beta[:13]) and float(jnp.ptp(told.beta)) > 1e-3  # it rolled straight on before
+    _, (motion, readings) = jax.lax.scan(step, car.rolling(V0), jnp.asarray(commands))
+    np.testing.assert_array_equal(readings.V, motion.V)
+    np.testing.assert_allclose(readings.beta[13:], motion.beta[:-13], atol=1e-12)
+    np.testing.assert_allclose(readings.r[48:], (motion.r[1:-47] + motion.r[:-48]) / 2, atol=1e-12)  # in between
+    assert not np.any(readings.beta[:13]) and float(jnp.ptp(readings.beta)) > 1e-3  # it rolled straight on before
 
 
 def test_plants_of_vehicle_files_are_the_cars_that_they_describe(tmp_path):

@@ -119,7 +119,7 @@ def test_collected_laps_pad_what_a_stage_lacks(run):
     assert whole["V"].attrs["units"] == "m/s"
 
 
-def test_collect_without_stages_is_told(run):
+def test_collect_without_stages_is_reported(run):
     with pytest.raises(BadInput, match="no stage has finished"):
         run.write_laps()
 
@@ -131,14 +131,14 @@ def test_a_folder_that_holds_a_run_is_not_overwritten(run):
     assert {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()} == before
 
 
-def test_an_unwritable_path_is_told_and_nothing_is_left(tmp_path):
+def test_an_unwritable_path_is_reported_and_nothing_is_left(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(BadInput, match="cannot be written"):
         RunFolder.create(tmp_path / "file" / "run", CONFIG)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_opening_what_is_no_run_is_told(tmp_path):
+def test_opening_what_is_no_run_is_reported(tmp_path):
     with pytest.raises(BadInput, match="holds no run"):
         RunFolder.open(tmp_path)
 
@@ -152,7 +152,7 @@ def test_discard_removes_only_what_was_made(tmp_path):
     assert list((tmp_path / "mine").iterdir()) == [tmp_path / "mine" / "note"]
 
 
-def test_reading_what_is_not_there_is_told(run):
+def test_reading_absent_names_are_reported(run):
     for read in (run.read_stage, run.read_state, run.read_json, run.read_dataset):
         with pytest.raises(BadInput, match="no such file"):
             read("absent")

@@ -46,9 +46,9 @@ def here(tmp_path, monkeypatch):
 
 
 def truth(**changes) -> str:
-    told = {"vehicle": "sedan", "combined_slip": 1.0, "campaign": to_dict(Campaign()),
+    content = {"vehicle": "sedan", "combined_slip": 1.0, "campaign": to_dict(Campaign()),
             "effects": {"load_transfer_long": {"h": 0.3}, "steer_lag": {"tau": 0.07}}}  # fmt: skip
-    Path("truth.yaml").write_text(yaml.safe_dump(told | changes))
+    Path("truth.yaml").write_text(yaml.safe_dump(content | changes))
     return "truth.yaml"
 
 
@@ -80,10 +80,10 @@ def test_a_spin_keeps_its_code_and_is_no_pair_in_speed():
     good, spun = LapCode.COMPLETED, LapCode.SPUN
     one: Any = driven([0.2, 0.3, 8.0, 0.4], [0.5, 0.6, 0.0, 0.4], [good, good, spun, good])
     other: Any = driven([0.1, 0.1, 0.1, 8.0], [0.4, 0.4, 0.4, 0.0], [good, good, good, spun])
-    told = summarise_laps(one)
-    assert told["completed"] == [3, 4] and told["codes"][2] == "SPUN"
-    assert told["velocity_rmse"]["mean"] == pytest.approx(0.5) and np.isnan(told["velocity_rmse"]["per_seed"][2])
-    assert told["lateral_error"]["mean"] == pytest.approx(8.9 / 4)
+    summary = summarise_laps(one)
+    assert summary["completed"] == [3, 4] and summary["codes"][2] == "SPUN"
+    assert summary["velocity_rmse"]["mean"] == pytest.approx(0.5) and np.isnan(summary["velocity_rmse"]["per_seed"][2])
+    assert summary["lateral_error"]["mean"] == pytest.approx(8.9 / 4)
     apart = compare_laps(one, other)
     assert apart["velocity_rmse"]["pairs"] == 2 and apart["velocity_rmse"]["mean"] == pytest.approx(-0.15)
     assert apart["lateral_error"]["pairs"] == 4 and apart["lateral_error"]["mean"] == pytest.approx(-0.6 / 4)
@@ -117,9 +117,9 @@ def test_bad_input_is_one_sentence_before_anything_is_diagnosed(case, here, caps
     arguments, words = BAD[case]
     argv = ["diagnose", "log.csv", "--out", "out", *arguments()]
     assert main(argv) == 2
-    told = capsys.readouterr()
-    (line,) = told.err.strip().splitlines()
-    assert words in line and line.endswith(".") and told.out == "" and not Path("out").exists()
+    output = capsys.readouterr()
+    (line,) = output.err.strip().splitlines()
+    assert words in line and line.endswith(".") and output.out == "" and not Path("out").exists()
 
 
 def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
@@ -128,7 +128,7 @@ def test_the_car_of_a_vehicle_file_is_a_plant_too(here):
 
 
 @pytest.mark.parametrize("name", ["sedan", "dart"])
-def test_every_lane_is_on_the_plant_asked_for(name):
+def test_every_entry_is_on_the_requested_plant(name):
     """Of a car without plants of its own, such as dart, too."""
     case = load_case(Path(car(name)), load_vehicle(name))
     batch, plants, keys = lay_out(case.config, (case.name, case.plant), 20.0)
@@ -166,8 +166,8 @@ def test_the_laps_join_a_saved_diagnosis(here, monkeypatch):
 
 @pytest.mark.slow
 def test_with_its_effects_in_the_model_the_car_stays_nearer_to_its_plan(capsys):
-    told = closed_loop(load_case(Path(truth()), SEDAN), SEDAN, EXTENDED)
-    assert [one["completed"] for one in told["models"].values()] == [[4, 4], [4, 4]]
-    apart = told["difference"]["lateral_error"]
+    result = closed_loop(load_case(Path(truth()), SEDAN), SEDAN, EXTENDED)
+    assert [one["completed"] for one in result["models"].values()] == [[4, 4], [4, 4]]
+    apart = result["difference"]["lateral_error"]
     assert apart["pairs"] == 4 and apart["ci95"][1] < -0.05
     assert "steer_lag is not in the car" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What is told of a sweep: shares of the variance against the truth, the Pareto front, tables over all runs."""
+"""The report of a sweep: shares of the variance against the truth, the Pareto front, tables over all runs."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_the_front_holds_what_nothing_beats_in_both():
     assert analysis_of({"x": np.arange(5.0)}, objective, second).front.tolist() == [0, 1, 4]
 
 
-def test_a_sweep_is_told_with_figures(tmp_path):
+def test_a_sweep_is_reported_with_figures(tmp_path):
     fields = {"x": {"low": 0.0, "high": 5.0}, "gp.P.0": {"low": 0.1, "high": 10.0, "log": True},
               "kind": ["good", "nan", "raises"], "gp.size": [1, 2]}  # fmt: skip
     config = config_of(fields=fields, design="lhs", num=120)
@@ -91,14 +91,14 @@ def test_all_runs_are_one_table(tmp_path):
 
 
 @pytest.mark.parametrize("condition, words", [("speed > 1", "speed"), ("lateral_error <", "syntax"), ("", "syntax")])
-def test_bad_conditions_are_told(tmp_path, condition, words):
+def test_bad_conditions_are_reported(tmp_path, condition, words):
     RunFolder.create(tmp_path / "s", to_dict(config_of()), "sweep")
     run(tmp_path / "s", config_of())
     with pytest.raises(BadInput, match=f"--where: .*{words}"):
         find_laps(tmp_path, condition, 5)
 
 
-def test_what_is_not_there_is_told(tmp_path):
+def test_absent_names_are_reported(tmp_path):
     with pytest.raises(BadInput, match="holds no finished run"):
         find_laps(tmp_path, "true", 5)
     RunFolder.create(tmp_path / "s", to_dict(config_of()), "sweep")

@@ -50,7 +50,7 @@ def test_a_pruner_ends_trials_after_a_step(tmp_path):
     assert {"first"} in stages.values()  # as worse than the median after the first step; others may be after the last
 
 
-def test_failures_are_told_to_the_study_and_it_goes_on(tmp_path):
+def test_failures_are_reported_to_the_study_and_it_goes_on(tmp_path):
     fields = FIELDS | {"kind": ["raises", "nan"]}
     counts = run(tmp_path, config_of(fields=fields, design="optuna", num=16, sampler="RandomSampler"))
     assert counts["done"] + counts["failed"] == 16 and counts["done"] > 0 and counts["failed"] > 0
@@ -66,7 +66,7 @@ def test_failures_are_told_to_the_study_and_it_goes_on(tmp_path):
         ({"storage": "nonsense://x"}, "key 'storage' is 'nonsense://x': it cannot be opened"),
     ],
 )
-def test_what_optuna_does_not_know_is_told(tmp_path, options, words):
+def test_what_optuna_does_not_know_is_reported(tmp_path, options, words):
     config = config_of(fields=FIELDS, design="optuna", **options)
     with pytest.raises(BadInput, match=words):
         OptunaSource(config, TOY, Store(tmp_path, config, TOY))

@@ -150,7 +150,7 @@ def test_a_random_design_is_the_beginning_of_a_longer_one():
     assert long[:5] == short
 
 
-def test_what_goes_wrong_in_one_trial_is_told_and_ends_no_other(tmp_path):
+def test_what_goes_wrong_in_one_trial_is_reported_and_ends_no_other(tmp_path):
     counts, _, _ = run(tmp_path, config_of(fields={"kind": ["good", "nan", "raises"]}))
     assert counts == {"done": 2, "failed": 1}
     by = {row["kind"]: row for row in table(tmp_path)}
@@ -240,7 +240,7 @@ def test_two_sweeps_in_one_folder_are_refused(tmp_path):
         ({"more": 1}, "unknown key 'more'"),
     ],
 )
-def test_bad_sweeps_are_told(options, words):
+def test_bad_sweeps_are_reported(options, words):
     with pytest.raises(BadInput, match="test: .*" + words.replace("(", r"\(")):
         config_of(**options)
 
@@ -254,7 +254,7 @@ def test_bad_sweeps_are_told(options, words):
         ({"x": [1.0, "far"]}, "key 'x' is 'far'"),
     ],
 )
-def test_fields_that_the_verb_does_not_take_are_told_before_anything_runs(fields, words):
+def test_fields_that_the_verb_does_not_take_are_reported_before_anything_runs(fields, words):
     with pytest.raises(BadInput, match=words):
         check(config_of(fields=fields), TOY)
 
@@ -316,8 +316,8 @@ def lost_nodes_change_nothing(path, trials, kills):
     command = [sys.executable, "-m", "tests.sweep.on_ray", str(path / "ray"), str(trials), str(kills)]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
     assert done.returncode == 0 and f"{kills} nodes killed" in done.stdout, done.stdout + done.stderr[-2000:]
-    told = lambda path: [{k: v for k, v in row.items() if k not in ("trial", "config")} for row in results(path)]
-    assert told(path / "ray") == told(path / "here")  # its options name the file by which it is seen to begin
+    rows_of = lambda path: [{k: v for k, v in row.items() if k not in ("trial", "config")} for row in results(path)]
+    assert rows_of(path / "ray") == rows_of(path / "here")  # its options name the file by which it is seen to begin
     begun = (path / "ray" / "trace").read_text().split()
     assert len(begun) <= trials + 60 * kills  # a chunk of at most 30 on each of two cores is begun again
 

@@ -94,7 +94,7 @@ def test_another_sweep_in_the_folder_is_refused(swept, monkeypatch, capsys):
     assert "--where: Parser Error" in capsys.readouterr().err
 
 
-def test_a_folder_that_cannot_be_written_is_told(here, capsys):
+def test_a_folder_that_cannot_be_written_is_reported(here, capsys):
     Path("file").write_text("")
     assert main(["sweep", written(SMALL), "--out", "file/s"]) == 2
     assert "file/s: cannot be" in capsys.readouterr().err

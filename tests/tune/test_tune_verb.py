@@ -21,7 +21,7 @@ class MadeUp:
 
     def __init__(self, config, scenario):
         del scenario
-        self.config, self.drivers = config, None
+        self.config, self.untuned_drivers = config, None
         self.plants = [f"plant_{i}" for i in range(config.training + config.held_out)]
 
     def _aim(self, which):
@@ -44,14 +44,14 @@ class MadeUp:
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("driftjax.tune.run.LapEvaluator", MadeUp)
-    monkeypatch.setattr("driftjax.tune.run.build", lambda learn, executor: None)
+    monkeypatch.setattr("driftjax.tune.run.build_scenario", lambda learn, executor: None)
     monkeypatch.setattr(
-        "driftjax.tune.run.values", lambda drivers, p: dict(zip(NAMES, np.exp(p).tolist(), strict=True))
+        "driftjax.tune.run.parameter_values", lambda drivers, p: dict(zip(NAMES, np.exp(p).tolist(), strict=True))
     )
     return tmp_path
 
 
-def test_results_report_and_figure_are_written_and_the_gain_is_told(here, capsys):
+def test_results_report_and_figure_are_written_and_the_gain_is_reported(here, capsys):
     assert main(["tune", "--out", "r", "--held-out", "3", "--budget", "30", "--workers", "1"]) == 0
     out = capsys.readouterr().out
     results = json.loads((here / "r" / "results.json").read_text())

@@ -306,12 +306,12 @@ def test_batch_of_plants_equals_single_runs_with_one_trace():
     batch = stack_plants(plants)
     counted = eqx.filter_jit(eqx.debug.assert_max_traces(drive, max_traces=1))
     delta, Fxr = commands("sedan")
-    lanes = jax.jit(jax.vmap(lambda car: car.rolling(12.0)))(batch)
+    starts = jax.jit(jax.vmap(lambda car: car.rolling(12.0)))(batch)
     together, _ = eqx.filter_jit(eqx.filter_vmap(drive, in_axes=(0, 0, None, None, None)))(
-        batch, lanes, delta, Fxr, 0.01
+        batch, starts, delta, Fxr, 0.01
     )
-    for lane, config in enumerate(plants):
+    for entry, config in enumerate(plants):
         car = config.build()
         alone, _ = counted(car, car.rolling(12.0), delta, Fxr, 0.01)
-        np.testing.assert_allclose(together.y[lane], alone.y, rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(together.omega[lane], alone.omega, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(together.y[entry], alone.y, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(together.omega[entry], alone.omega, rtol=1e-6, atol=1e-6)

@@ -1,4 +1,4 @@
-"""The extended car: the universal car's rates, files that go round, and mistakes told in one sentence."""
+"""The extended car: the universal car's rates, files that go round, and mistakes reported in one sentence."""
 
 import dataclasses
 import functools
@@ -101,11 +101,11 @@ def test_without_effects_in_it_the_car_is_the_nominal_one():
     np.testing.assert_array_equal(actuator_lags(load_vehicle("sedan")), [0, 0])
 
 
-def test_what_is_not_in_the_car_is_told_and_lags_are_kept():
+def test_what_is_not_in_the_car_is_reported_and_lags_are_kept():
     vehicle = with_effects(names=("friction", "gyro_bias", "road_grade", "relaxation_length"), drive_lag=0.15)
-    told = unmodelled_effects(vehicle)
-    assert [note.split()[0] for note in told] == ["relaxation_length", "drive_lag", "road_grade", "gyro_bias"]
-    for note, words in zip(told, ("what went before", "lags", "road", "sensors"), strict=True):
+    notes = unmodelled_effects(vehicle)
+    assert [note.split()[0] for note in notes] == ["relaxation_length", "drive_lag", "road_grade", "gyro_bias"]
+    for note, words in zip(notes, ("what went before", "lags", "road", "sensors"), strict=True):
         assert words in note and note.endswith(".")
     np.testing.assert_allclose(actuator_lags(vehicle), [0.0, 0.15])
 
@@ -120,7 +120,7 @@ def test_slip_angles_and_peaks_are_those_of_the_extended_car():
     np.testing.assert_allclose(car.peaks, [nominal.tyre.alpha_peak / 1.1, nominal.tyre.alpha_peak], rtol=1e-12)
 
 
-def test_an_extended_car_keeps_its_ellipse_unless_it_is_told_another():
+def test_an_extended_car_keeps_its_ellipse_unless_it_is_given_another():
     assert load_vehicle("sedan").with_combined_slip(None).combined_slip == 1.0
     vehicle = with_effects(combined_slip=0.4, friction=-0.05)
     assert (
@@ -213,8 +213,8 @@ BAD = {
 
 
 @pytest.mark.parametrize("words", BAD)
-def test_mistakes_are_told_with_file_and_key(words, tmp_path):
+def test_mistakes_are_reported_with_file_and_key(words, tmp_path):
     with pytest.raises(BadInput) as caught:
         load_vehicle(written(tmp_path, **BAD[words]))
-    told = str(caught.value)
-    assert words in told and "extended.yaml" in told and told.endswith(".") and "\n" not in told
+    message = str(caught.value)
+    assert words in message and "extended.yaml" in message and message.endswith(".") and "\n" not in message

@@ -84,7 +84,7 @@ def test_base_that_leads_back_is_refused(tmp_path):
             load_plant(tmp_path / f"{name}.yaml")
 
 
-def test_stack_has_lanes_first_and_keeps_the_order():
+def test_stack_has_the_batch_axis_first_and_keeps_the_order():
     configs = draw_plants("rc", 3, seed=0)
     stack = stack_plants(configs)
     assert all(leaf.shape[0] == 3 for leaf in jax.tree.leaves(stack))

@@ -1,4 +1,4 @@
-"""Vehicle and plant files: bad input is told in one sentence that names the key."""
+"""Vehicle and plant files: bad input is reported in one sentence that names the key."""
 
 import dataclasses
 from dataclasses import replace

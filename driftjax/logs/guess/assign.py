@@ -1,4 +1,4 @@
-"""Place columns as channels: by name and unit first, then again and again by what the channels placed say."""
+"""Assign columns to channels: by name and unit first, then repeatedly by relations to the channels assigned so far."""
 
 from typing import NamedTuple
 
@@ -6,17 +6,17 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from driftjax.logs.geodesy import east_north
-from driftjax.logs.guess.material import Column, Material
+from driftjax.logs.guess.log_columns import Column, LogColumns
 from driftjax.logs.guess.names import DEG, DIMENSIONS, UNITS, Meaning, meaning
 from driftjax.logs.guess.relations import (
     FACTORS,
     LENGTHS,
-    Fit,
+    RelationFit,
     Signal,
     consistency,
     fast,
-    fit,
-    relations,
+    fit_relation,
+    kinematic_relations,
     size_fits,
     smoothed,
     turned,
@@ -26,8 +26,8 @@ from driftjax.logs.guess.units import best_factors
 
 ROUNDS = 4  # at most
 NAMED, FOLLOWS, ONLY_NAMED = 0.4, 0.6, 0.7  # weights of name and consistency; of the name where nothing else speaks
-LEAST = 0.3  # score of a channel that is placed
-# what consistency alone does not place
+LEAST = 0.3  # least score of an assigned channel
+# channels that consistency alone does not assign
 BY_NAME = ("Fxr", "latitude", "longitude", "s", "e", "wfl", "wfr", "wrl", "wrr")
 BY_NAME_LEAST = 0.5
 ANGLES = {"angle": 3.5, "rate": 12.0}  # above it radians are implausible [rad], [rad/s]
@@ -36,8 +36,8 @@ UNSIGNED = ("x", "y", "V", "vx")  # that are never given another sign
 SIGNED = ("vy", "beta", "r", "psi", "ay", "delta")
 
 
-class Placed(NamedTuple):
-    """A column as a channel."""
+class ChannelAssignment(NamedTuple):
+    """Column assigned to a channel."""
 
     role: str
     column: Column
@@ -45,41 +45,41 @@ class Placed(NamedTuple):
     """Smoothed [unit of the column]."""
     factor: float
     score: float
-    fit: Fit | None
+    fit: RelationFit | None
     """The relation that it follows best."""
     rival: str | None
     """Another column that fits about as well."""
 
 
 class _Known(NamedTuple):
-    """A column with what its name says, and its smoothed values."""
+    """Column with the meaning of its name and its smoothed values."""
 
     column: Column
     said: Meaning
     signal: Signal
 
 
-def place(material: Material) -> dict[str, Placed]:
-    """Return the columns placed as channels."""
-    known = [_Known(one, meaning(one.name, one.unit), smoothed(one.y, material.dt)) for one in material.columns]
-    placed = _assigned(known, {}, material.dt)
+def assign_channels(log: LogColumns) -> dict[str, ChannelAssignment]:
+    """Assign the columns of a log to channels."""
+    known = [_Known(one, meaning(one.name, one.unit), smoothed(one.y, log.dt)) for one in log.columns]
+    assigned = _assigned(known, {}, log.dt)
     for _ in range(ROUNDS):
-        last, placed = placed, _assigned(known, placed, material.dt)
+        last, assigned = assigned, _assigned(known, assigned, log.dt)
         if {role: (one.column.name, one.factor) for role, one in last.items()} == {
-            role: (one.column.name, one.factor) for role, one in placed.items()
+            role: (one.column.name, one.factor) for role, one in assigned.items()
         }:
             break
-    return _turned(_one_pose(placed, known, material.dt), material.dt)
+    return _turned(_one_pose(assigned, known, log.dt), log.dt)
 
 
-def values(placed: dict[str, Placed], dt: float) -> dict[str, Signal]:
-    """Return the placed channels as `plain_values`, the heading turned so that it follows the direction of travel."""
-    return turned(plain_values(placed, dt))
+def channel_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Signal]:
+    """Return the channels as `untransformed_signals`, the heading rotated to the direction of travel."""
+    return turned(untransformed_signals(assigned, dt))
 
 
-def plain_values(placed: dict[str, Placed], dt: float) -> dict[str, Signal]:
-    """Return the placed channels in SI units; x and y from latitude and longitude where these are there."""
-    found = {role: one.signal.scaled(one.factor) for role, one in placed.items()}
+def untransformed_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Signal]:
+    """Return the channels in SI units; x and y from latitude and longitude where these are there."""
+    found = {role: one.signal.scaled(one.factor) for role, one in assigned.items()}
     latitude, longitude = found.pop("latitude", None), found.pop("longitude", None)
     if latitude is not None and longitude is not None and not {"x", "y"} <= set(found):
         there = np.flatnonzero(np.isfinite(latitude.y + longitude.y))
@@ -90,45 +90,47 @@ def plain_values(placed: dict[str, Placed], dt: float) -> dict[str, Signal]:
     return found
 
 
-def _one_pose(placed: dict[str, Placed], known: list[_Known], dt: float) -> dict[str, Placed]:
+def _one_pose(assigned: dict[str, ChannelAssignment], known: list[_Known], dt: float) -> dict[str, ChannelAssignment]:
     """Return the channels with the heading that comes with the position, where another one is hardly better."""
-    if "psi" not in placed or "x" not in placed:
-        return placed
-    best, x = placed["psi"], placed["x"]
-    v = values({role: one for role, one in placed.items() if role != "psi"}, dt)
-    mask, rules = fast(v, len(best.signal.y)), relations("psi", v, dt)
-    scored = {one.column.name: (one, *_scored("psi", one, [fit(rule, one.signal, mask) for rule in rules]))
+    if "psi" not in assigned or "x" not in assigned:
+        return assigned
+    best, x = assigned["psi"], assigned["x"]
+    v = channel_signals({role: one for role, one in assigned.items() if role != "psi"}, dt)
+    mask, rules = fast(v, len(best.signal.y)), kinematic_relations("psi", v, dt)
+    scored = {one.column.name: (one, *_scored("psi", one, [fit_relation(rule, one.signal, mask) for rule in rules]))
               for one in known if source_of(one.column.name) == source_of(x.column.name)}  # fmt: skip
     name = heading_beside(x.column.name, [(name, one[1]) for name, one in scored.items()], best.score)
     if name is None:
-        return placed
+        return assigned
     column, score, found, factor = scored[name]
-    return placed | {"psi": Placed("psi", column.column, column.signal, factor, score, found, None)}
+    return assigned | {"psi": ChannelAssignment("psi", column.column, column.signal, factor, score, found, None)}
 
 
-def _turned(placed: dict[str, Placed], dt: float) -> dict[str, Placed]:
+def _turned(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
     """Return the channels with ax and ay from the axes that follow them, if the sensor is mounted a quarter turn."""
-    if not {"ax", "ay"} <= set(placed):
-        return placed
-    ahead, left = placed["ax"], placed["ay"]
-    found = turned_axes(ahead.signal, left.signal, values(placed, dt), dt)
+    if not {"ax", "ay"} <= set(assigned):
+        return assigned
+    ahead, left = assigned["ax"], assigned["ay"]
+    found = turned_axes(ahead.signal, left.signal, channel_signals(assigned, dt), dt)
     if found is None:
-        return placed
+        return assigned
     units = FACTORS["acceleration"]
     for role, one, follows in zip(("ax", "ay"), (left, ahead), found, strict=True):
         unit = max(units, key=lambda factor: size_fits(found[1].factor, (factor,)))  # one sensor, one unit
         factor = float(np.copysign(unit, follows.factor))
-        placed = placed | {role: Placed(role, one.column, one.signal, factor, abs(follows.correlation), follows, None)}
-    return placed
+        assigned = assigned | {
+            role: ChannelAssignment(role, one.column, one.signal, factor, abs(follows.correlation), follows, None)
+        }
+    return assigned
 
 
-def _assigned(known: list[_Known], placed: dict[str, Placed], dt: float) -> dict[str, Placed]:
+def _assigned(known: list[_Known], assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
     """Return the best assignment, one column to a channel, by scores that follow from the last one."""
-    v = values(placed, dt)
+    v = channel_signals(assigned, dt)
     roles = list(DIMENSIONS)[1:]  # all but the time
     mask = fast(v, len(known[0].signal.y)) if known else np.ones(0, bool)
-    rules = {role: relations(role, v, dt) for role in roles}
-    table = [[_scored(role, one, [fit(rule, one.signal, mask) for rule in rules[role]]) for one in known]
+    rules = {role: kinematic_relations(role, v, dt) for role in roles}
+    table = [[_scored(role, one, [fit_relation(rule, one.signal, mask) for rule in rules[role]]) for one in known]
              for role in roles]  # fmt: skip
     scores = np.array([[one[0] for one in row] for row in table]).reshape(len(roles), len(known))
     padded = np.hstack([scores, np.full((len(roles), len(roles)), LEAST)])  # a channel may stay empty
@@ -139,21 +141,21 @@ def _assigned(known: list[_Known], placed: dict[str, Placed], dt: float) -> dict
             taken = scores[i].copy()
             taken[j] = 0.0
             rival = known[int(np.argmax(taken))].column.name if taken.max(initial=0) > 0.95 * score else None
-            new[roles[i]] = Placed(roles[i], known[j].column, known[j].signal, factor, score, found, rival)
+            new[roles[i]] = ChannelAssignment(roles[i], known[j].column, known[j].signal, factor, score, found, rival)
     return _signed(resolve_units(new, {one.column.name: one.said for one in known}, dt), dt)
 
 
-def _scored(role: str, one: _Known, fits: list[Fit | None]) -> tuple[float, Fit | None, float]:
+def _scored(role: str, one: _Known, fits: list[RelationFit | None]) -> tuple[float, RelationFit | None, float]:
     """Return score, best relation and factor of a column as channel `role`."""
-    worth, allowed = one.said.worth[role], _allowed(role, one.said)
-    if not worth or (role in BY_NAME and worth < BY_NAME_LEAST):
+    name_score, allowed = one.said.name_score[role], _allowed(role, one.said)
+    if not name_score or (role in BY_NAME and name_score < BY_NAME_LEAST):
         return 0.0, None, 1.0
     there = [found for found in fits if found is not None]
     if not there:
-        return ONLY_NAMED * worth, None, _plain_factor(role, one, allowed)
+        return ONLY_NAMED * name_score, None, _plain_factor(role, one, allowed)
     best = max(there, key=lambda found: consistency(found, allowed))
     agreed = consistency(best, allowed)
-    score = NAMED * worth + FOLLOWS * agreed
+    score = NAMED * name_score + FOLLOWS * agreed
     if agreed == 0.0:
         return score, None, _plain_factor(role, one, allowed)
     size = _nearest(role, best, allowed, one)
@@ -164,7 +166,7 @@ def _allowed(role: str, said: Meaning) -> tuple[float, ...]:
     return (said.unit.factor,) if said.unit else FACTORS.get(DIMENSIONS[role], (1.0,))
 
 
-def _nearest(role: str, found: Fit, allowed: tuple[float, ...], one: _Known) -> float:
+def _nearest(role: str, found: RelationFit, allowed: tuple[float, ...], one: _Known) -> float:
     """Return the unit's factor that fits best what a column is to be multiplied by."""
     if role == "delta" and len(allowed) > 1:  # a wheelbase says degrees or radians
         fits = [factor for factor in allowed if LENGTHS[0] <= factor / abs(found.factor) <= LENGTHS[1]]
@@ -183,34 +185,38 @@ def _plain_factor(role: str, one: _Known, allowed: tuple[float, ...]) -> float:
     return DEG if large and len(allowed) > 1 else next(iter(allowed))
 
 
-def resolve_units(placed: dict[str, Placed], said: dict[str, Meaning], dt: float) -> dict[str, Placed]:
+def resolve_units(
+    assigned: dict[str, ChannelAssignment], said: dict[str, Meaning], dt: float
+) -> dict[str, ChannelAssignment]:
     """Return the channels with the units that agree best where none is stated."""
-    signals = {role: one.signal for role, one in placed.items() if role not in ("latitude", "longitude")}
-    v = values(placed, dt)
+    signals = {role: one.signal for role, one in assigned.items() if role not in ("latitude", "longitude")}
+    v = channel_signals(assigned, dt)
     signals |= {role: v[role] for role in ("x", "y") if role in v and role not in signals}
-    meanings = {role: said[placed[role].column.name] if role in placed else Meaning(UNITS["m"], {}) for role in signals}
-    factors = {role: placed[role].factor if role in placed else 1.0 for role in signals}
+    meanings = {
+        role: said[assigned[role].column.name] if role in assigned else Meaning(UNITS["m"], {}) for role in signals
+    }
+    factors = {role: assigned[role].factor if role in assigned else 1.0 for role in signals}
     sizes = best_factors(signals, meanings, factors, dt)
     return {role: one._replace(factor=float(np.copysign(sizes.get(role, abs(one.factor)), one.factor)))
-            for role, one in placed.items()}  # fmt: skip
+            for role, one in assigned.items()}  # fmt: skip
 
 
-def _signed(placed: dict[str, Placed], dt: float) -> dict[str, Placed]:
+def _signed(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
     """Return the channels with the sign of the yaw rate that the position, or most of the others, have."""
-    if "r" not in placed:
-        return placed
-    v = values({role: one._replace(factor=abs(one.factor)) for role, one in placed.items()}, dt)
+    if "r" not in assigned:
+        return assigned
+    v = channel_signals({role: one._replace(factor=abs(one.factor)) for role, one in assigned.items()}, dt)
     mask = fast(v, len(v["r"].y))
-    found = {rule.name: _cosine(v["r"].y[mask], rule.predicted[mask]) for rule in relations("r", v, dt)}
+    found = {rule.name: _cosine(v["r"].y[mask], rule.predicted[mask]) for rule in kinematic_relations("r", v, dt)}
     clear = {name: cosine for name, cosine in found.items() if abs(cosine) > ALIKE}
     votes = [clear["rate of the course"]] if "rate of the course" in clear else list(clear.values())
     against = sum(vote < 0 for vote in votes)  # a position is seldom mirrored, a yaw rate often
     sign = -1.0 if against > len(votes) / 2 and (against > 1 or "rate of the course" in clear) else 1.0
-    placed = placed | {"r": placed["r"]._replace(factor=sign * abs(placed["r"].factor))}
+    assigned = assigned | {"r": assigned["r"]._replace(factor=sign * abs(assigned["r"].factor))}
     if (turns := clear.get("rate of the heading")) is not None:
-        heading = placed["psi"]
-        placed["psi"] = heading._replace(factor=float(np.copysign(heading.factor, turns * sign)))
-    return placed
+        heading = assigned["psi"]
+        assigned["psi"] = heading._replace(factor=float(np.copysign(heading.factor, turns * sign)))
+    return assigned
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:

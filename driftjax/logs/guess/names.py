@@ -1,4 +1,4 @@
-"""What the name and the unit of a column say: which channel it may be, and how it converts to SI."""
+"""Interpret the name and unit of a column: which channel it may be, and its factor to SI."""
 
 import re
 from typing import NamedTuple
@@ -49,7 +49,7 @@ _VEL, _ACC = r"(v|u|vel|velocity|speed)", r"(a|acc|accel|acceleration|g force|li
 _GYRO = r"(gyro|gyr|gyroscope|angular velocity|angular|ang vel|omega|w|twist angular)"
 _EARTH = r"((gps|gnss|ins|nav|fix|pos|position) )*"
 _WHEEL = r"(w|wheel|wheel speed|ws|omega|enc|encoder|wheelspeed)"
-# whole names with what each is worth; words of a unit are taken off first
+# whole names with the score of each; words of a unit are taken off first
 PATTERNS: dict[str, list[tuple[str, float]]] = {
     "t": [(r"t|time|timestamp|stamp|elapsed|elapsed time|sim time|time stamp", 1.0),
           (r"t \d+|(.* )?(time|stamp|timestamp)( .*)?", 0.5)],
@@ -85,7 +85,7 @@ PATTERNS: dict[str, list[tuple[str, float]]] = {
     **{f"w{corner}": [(rf"w{corner}|{_WHEEL} ?({corner}|{corner[::-1]})|({corner}|{corner[::-1]}) {_WHEEL}", 1.0)]
        for corner in ("fl", "fr", "rl", "rr")},
 }  # fmt: skip
-COMPILED = {role: [(re.compile(one), worth) for one, worth in found] for role, found in PATTERNS.items()}
+COMPILED = {role: [(re.compile(one), name_score) for one, name_score in found] for role, found in PATTERNS.items()}
 DOUBTS = {"filt": 0.8, "filtered": 0.8, "raw": 0.9, "ref": 0.3, "reference": 0.3, "des": 0.3, "desired": 0.3,
           "target": 0.3, "sim": 0.6, "est": 0.9, "std": 0.2, "cov": 0.1, "covariance": 0.1, "sigma": 0.2, "error": 0.2,
           "err": 0.2, "status": 0.1, "imu": 0.9, "gps": 0.95, "fl": 0.7, "fr": 0.7, "max": 0.3, "min": 0.3,
@@ -97,35 +97,35 @@ NEVER_DOUBT = {"ax": {"acc", "raw"}, "ay": {"acc", "raw"}, "wfl": {"fl"}, "wfr":
 ASIDES = {"cmd", "command", "meas", "measured", "data", "filt", "filtered", "raw", "imu", "int", "map", "out", "value",
           "cg", "cog", "com"}  # fmt: skip
 OF_GPS = ("r", "ax", "ay")  # what a GPS computes from the course, and measures not at all
-UNKNOWN = 0.05  # worth of a name that says nothing, to every channel
+UNKNOWN = 0.05  # score of a name without information, for every channel
 
 
 class Meaning(NamedTuple):
-    """What name and unit of a column say."""
+    """Meaning of the name and unit of a column."""
 
     unit: Unit | None
-    worth: dict[str, float]
+    name_score: dict[str, float]
     """How well each channel fits, from 0 to 1; `UNKNOWN` where name and unit say nothing against it."""
 
 
 def meaning(name: str, unit: str = "") -> Meaning:
-    """Return what `name` and, where the file states one, `unit` say of a column."""
+    """Interpret the `name` and, if the file states one, the `unit` of a column."""
     words, in_name = _split_unit(name)
     last, _ = _split_unit(re.sub(r"\.\d+$", "", name).rpartition(".")[2])  # without the struct or topic that it is in
     known = parse_unit(unit) or in_name
-    worth = {}
+    name_score = {}
     for role, dimension in DIMENSIONS.items():
         if known is not None and known.dimension != dimension:
-            worth[role] = 0.0
+            name_score[role] = 0.0
             continue
         derived = role in OF_GPS and "gps" in words
-        alone = _name_worth(last, role) if len("".join(last)) > 1 else 0.0  # not the x of a vector
-        named = max(_name_worth(words, role), alone)
+        alone = _pattern_score(last, role) if len("".join(last)) > 1 else 0.0  # not the x of a vector
+        named = max(_pattern_score(words, role), alone)
         named **= 1.0 if known is None else 0.5  # a unit that fits makes up for much
-        worth[role] = 0.0 if derived else max(named, UNKNOWN)
+        name_score[role] = 0.0 if derived else max(named, UNKNOWN)
     if known is None:  # wheel speeds are in rad/s or in m/s: the name alone does not tell
-        worth |= {role: 0.0 for role in ("wfl", "wfr", "wrl", "wrr")}
-    return Meaning(known, worth)
+        name_score |= {role: 0.0 for role in ("wfl", "wfr", "wrl", "wrr")}
+    return Meaning(known, name_score)
 
 
 def parse_unit(text: str) -> Unit | None:
@@ -154,11 +154,11 @@ def _split_unit(name: str) -> tuple[list[str], Unit | None]:
     return words, None
 
 
-def _name_worth(words: list[str], role: str) -> float:
+def _pattern_score(words: list[str], role: str) -> float:
     """Return how well words name a channel; commanded steering and force are what the log format wants."""
     doubt = 1.0
     for word in words:
         if word not in NEVER_DOUBT.get(role, ()):
             doubt *= DOUBTS.get(word, 1.0)
     text = " ".join([word for word in words if word not in ASIDES] or words)
-    return doubt * max((worth for pattern, worth in COMPILED[role] if pattern.fullmatch(text)), default=0.0)
+    return doubt * max((name_score for pattern, name_score in COMPILED[role] if pattern.fullmatch(text)), default=0.0)

@@ -1,4 +1,4 @@
-"""The proposed column map of a log, with a certainty per channel and what is left open."""
+"""Propose the column map of a log, with a certainty per channel and open questions."""
 
 import re
 from dataclasses import asdict, dataclass, field
@@ -21,8 +21,15 @@ from driftjax.logs.columns import (
     Position,
     first_missing,
 )
-from driftjax.logs.guess.assign import LEAST, SIGNED, Placed, place, plain_values, values
-from driftjax.logs.guess.material import Material, read_material
+from driftjax.logs.guess.assign import (
+    LEAST,
+    SIGNED,
+    ChannelAssignment,
+    assign_channels,
+    channel_signals,
+    untransformed_signals,
+)
+from driftjax.logs.guess.log_columns import LogColumns, read_log_columns
 from driftjax.logs.guess.names import DEG, UNKNOWN, meaning, words_of
 from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
 from driftjax.logs.sampling import proposed_rate
@@ -64,7 +71,7 @@ class Guess:
     """Column that names runs."""
     stamps: str
     open: tuple[str, ...] = field(default=())
-    """Sentences about what could not be placed or made sure."""
+    """Sentences about what could not be assigned or confirmed."""
     Fxr_from: Drive | None = None
     where: tuple[Condition, ...] = ()
     """Rows that count: those driven forwards, where some are not."""
@@ -93,7 +100,7 @@ class Guess:
         return asdict(self) | {"path": str(self.path)}
 
     def yaml(self) -> str:
-        """Return the column map as YAML, with what is left open as comments."""
+        """Return the column map as YAML, with open questions as comments."""
         lines = [f"# Proposed for {self.path.name}; look it over before you use it.", "columns:"]
         earth = {one.channel: one for one in self.channels if one.channel in ("latitude", "longitude")}
         for one in self.channels:
@@ -147,44 +154,44 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: flo
     wheel from a road wheel; with its `mass` [kg] the drive force is mass times longitudinal acceleration where no
     column holds it.
     """
-    material = read_material(Path(path))
-    placed = place(material)
-    v = values(placed, material.dt)
+    log = read_log_columns(Path(path))
+    assigned = assign_channels(log)
+    v = channel_signals(assigned, log.dt)
     left: list[str] = []
-    placed = _without_course(placed, v, material.dt, left)
-    if {"latitude", "longitude"} <= set(placed):
-        placed = {role: one for role, one in placed.items() if role not in ("x", "y")}
-    placed = _one_pair_of_speeds(placed)
-    _note_turned(placed, left)
-    placed = _steering_ratio(placed, wheelbase, left)
-    v = values(placed, material.dt)
-    offset = heading_offset(plain_values(placed, material.dt))
-    found = [Guessed("t", material.time, material.time_factor, 0.0, 1.0, "rises steadily", None)]
-    for role in sorted(placed, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
-        found.append(_guessed(placed[role], v, material.dt, offset if role == "psi" else None))
-    drive = _drive(placed, mass)
-    lacks = [name for name in CHANNELS if not _provided(name, placed, drive)]
-    where, rate = _forwards(placed, v, left), _even_rate(material, found, left)
-    left += _open(material, placed, lacks, found)
-    return Guess(Path(path), tuple(found), material.run, material.stamps, tuple(left), drive, where, rate)
+    assigned = _without_course(assigned, v, log.dt, left)
+    if {"latitude", "longitude"} <= set(assigned):
+        assigned = {role: one for role, one in assigned.items() if role not in ("x", "y")}
+    assigned = _one_pair_of_speeds(assigned)
+    _note_turned(assigned, left)
+    assigned = _steering_ratio(assigned, wheelbase, left)
+    v = channel_signals(assigned, log.dt)
+    offset = heading_offset(untransformed_signals(assigned, log.dt))
+    found = [Guessed("t", log.time, log.time_factor, 0.0, 1.0, "rises steadily", None)]
+    for role in sorted(assigned, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
+        found.append(_guessed(assigned[role], v, log.dt, offset if role == "psi" else None))
+    drive = _drive(assigned, mass)
+    lacks = [name for name in CHANNELS if not _provided(name, assigned, drive)]
+    where, rate = _forwards(assigned, v, left), _even_rate(log, found, left)
+    left += _open(log, assigned, lacks, found)
+    return Guess(Path(path), tuple(found), log.run, log.stamps, tuple(left), drive, where, rate)
 
 
-def _forwards(placed: dict[str, Placed], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
+def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
     """Return the condition that leaves out rows driven backwards, if there are any."""
-    role = next((role for role in ("V", "vx") if role in placed), None)
+    role = next((role for role in ("V", "vx") if role in assigned), None)
     if role is None or not (back := np.nanmean(v[role].y < 0)) or np.nanmin(v[role].y) > -NEAR_ZERO:
         return ()
-    one = placed[role]
+    one = assigned[role]
     least = float(f"{SLOW * np.nanpercentile(v[role].y, 99) / one.factor:.2g}")
     left.append(f"'{one.column.name}' is negative in {100 * back:.2g} % of the samples, driven backwards: rows below "
                 f"{least:g} are left out.")  # fmt: skip
     return (Condition(one.column.name, min=least),)
 
 
-def _even_rate(material: Material, found: list[Guessed], left: list[str]) -> float | None:
+def _even_rate(log: LogColumns, found: list[Guessed], left: list[str]) -> float | None:
     """Return the rate to resample uneven samples to; None where those of the fastest measured column are even."""
     measured = [one.column for one in found if one.channel not in ("t", *COMMANDS)]
-    rates = [material.rates[name] for name in measured if name in material.rates]
+    rates = [log.rates[name] for name in measured if name in log.rates]
     if not rates:
         return None
     rate = proposed_rate(max(rates))
@@ -192,64 +199,69 @@ def _even_rate(material: Material, found: list[Guessed], left: list[str]) -> flo
     return rate
 
 
-def _without_course(placed: dict[str, Placed], v: dict[str, Signal], dt: float, left: list[str]) -> dict[str, Placed]:
+def _without_course(
+    assigned: dict[str, ChannelAssignment], v: dict[str, Signal], dt: float, left: list[str]
+) -> dict[str, ChannelAssignment]:
     """Leave out a heading that is the direction of travel, as of GPS, where the sideslip tells them apart."""
     slip = v["beta"].y if "beta" in v else np.arctan2(v["vy"].y, v["vx"].y) if {"vx", "vy"} <= set(v) else None
     if "psi" not in v or slip is None or (way := course(v)) is None:
-        return placed
+        return assigned
     moving = fast(v, len(slip))
     apart = np.angle(np.exp(1j * (way[0] - v["psi"].y)))[moving]
     rest = lambda y: float(np.nanstd(np.angle(np.exp(1j * (y - np.nanmedian(y))))))
     if np.isfinite(apart).sum() < 50 or rest(apart) > 0.5 * rest(apart - slip[moving]):
-        return placed
-    name = placed["psi"].column.name
+        return assigned
+    name = assigned["psi"].column.name
     left.append(f"'{name}' is the direction of travel, not the heading of the car; it was left out.")
-    return {role: one for role, one in placed.items() if role != "psi"}
+    return {role: one for role, one in assigned.items() if role != "psi"}
 
 
-def _note_turned(placed: dict[str, Placed], left: list[str]) -> None:
-    if {"ax", "ay"} <= set(placed) and meaning(placed["ay"].column.name).worth["ax"] > LEAST:
-        left.append(f"'{placed['ay'].column.name}' follows the acceleration to the left, '{placed['ax'].column.name}' "
-                    "that forwards or backwards: the sensor is mounted a quarter turn to the side.")  # fmt: skip
+def _note_turned(assigned: dict[str, ChannelAssignment], left: list[str]) -> None:
+    if {"ax", "ay"} <= set(assigned) and meaning(assigned["ay"].column.name).name_score["ax"] > LEAST:
+        ax, ay = assigned["ax"].column.name, assigned["ay"].column.name
+        left.append(f"'{ay}' follows the acceleration to the left, '{ax}' that forwards or backwards: the sensor is "
+                    "mounted a quarter turn to the side.")  # fmt: skip
 
 
-def _one_pair_of_speeds(placed: dict[str, Placed]) -> dict[str, Placed]:
+def _one_pair_of_speeds(assigned: dict[str, ChannelAssignment]) -> dict[str, ChannelAssignment]:
     """Return the channels with vx and vy or V and beta, whichever pair is there and fits better.
 
     Without vy a vx stands for V, unless another column is V by its name and fits better.
     """
-    pairs = {pair: min(placed[role].score for role in pair)
-             for pair in (("vx", "vy"), ("V", "beta")) if set(pair) <= set(placed)}  # fmt: skip
+    pairs = {pair: min(assigned[role].score for role in pair)
+             for pair in (("vx", "vy"), ("V", "beta")) if set(pair) <= set(assigned)}  # fmt: skip
     if pairs:
         best = max(pairs, key=pairs.__getitem__)
         drop = {"vx", "vy", "V", "beta"} - set(best)
-    elif "vx" in placed:
-        ahead, speed = placed["vx"]._replace(role="V"), placed.get("V")
-        named = speed is not None and meaning(speed.column.name, speed.column.unit).worth["V"] > UNKNOWN
-        placed = placed | {"V": max(speed, ahead, key=lambda one: one.score) if speed and named else ahead}
+    elif "vx" in assigned:
+        ahead, speed = assigned["vx"]._replace(role="V"), assigned.get("V")
+        named = speed is not None and meaning(speed.column.name, speed.column.unit).name_score["V"] > UNKNOWN
+        assigned = assigned | {"V": max(speed, ahead, key=lambda one: one.score) if speed and named else ahead}
         drop = {"vx"}
     else:
         drop = set()
-    return {role: one for role, one in placed.items() if role not in drop}
+    return {role: one for role, one in assigned.items() if role not in drop}
 
 
-def _steering_ratio(placed: dict[str, Placed], wheelbase: float | None, left: list[str]) -> dict[str, Placed]:
+def _steering_ratio(
+    assigned: dict[str, ChannelAssignment], wheelbase: float | None, left: list[str]
+) -> dict[str, ChannelAssignment]:
     """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase tells it."""
-    steer = placed.get("delta")
+    steer = assigned.get("delta")
     if steer is None or steer.fit is None or abs(steer.fit.correlation) < 0.9:
-        return placed
+        return assigned
     length = abs(steer.factor / steer.fit.factor)  # wheelbase if it is the road wheel's angle
     if wheelbase is not None and length > 2.5 * wheelbase:
         left.append(f"'{steer.column.name}' turns {length / wheelbase:.1f} times as far as the road wheels would; it "
                     "was taken for the steering wheel's.")  # fmt: skip
-        return placed | {"delta": steer._replace(factor=steer.factor * wheelbase / length)}
+        return assigned | {"delta": steer._replace(factor=steer.factor * wheelbase / length)}
     if wheelbase is None and length > LENGTHS[1]:
         left.append(f"'{steer.column.name}' looks like the steering wheel's angle: give --vehicle, or divide the "
                     "factor of delta by the steering ratio.")  # fmt: skip
-    return placed
+    return assigned
 
 
-def _guessed(one: Placed, v: dict[str, Signal], dt: float, offset: float | None) -> Guessed:
+def _guessed(one: ChannelAssignment, v: dict[str, Signal], dt: float, offset: float | None) -> Guessed:
     certainty, reason, delay = one.score, "by name", None
     if one.fit is not None:
         rule = one.fit.relation
@@ -275,38 +287,38 @@ def _rounded(factor: float) -> float:
     return float(f"{factor:.10g}")
 
 
-def _drive(placed: dict[str, Placed], mass: float | None) -> Drive | None:
-    if mass is None or "Fxr" in placed or "ax" not in placed:
+def _drive(assigned: dict[str, ChannelAssignment], mass: float | None) -> Drive | None:
+    if mass is None or "Fxr" in assigned or "ax" not in assigned:
         return None
-    return Drive(placed["ax"].column.name, _rounded(mass * placed["ax"].factor))
+    return Drive(assigned["ax"].column.name, _rounded(mass * assigned["ax"].factor))
 
 
-def _provided(name: str, placed: dict[str, Placed], drive: Drive | None) -> bool:
-    if name in ("V", "beta") and {"vx", "vy"} <= set(placed):
+def _provided(name: str, assigned: dict[str, ChannelAssignment], drive: Drive | None) -> bool:
+    if name in ("V", "beta") and {"vx", "vy"} <= set(assigned):
         return True
-    return name == "t" or name in placed or (name == "Fxr" and drive is not None)
+    return name == "t" or name in assigned or (name == "Fxr" and drive is not None)
 
 
-def _open(material: Material, placed: dict[str, Placed], lacks: list[str], found: list[Guessed]) -> list[str]:
+def _open(log: LogColumns, assigned: dict[str, ChannelAssignment], lacks: list[str], found: list[Guessed]) -> list[str]:
     """Return sentences about channels without a column, and columns without a channel."""
     needed = [name for name in lacks if name not in OPTIONAL]
     sentences = [f"No column was recognised as {', '.join(needed)}, which the diagnosis needs."] if needed else []
     sentences += [f"No column was recognised as {name}: {OPTIONAL[name]}." for name in lacks if name in OPTIONAL]
     used = {one.column for one in found}
-    rest = [one.name for one in material.columns if one.name not in used]
+    rest = [one.name for one in log.columns if one.name not in used]
     pedals = [name for name in rest if PEDALS & set(words_of(name))]
     if "Fxr" in lacks and pedals:
         sentences.append(f"The drive force may follow from {_list(pedals)}: write 'Fxr_from'.")
-    elif "Fxr" in lacks and "ax" in placed:
+    elif "Fxr" in lacks and "ax" in assigned:
         sentences.append(
-            f"Mass times '{placed['ax'].column.name}' may stand for Fxr: give --vehicle, or write 'Fxr_from'."
+            f"Mass times '{assigned['ax'].column.name}' may stand for Fxr: give --vehicle, or write 'Fxr_from'."
         )
-    if material.flags:
-        sentences.append(f"Rows may be chosen by {_list(material.flags)}: write 'where'.")
+    if log.flags:
+        sentences.append(f"Rows may be chosen by {_list(log.flags)}: write 'where'.")
     if rest:
         sentences.append(f"No channel was found for {_list(rest)}.")
-    if material.constant:
-        sentences.append(f"Nothing changes in {_list(material.constant)}.")
+    if log.constant:
+        sentences.append(f"Nothing changes in {_list(log.constant)}.")
     return sentences
 
 

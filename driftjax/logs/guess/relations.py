@@ -1,14 +1,14 @@
-"""Kinematic relations: what the other channels say that a channel is, and how well a column follows it."""
+"""Predict a channel from the others by kinematic relations, and test how well a column follows it."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth
+from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth_with_rate
 from driftjax.logs.guess.names import DEG, G
 
-EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # what a relation is worth: of rigid bodies, without sideslip, of cars as a rule
+EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # weight of a relation: of rigid bodies, without sideslip, of cars as a rule
 EVERY = 4  # sample that the size of the values is taken from
 WEAK = 0.6  # correlation that says nothing
 ALIKE = (0.8, 1.25)  # ratio to the factor of a unit
@@ -33,7 +33,7 @@ class Signal(NamedTuple):
 
 def smoothed(y: np.ndarray, dt: float) -> Signal:
     """Return values and rates by parabolas over a quarter of a second."""
-    return Signal(*smooth(y, dt))
+    return Signal(*smooth_with_rate(y, dt))
 
 
 class Relation(NamedTuple):
@@ -47,8 +47,8 @@ class Relation(NamedTuple):
     """Whether only the course of the values says something, not their size."""
 
 
-class Fit(NamedTuple):
-    """How a column follows a relation."""
+class RelationFit(NamedTuple):
+    """Fit of a column to a relation."""
 
     relation: Relation
     correlation: float
@@ -79,7 +79,7 @@ def fast(v: Values, n: int) -> np.ndarray:
 
 
 def heading_offset(v: Values) -> float | None:
-    """Return by how much the course exceeds the heading [rad]; None where it varies or nothing tells."""
+    """Return the mean of course less heading [rad]; None where it varies or cannot be computed."""
     if "psi" not in v or (way := course(v)) is None:
         return None
     turn = np.exp(1j * (way[0] - v["psi"].y))[fast(v, len(way[0]))]
@@ -93,8 +93,8 @@ def turned(v: Values) -> dict[str, Signal]:
     return dict(v) if turn is None else dict(v) | {"psi": v["psi"].scaled(1.0, turn)}
 
 
-def relations(role: str, v: Values, dt: float) -> list[Relation]:
-    """Return what the channels `v` (SI) say of channel `role`."""
+def kinematic_relations(role: str, v: Values, dt: float) -> list[Relation]:
+    """Return the kinematic relations that predict channel `role` from the channels `v` (SI)."""
     found = {"V": _speed, "vx": _ahead, "vy": _left, "beta": _sideslip, "r": _yaw_rate, "psi": _heading, "x": _east,
              "y": _north, "ax": _along, "ay": _across, "delta": _steering, "Fxr": _force}.get(role)  # fmt: skip
     others = {name: one for name, one in v.items() if name != role}
@@ -245,8 +245,8 @@ def _force(v: Values, dt: float) -> list[Relation]:
     return [] if rate is None else [Relation("ax", LOOSE, rate, scale_free=True)]
 
 
-def fit(relation: Relation, signal: Signal, fast: np.ndarray) -> Fit | None:
-    """Return how a column follows a relation where the car is `fast` (n,); None where too little moves."""
+def fit_relation(relation: Relation, signal: Signal, fast: np.ndarray) -> RelationFit | None:
+    """Fit a column to a relation where the car is `fast` (n,); None with too little variation."""
     y = signal.rate if relation.of_rate else signal.y
     both = fast & np.isfinite(y) & np.isfinite(relation.predicted)
     if both.sum() < MIN_SAMPLES:
@@ -258,17 +258,17 @@ def fit(relation: Relation, signal: Signal, fast: np.ndarray) -> Fit | None:
     spread = lambda values: float(np.ptp(np.percentile(values[::EVERY], [2, 98])))  # not of single jumps
     if not (spread(a) > 0 and spread(b) > 0):
         return None
-    return Fit(relation, correlation, float(np.copysign(spread(b) / spread(a), correlation)))
+    return RelationFit(relation, correlation, float(np.copysign(spread(b) / spread(a), correlation)))
 
 
 def size_fits(factor: float, allowed: tuple[float, ...]) -> float:
-    """Return how well the size of `factor` fits one of those allowed, from 0.1 to 1."""
+    """Score the size of `factor` against those allowed, from 0.1 to 1."""
     ratios = [abs(factor) / one for one in allowed]
     inside = lambda low, high: any(low <= ratio <= high for ratio in ratios)
     return 1.0 if inside(*ALIKE) else 0.6 if inside(*NOT_UNLIKE) else 0.1
 
 
-def consistency(found: Fit, allowed: tuple[float, ...]) -> float:
-    """Return from 0 to 1 how well a column is the channel of a relation, in units with the factors `allowed`."""
+def consistency(found: RelationFit, allowed: tuple[float, ...]) -> float:
+    """Score from 0 to 1 whether a column is the channel of a relation, in units with the factors `allowed`."""
     follows = max(abs(found.correlation) - WEAK, 0.0) / (1 - WEAK)
     return found.relation.strength * follows * (1.0 if found.relation.scale_free else size_fits(found.factor, allowed))

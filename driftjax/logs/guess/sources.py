@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from driftjax.logs.guess.relations import Fit, Signal, Values, fast, fit, relations
+from driftjax.logs.guess.relations import RelationFit, Signal, Values, fast, fit_relation, kinematic_relations
 
 ABOUT = 0.9  # of the best score is about as good
 ACROSS, ALONG = 0.75, 0.4  # correlations from which an axis follows a relation, and up to which it does not
@@ -10,7 +10,7 @@ TURNED = 1.5  # correlation of the axis to the left with ax, over that with ay
 
 
 def source_of(name: str) -> str:
-    """Return topic, file or struct that a column comes from; empty if its name says none."""
+    """Return topic, file or struct that a column comes from; empty if its name has none."""
     return name.partition(".")[0] if "." in name else ""
 
 
@@ -21,7 +21,7 @@ def heading_beside(position: str, scores: Sequence[tuple[str, float]], best: flo
     return max(there)[1] if there else None
 
 
-def turned_axes(ahead: Signal, left: Signal, v: Values, dt: float) -> tuple[Fit, Fit] | None:
+def turned_axes(ahead: Signal, left: Signal, v: Values, dt: float) -> tuple[RelationFit, RelationFit] | None:
     """Return how column `left` is ax and column `ahead` is ay; None if they are not, or their names are right.
 
     So it is where a sensor is mounted a quarter turn to the side. `ahead` and `left` are as named, in their own unit.
@@ -29,8 +29,12 @@ def turned_axes(ahead: Signal, left: Signal, v: Values, dt: float) -> tuple[Fit,
     mask = fast(v, len(ahead.y))
     others = {role: one for role, one in v.items() if role not in ("ax", "ay")}
 
-    def best(role: str, column: Signal) -> Fit | None:
-        found = [one for rule in relations(role, others, dt) if (one := fit(rule, column, mask)) is not None]
+    def best(role: str, column: Signal) -> RelationFit | None:
+        found = [
+            one
+            for rule in kinematic_relations(role, others, dt)
+            if (one := fit_relation(rule, column, mask)) is not None
+        ]
         return max(found, key=lambda one: abs(one.correlation), default=None)
 
     along, across, named = best("ax", left), best("ay", ahead), best("ay", left)

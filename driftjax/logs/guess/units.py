@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from driftjax.logs.guess.names import DIMENSIONS, Meaning
-from driftjax.logs.guess.relations import FACTORS, Signal, Values, fit, relations, turned
+from driftjax.logs.guess.relations import FACTORS, Signal, Values, fit_relation, kinematic_relations, turned
 
 FAMILIES = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
 CLEAR = 0.8  # correlation from which the sizes must agree
@@ -48,7 +48,7 @@ def _costs(v: Values, dt: float) -> Iterator[float]:
         if role in LIMITS and np.nanpercentile(np.abs(signal.y), 98) > LIMITS[role]:
             yield WORST
         everywhere = np.ones(len(signal.y), bool)
-        for rule in relations(role, v, dt):
-            found = None if rule.scale_free else fit(rule, signal, everywhere)
+        for rule in kinematic_relations(role, v, dt):
+            found = None if rule.scale_free else fit_relation(rule, signal, everywhere)
             if found is not None and abs(found.correlation) > CLEAR:
                 yield rule.strength * min(abs(float(np.log(abs(found.factor)))), WORST)

@@ -94,12 +94,12 @@ def _objective(v: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, sc
     floor = 0.0 if config.V_fair is None else 1 / config.V_fair
     time = ca.sum2(share * (slowness**16 + floor**16) ** (1 / 16)) * ds
     time += 0.1 * floor * ca.sum2(share * (X[0, :] * config.entry_speed * floor) ** 2) * ds
-    price = config.rate_weight * ds / config.entry_speed * ca.sumsqr(U)
-    price += config.course_weight * ds / config.entry_speed * ca.sum2(share * (X[1, :] + X[4, :]) ** 2)
+    penalty = config.rate_weight * ds / config.entry_speed * ca.sumsqr(U)
+    penalty += config.course_weight * ds / config.entry_speed * ca.sum2(share * (X[1, :] + X[4, :]) ** 2)
     S = [X[i, :] * scale[i] for i in range(7)]
     front = ca.atan2(S[0] * ca.sin(S[1]) + v.a * S[2], S[0] * ca.cos(S[1])) - S[5]
     beyond = ca.fmax(ca.fabs(front) - np.tan(np.pi / (2 * v.C)) / v.B, 0)
-    return time + price + config.front_slip * ds / config.entry_speed * ca.sum2(share * beyond**2)
+    return time + penalty + config.front_slip * ds / config.entry_speed * ca.sum2(share * beyond**2)
 
 
 def _bounds(v: VehicleConfig, config: PlanConfig, stage: Stage, scale: np.ndarray) -> dict[str, np.ndarray]:

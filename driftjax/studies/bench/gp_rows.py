@@ -13,7 +13,7 @@ from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squared_differences
 from driftjax.studies.bench.config import BenchConfig, missing
 from driftjax.studies.bench.drift import residual_rows
-from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, alternate, measure_curve, timed
+from driftjax.studies.bench.rows import PartResult, RecordedCall, Row, TimingCurve, alternate, measure_curve, timed
 
 TARGETS = {300: 8.0, 1000: 4.0}
 ANY_SIZES = (50, 200, 500)  # rows of the fit with automatic gradient
@@ -130,7 +130,7 @@ def _likelihoods(rows: Data, logs: np.ndarray) -> list[float]:
     return [float(at(jnp.asarray(x), jnp.asarray(y))) for x, y in zip(logs, rows.T.T, strict=True)]
 
 
-def _curves(cfg: BenchConfig) -> list[Curve]:
+def _curves(cfg: BenchConfig) -> list[TimingCurve]:
     sizes, repeats = ((40,), 1) if cfg.quick else (SIZES, cfg.repeats)
     fits: dict[str, Callable[[Data], Callable[[], object]]] = {"driftjax": gp_fit}
     if not missing("scikit-learn"):

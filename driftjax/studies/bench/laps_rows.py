@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.control.driver import Driver
 from driftjax.learning.config import LearnConfig, load_learn_config
-from driftjax.learning.scenario import Scenario, build, drivers
+from driftjax.learning.scenario import Scenario, build_drivers, build_scenario
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal, first_progress
 from driftjax.learning.updates import update_progress
@@ -38,7 +38,7 @@ def lap_options(num: int) -> LearnConfig:
 def learnt_residual() -> Residual:
     """Return the residual learnt from one plant's nominal lap, on the host."""
     with process_executor(0) as executor:
-        scenario = build(lap_options(1), executor)
+        scenario = build_scenario(lap_options(1), executor)
         stage, _ = drive_nominal(scenario, 0)
         progress = update_progress(scenario, first_progress(scenario), stage, None, 0)
     return jax.tree.map(lambda a: np.asarray(a)[0] if eqx.is_array(a) else a, progress.model_state.residual)
@@ -65,8 +65,8 @@ def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
 
 def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
     """Build scenario and drivers of `num` plants, all with the same residual."""
-    scenario = build(lap_options(num), executor)
-    return scenario, drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
+    scenario = build_scenario(lap_options(num), executor)
+    return scenario, build_drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
 def measure(cfg: BenchConfig) -> PartResult:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from driftjax.control.lanes import DriftLanes, drift_lanes
+from driftjax.control.drift_batch_ocp import DriftBatchOCP, drift_batch_ocp
 from driftjax.control.mpc import Reference
 from driftjax.core import RESULTS
 from driftjax.gp import GP, Hyper, condition, data_scales
-from driftjax.solve import Options, solve_lanes
+from driftjax.solve import Options, solve_batch
 from driftjax.studies.bench.config import Dtype
 from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, residual_rows
 from driftjax.vehicle import Residual
@@ -32,7 +32,7 @@ class Solved(NamedTuple):
 
 
 @eqx.filter_jit
-def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, tolerance: float) -> Solved:
+def _batched(kind: Kind, ocp: DriftBatchOCP, starts: tuple[Array, Array], N: int, tolerance: float) -> Solved:
     """Solve from states (3, n) and last commands (2, n); the guess is the reference with the last command held."""
     x, previous = starts
     n = x.shape[1]
@@ -40,8 +40,8 @@ def _batched(kind: Kind, ocp: DriftLanes, starts: tuple[Array, Array], N: int, t
     X = jnp.stack([jnp.full((N + 1, n), value, x.dtype) for value in X_REF])
     U = jnp.broadcast_to(previous[:, None], (2, N, n))
     options = Options(tolerance, BARRIER, 1 if kind == "rti" else MAX_STEPS)
-    plans = solve_lanes(ocp, x, previous, reference, X, U, options)
-    solved = plans.program <= tolerance if kind == "rti" else plans.result == RESULTS.successful
+    plans = solve_batch(ocp, x, previous, reference, X, U, options)
+    solved = plans.qp_error <= tolerance if kind == "rti" else plans.result == RESULTS.successful
     return Solved(plans.cost, solved)
 
 
@@ -50,7 +50,7 @@ def mpc_solves(
 ) -> Callable[[], Solved]:
     """Return the solves of all `starts` in equal parts on `threads`, with `gp` in the dynamics, ready to run."""
     residual = None if gp is None else Residual(gp, jnp.ones(3), jnp.zeros(2))
-    problem = drift_lanes(config(horizon), WEIGHTS, car(), residual, jnp.dtype(dtype).type)
+    problem = drift_batch_ocp(config(horizon), WEIGHTS, car(), residual, jnp.dtype(dtype).type)
     num = len(starts.x)
     parts = threads if num % threads == 0 else 1
     x, previous = starts.x.T, (starts.previous / [1.0, config(horizon).Fxr_unit]).T

@@ -9,7 +9,16 @@ import numpy as np
 from driftjax.studies.bench.config import PEERS, BenchConfig, Dtype, Solver, missing
 from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
 from driftjax.studies.bench.mpc import TOLERANCES, Kind, Solved, example_gp, mpc_solves
-from driftjax.studies.bench.rows import Curve, PartResult, RecordedCall, Row, Timing, alternate, measure_curve, timed
+from driftjax.studies.bench.rows import (
+    PartResult,
+    RecordedCall,
+    Row,
+    Timing,
+    TimingCurve,
+    alternate,
+    measure_curve,
+    timed,
+)
 
 NAMES: dict[Kind, str] = {"rti": "real-time iteration", "converged": "converged"}
 # FATROP's converged solve over acados' time for each kind, measured where both could be installed
@@ -34,12 +43,12 @@ class SolveCase:
 
     @property
     def what(self) -> str:
-        """Description in the table."""
+        """Return the description in the table."""
         return f"{NAMES[self.kind]}, {'one problem alone' if self.num == 1 else f'batch {self.num}'}, {self.dtype}"
 
     @property
     def target(self) -> float | None:
-        """Target speed-up over one converged solve of FATROP."""
+        """Return the target speed-up over one converged solve of FATROP."""
         if self.num > 1:
             return BATCH[self.kind][self.dtype]
         return ALONE[self.kind] if self.dtype == "float64" else None
@@ -126,7 +135,7 @@ def _gp_row(cfg: BenchConfig, problems: Starts, horizon: int) -> Row:
     return Row("mpc", what, "solve", times["with"], "without it", times["without"], "costs", GP_TARGET, facts=facts)
 
 
-def _curves(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Curve]:
+def _curves(cfg: BenchConfig, problems: Starts, horizon: int) -> list[TimingCurve]:
     """Measure the time per solve over batch, horizon and size of the Gaussian process."""
     batches, horizons, sizes = ((cfg.batch,), (horizon,), (1,)) if cfg.quick else (BATCHES, HORIZONS, GP_SIZES)
     many, curves = f"batch {cfg.batch}", []
@@ -148,5 +157,5 @@ def _curves(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Curve]:
     return curves
 
 
-def _curve(cfg: BenchConfig, figure: str, label: str, size: str, sizes: tuple[int, ...], run: Callable) -> Curve:
+def _curve(cfg: BenchConfig, figure: str, label: str, size: str, sizes: tuple[int, ...], run: Callable) -> TimingCurve:
     return measure_curve(cfg.repeats, (figure, label, size, "solve"), sizes, run)

@@ -15,7 +15,7 @@ from driftjax.planner.nodes import nodes
 from driftjax.planner.planner import BARRIER, problem, solve_from
 from driftjax.planner.problem import MinimumTime, Stage
 from driftjax.planner.stages import guesses, stages
-from driftjax.solve import Options, Plan
+from driftjax.solve import Options, Solution
 from driftjax.studies.bench.config import PEERS, BenchConfig, missing
 from driftjax.studies.bench.rows import PartResult, RecordedCall, Row, alternate, timed
 from driftjax.track import load_track
@@ -52,17 +52,17 @@ def minimum_time_problem(of: Setting, mu: float = 1.0) -> MinimumTime:
 
 
 @eqx.filter_jit
-def _solve(ocps: MinimumTime, stage: Stage, X: jax.Array, options: Options, entry_speed: jax.Array) -> Plan:
+def _solve(ocps: MinimumTime, stage: Stage, X: jax.Array, options: Options, entry_speed: jax.Array) -> Solution:
     """Solve problems with a leading axis from one guess `X` (n, 7) in SI."""
 
-    def one(ocp: MinimumTime) -> Plan:
+    def one(ocp: MinimumTime) -> Solution:
         x0 = jnp.zeros(7).at[0].set(entry_speed) / ocp.scale
         return solve_from(ocp, x0, stage, X / ocp.scale, options)
 
     return eqx.filter_vmap(one)(ocps)
 
 
-def plan_solves(of: Setting, num: int) -> Callable[[], Plan]:
+def plan_solves(of: Setting, num: int) -> Callable[[], Solution]:
     """Return the plans of `num` cars at once, ready to run; a single car has the shipped friction."""
     share = np.linspace(-FRICTION, FRICTION, num) if num > 1 else np.zeros(1)
     each = [minimum_time_problem(of, 1 + float(more)) for more in share]
@@ -100,7 +100,7 @@ def measure(cfg: BenchConfig) -> PartResult:
     ])  # fmt: skip
 
 
-def _facts(plans: Plan) -> dict[str, float]:
+def _facts(plans: Solution) -> dict[str, float]:
     """Return the share of plans solved to the tolerance, and the iterations of the slowest."""
     solved = np.asarray(plans.result == RESULTS.successful)
     return {"solved": float(solved.mean()), "iterations": int(np.max(np.asarray(plans.num_steps)))}

@@ -23,7 +23,7 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """Median of the runs [s]."""
+        """Return the median of the runs [s]."""
         return float(np.median(self.runs))
 
     @property
@@ -62,7 +62,7 @@ class Row:
 
     @property
     def ratio(self) -> Timing | None:
-        """Ratio of the runs, pair by pair; None without a peer."""
+        """Return the ratio of the runs, pair by pair; None without a peer."""
         if self.sense == "seconds":
             return self.ours
         if self.theirs is None:
@@ -89,7 +89,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Curve:
+class TimingCurve:
     """Time per unit of work against a size, for one line of a figure."""
 
     figure: str
@@ -105,7 +105,7 @@ class PartResult:
     """Rows and curves of one part."""
 
     rows: list[Row]
-    curves: list[Curve] = field(default_factory=list)
+    curves: list[TimingCurve] = field(default_factory=list)
 
 
 class RecordedCall(Generic[T]):
@@ -154,8 +154,8 @@ def alternate(repeats: int, runs: Mapping[K, Callable[[], float]], budget: float
 
 def measure_curve(
     repeats: int, names: tuple[str, str, str, str], sizes: tuple[int, ...], run: Callable[[int], Callable[[], float]]
-) -> Curve:
+) -> TimingCurve:
     """Measure the curve of figure, label, size and unit `names`; `run(size)` makes a call as `timed` does."""
     seconds = [alternate(min(3, repeats), {"one": run(size)})["one"].median for size in sizes]
     figure, label, size, unit = names
-    return Curve(figure, label, size, unit, sizes, tuple(seconds))
+    return TimingCurve(figure, label, size, unit, sizes, tuple(seconds))

@@ -8,7 +8,7 @@ import numpy as np
 
 from driftjax.parallel import thread_executor
 from driftjax.studies.bench.config import BenchConfig, Dtype, missing
-from driftjax.studies.bench.rows import Curve, PartResult, Row, Timing, alternate, measure_curve, timed
+from driftjax.studies.bench.rows import PartResult, Row, Timing, TimingCurve, alternate, measure_curve, timed
 from driftjax.studies.bench.simulator import columns, double_track_steps, single_track_steps
 from driftjax.vehicle import load_vehicle
 
@@ -76,7 +76,7 @@ def _facts(states: tuple[np.ndarray, ...], step: Step | None) -> dict[str, float
     return {"difference": float(max(apart))}
 
 
-def _curves(cfg: BenchConfig, makers: Mapping[str, Callable[[tuple[np.ndarray, ...]], Step]]) -> list[Curve]:
+def _curves(cfg: BenchConfig, makers: Mapping[str, Callable[[tuple[np.ndarray, ...]], Step]]) -> list[TimingCurve]:
     sizes, repeats = ((cfg.cars,), 1) if cfg.quick else (BATCHES, cfg.repeats)
     curves = []
     for dtype in cfg.dtype:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import kstest
 
 from driftjax.diagnosis.select import PARAMETER_PENALTY
-from driftjax.studies.hidden_effects.drivers import DRIVERS
+from driftjax.studies.hidden_effects.driving_variables import DRIVING_VARIABLES
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 BINS = 5  # of the probability
@@ -72,17 +72,17 @@ def removed_shares(results: list[Result]) -> list[float]:
 
 
 def imitates_truth(result: Result) -> bool:
-    """Return whether what was named for a missing effect fits as well as the truth, within one parameter."""
+    """Return whether the effects named for a missing one fit as well as the truth, within one parameter."""
     return result["verdict"] == "NAMED" and result["prices"]["named"] <= result["prices"]["truth"] + PARAMETER_PENALTY
 
 
-def driver_found(result: Result) -> bool:
-    """Return whether one of the two reported variables drives the missing effect.
+def names_driving_variable(result: Result) -> bool:
+    """Return whether the diagnosis reports a variable that drives the missing effect, among its first two.
 
     They are those of what remains, or of all errors of the nominal car where nothing does.
     """
     reported = result["unexplained"]["drivers"] or result["unexplained"]["at_first"]
-    return any(variable in DRIVERS[name] for name in hidden_in(result) for variable in reported)
+    return any(variable in DRIVING_VARIABLES[name] for name in hidden_in(result) for variable in reported)
 
 
 def height_within_tolerance(result: Result) -> bool:
@@ -126,7 +126,7 @@ def uniformity_p_value(none: list[Result]) -> float:
 
 
 def confusions(results: list[Result]) -> list[str]:
-    """Return one line per wrong case: group, truth, what was named, and how the truth scored."""
+    """Return one line per wrong case: group, truth, named effects, and the score of the truth."""
     wrong: list[str] = []
     tests: dict[str, Callable[[Result], bool]] = {
         "single": named_first,

@@ -79,8 +79,10 @@ def plot_reliability(results: list[Result]) -> Figure | None:
         rate = right.mean()
         axis.errorbar(p.mean(), rate, [[max(rate - low, 0)], [max(high - rate, 0)]], fmt="o", color="C0", capsize=3)
         axis.annotate(f" {len(right)}", (p.mean(), rate), ha="left", va="top")
-    axis.set(xlim=(0, 1.08), ylim=(0, 1.08), xlabel="probability told [-]", ylabel="share of names that are right [-]")
-    axis.set_title("Names told with a probability (numbers: names)")
+    axis.set(
+        xlim=(0, 1.08), ylim=(0, 1.08), xlabel="stated probability [-]", ylabel="share of names that are right [-]"
+    )
+    axis.set_title("Names by their stated probability (numbers: names)")
     axis.legend(loc="upper left")
     return figure
 

@@ -123,7 +123,7 @@ def car_measures(results: list[Result]) -> dict[str, Measure]:
         "two: exactly these, verdict NAMED": rate(map(criteria.named_alone, pair)),
         "absent from the catalogue: not NAMED": rate((r["verdict"] != "NAMED" for r in absent), ">= 0.85"),
         "absent: named what fits as well as the truth": rate(map(criteria.imitates_truth, absent)),
-        "absent: driving variable in the first two": rate(map(criteria.driver_found, absent), ">= 0.75"),
+        "absent: driving variable in the first two": rate(map(criteria.names_driving_variable, absent), ">= 0.75"),
         "poor log: named something else": rate(map(criteria.misnamed, poor), "<= 0.05"),
         "poor log, SET: resolved by the manoeuvre proposed": rate(map(criteria.resolved_by_manoeuvre, sets), ">= 0.90"),
         "poor log, DATA_INSUFFICIENT: resolved by it": rate(map(criteria.resolved_by_manoeuvre, blind)),

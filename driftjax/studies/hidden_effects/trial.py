@@ -8,7 +8,7 @@ import numpy as np
 
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import Diagnosis, Evidence, diagnose
-from driftjax.diagnosis.fit import evaluate, refit_to_convergence
+from driftjax.diagnosis.fit import evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.gain import excess_shares, open_loop_errors
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.score import CONDITION, partial_out
@@ -154,10 +154,10 @@ def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.nd
 
 
 def penalised_costs(evidence: Evidence, case: Case) -> dict[str, float]:
-    """Return the penalised costs of what was named and of the truth refitted: was the search or the evidence wrong?"""
+    """Return the penalised costs of the named effects and of the refitted truth, to separate search from evidence."""
     problem = evidence.problem
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
-    true = evaluate(problem, case.theta(problem.effects))
+    true = evaluate_fit(problem, case.theta(problem.effects))
     true = refit_to_convergence(problem, true, problem.columns(selected))[0]
     return {
         "named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),

@@ -30,7 +30,7 @@ class Arm:
 
     @property
     def folder(self) -> str:
-        """Its folder below the comparison's."""
+        """Return its folder below that of the comparison."""
         return f"{self.car}/{self.name}"
 
 

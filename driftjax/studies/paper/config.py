@@ -51,7 +51,7 @@ class PaperConfig:
 
     @property
     def first_plant(self) -> int:
-        """Number of the half's first plant."""
+        """Return the number of the half's first plant."""
         return self.plants if self.half == "held_out" else 0
 
     def reduced(self) -> "PaperConfig":

@@ -22,7 +22,7 @@ RUNGS = {  # name: (words, ablation, stage whose laps are judged)
 }
 
 
-class Contrast(NamedTuple):
+class ArmContrast(NamedTuple):
     """A gain and the two rungs between which it lies."""
 
     words: str
@@ -31,22 +31,22 @@ class Contrast(NamedTuple):
 
 
 CONTRASTS = {
-    "lags": Contrast("learnt lags", "nominal", "lags"),
-    "arrival": Contrast("measured arrival", "lags", "arrival"),
-    "gp_reference": Contrast("GP in the reference", "arrival", "gp_reference"),
-    "gp_mpc_after": Contrast("GP in the MPC, beside the reference", "gp_reference", "both"),
-    "laps": Contrast("more laps of data alone", "both", "laps"),
-    "correction": Contrast("correction of the path", "laps", "correction"),
-    "sets_after": Contrast("V-sets, beside the correction", "correction", "all"),
-    "gp_mpc": Contrast("GP in the MPC alone", "arrival", "gp_mpc"),
-    "gp_reference_after": Contrast("GP in the reference, beside the MPC", "gp_mpc", "both"),
-    "sets": Contrast("V-sets alone", "laps", "sets"),
-    "correction_after": Contrast("correction of the path, beside V-sets", "sets", "all"),
-    "correction_only": Contrast("correction of the path, without GP", "arrival", "correction_only"),
-    "gpr_gross": Contrast("all of the GPR laps: lags, arrival and GP", "nominal", "both"),
-    "gpr": Contrast("**by GPR**, net of lags and arrival", "arrival", "both"),
-    "exploration_gross": Contrast("all of the exploration laps: data, correction and V-sets", "both", "all"),
-    "exploration": Contrast("**by exploration**, net of the correction", "correction", "all"),
+    "lags": ArmContrast("learnt lags", "nominal", "lags"),
+    "arrival": ArmContrast("measured arrival", "lags", "arrival"),
+    "gp_reference": ArmContrast("GP in the reference", "arrival", "gp_reference"),
+    "gp_mpc_after": ArmContrast("GP in the MPC, beside the reference", "gp_reference", "both"),
+    "laps": ArmContrast("more laps of data alone", "both", "laps"),
+    "correction": ArmContrast("correction of the path", "laps", "correction"),
+    "sets_after": ArmContrast("V-sets, beside the correction", "correction", "all"),
+    "gp_mpc": ArmContrast("GP in the MPC alone", "arrival", "gp_mpc"),
+    "gp_reference_after": ArmContrast("GP in the reference, beside the MPC", "gp_mpc", "both"),
+    "sets": ArmContrast("V-sets alone", "laps", "sets"),
+    "correction_after": ArmContrast("correction of the path, beside V-sets", "sets", "all"),
+    "correction_only": ArmContrast("correction of the path, without GP", "arrival", "correction_only"),
+    "gpr_gross": ArmContrast("all of the GPR laps: lags, arrival and GP", "nominal", "both"),
+    "gpr": ArmContrast("**by GPR**, net of lags and arrival", "arrival", "both"),
+    "exploration_gross": ArmContrast("all of the exploration laps: data, correction and V-sets", "both", "all"),
+    "exploration": ArmContrast("**by exploration**, net of the correction", "correction", "all"),
 }
 WATERFALL = ("lags", "arrival", "gp_reference", "gp_mpc_after", "laps", "correction", "sets_after")
 SQUARE = {("planned", "off"): "laps", ("planned", "on"): "correction", ("sets", "off"): "sets", ("sets", "on"): "all"}

@@ -10,7 +10,7 @@ from driftjax.core import RESULTS, Control, State, from_dict
 from driftjax.equilibrium import SlipRadius, SpeedYaw, continuation
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.run import read_progress
-from driftjax.learning.scenario import build
+from driftjax.learning.scenario import build_scenario
 from driftjax.parallel import BatchExecutor, call, vmap_batch
 from driftjax.store import RunFolder
 from driftjax.vehicle import AnyCar, Residual
@@ -26,7 +26,7 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
     if STAGE not in run.finished():
         return None
     config = from_dict(LearnConfig, run.config, str(run.path / "config.yaml"))
-    scenario = build(config, BatchExecutor(1))
+    scenario = build_scenario(config, BatchExecutor(1))
     residual = read_progress(scenario, run, STAGE).model_state.residual
     corner = scenario.corner
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))

@@ -21,7 +21,7 @@ from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
 from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.statistics import ablation_results, compare_methods
-from driftjax.studies.paper.table import comparison_page
+from driftjax.studies.paper.table import paper_page
 from driftjax.vehicle import load_vehicle
 
 DIAGNOSIS = "diagnosis"  # folder below that of the car
@@ -122,5 +122,5 @@ def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], fold
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
     found = {"options": to_dict(cfg), "split": split, "cars": cars}
     folder.write_json("results", found)
-    (folder.path / "results.md").write_text(comparison_page(found), encoding="utf-8")
+    (folder.path / "results.md").write_text(paper_page(found), encoding="utf-8")
     return found

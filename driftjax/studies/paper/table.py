@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from driftjax.report.table import CONTROLLERS, interval, markdown_table, number
+from driftjax.report.table import CONTROLLERS, format_interval, markdown_table, number
 from driftjax.studies.paper.credit import CONTRASTS, RUNGS
 from driftjax.studies.paper.statistics import ALONE, METHODS, TARGETS
 
@@ -26,7 +26,7 @@ GAINS = {
 }
 
 
-def comparison_page(results: dict[str, Any]) -> str:
+def paper_page(results: dict[str, Any]) -> str:
     """Return all tables, in Markdown."""
     split = results["split"]
     first, last = split["plants"][0], split["plants"][-1]
@@ -60,7 +60,7 @@ def _targets(targets: list[dict[str, Any]]) -> list[str]:
         of = row.get("of")
         words = GAINS[row["name"]] + (f" ({CONTROLLERS[of[0]]}, {METHODS[of[1]]})" if of else "")
         sign = "<=" if row["name"] == "best_error" else ">="
-        rows.append((words, interval(row, form), f"{sign} {row['aim']:g}", "yes" if row["met"] else "no"))
+        rows.append((words, format_interval(row, form), f"{sign} {row['aim']:g}", "yes" if row["met"] else "no"))
     return _rows(("the paper's controller; the best of both", "measured", "aim", "met"), rows)
 
 
@@ -68,7 +68,7 @@ def _methods(methods: dict[str, Any]) -> list[str]:
     rows = [
         (
             words if name in ALONE else f"{words}, {CONTROLLERS[who]}",
-            *(interval(stages[name][figure], form) for figure, (_, form) in HEAD.items()),
+            *(format_interval(stages[name][figure], form) for figure, (_, form) in HEAD.items()),
         )
         for who, stages in methods.items()
         for name, words in METHODS.items()
@@ -84,8 +84,8 @@ def _parts(found: dict[str, Any]) -> list[str]:
         for name in stages:
             if name not in ALONE:
                 far = found["extrapolation"][who].get(name)
-                parts = (interval(stages[name][part], ".3f") for part in PARTS)
-                error = interval(stages[name]["lateral_error"], ".3f")
+                parts = (format_interval(stages[name][part], ".3f") for part in PARTS)
+                error = format_interval(stages[name]["lateral_error"], ".3f")
                 rows.append((name, CONTROLLERS[who], error, *parts, "-" if far is None else f"{far:.2f}"))
     head = ("laps", "controller", "lateral error [m]", "in the first third", "of the reference itself",
             "against the reference", "share far from the GP's data")  # fmt: skip
@@ -111,20 +111,20 @@ def _feasible(found: dict[str, Any]) -> list[str]:
 def _credit(credit: dict[str, Any], car: str) -> list[str]:
     """Return who owns the gain: the rungs, then the contrasts between them."""
     rungs = [
-        (RUNGS[name][0], CONTROLLERS[who], interval(cell["lateral_error"], ".3f"),
-         interval(cell["velocity_rmse"], ".2f"), interval(cell["completed"], ".2f"))
+        (RUNGS[name][0], CONTROLLERS[who], format_interval(cell["lateral_error"], ".3f"),
+         format_interval(cell["velocity_rmse"], ".2f"), format_interval(cell["completed"], ".2f"))
         for who, found in credit.items() for name, cell in found["rungs"].items()
     ]  # fmt: skip
     rows: list[tuple[str, ...]] = []
     for who, found in credit.items():
         for name, cell in found["contrasts"].items():
             aim = TARGETS[car].get(name.removesuffix("_gross")) if who == "paper" else None
-            gains = (interval(cell[key], ".0f") for key in ("percent", "velocity_percent"))
-            metres = interval(cell["metres"], "+.3f")
+            gains = (format_interval(cell[key], ".0f") for key in ("percent", "velocity_percent"))
+            metres = format_interval(cell["metres"], "+.3f")
             rows.append((CONTRASTS[name].words, CONTROLLERS[who], metres, *gains, number(aim, "g")))
         if "interaction" in found:
             words = "interaction: V-sets beside the correction less V-sets alone"
-            rows.append((words, CONTROLLERS[who], interval(found["interaction"], "+.3f"), "-", "-", "-"))
+            rows.append((words, CONTROLLERS[who], format_interval(found["interaction"], "+.3f"), "-", "-", "-"))
     text = [
         "Who owns the gain: all rows have the same plants and noise, as many GPR laps and, where explored, as many "
         "exploration laps. The single layer has as many laps of data as the double layer here; in the main comparison "
@@ -141,11 +141,11 @@ def _ablations(ablations: dict[str, Any]) -> list[str]:
     rows = []
     for found in ablations.values():
         for who, stages in found["methods"].items():
-            cells = [interval(stages[name]["lateral_error"], ".3f") if name in stages else "-"
+            cells = [format_interval(stages[name]["lateral_error"], ".3f") if name in stages else "-"
                      for name in ("nominal", "gpr-best", "explore-best")]  # fmt: skip
             ends = [stages[name]["completed"] for name in ("gpr-best", "explore-best") if name in stages]
             done = ", ".join(f"{end['mean']:.2f}" for end in ends)
-            gains = (interval(found["gains"][who][name], ".0f") for name in ("gpr", "exploration"))
+            gains = (format_interval(found["gains"][who][name], ".0f") for name in ("gpr", "exploration"))
             rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
     head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
             "completed: GPR, explored")  # fmt: skip

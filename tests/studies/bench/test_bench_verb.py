@@ -1,4 +1,4 @@
-"""The bench: rows and table, peers that agree with this package or are told to be missing, the verb's files."""
+"""The bench: rows and table, peers that agree with this package or are reported as missing, the verb's files."""
 
 import dataclasses
 import json
@@ -91,7 +91,7 @@ def hidden(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
 
 
-def test_missing_peers_are_told(hidden, monkeypatch):
+def test_missing_peers_are_reported(hidden, monkeypatch):
     """Every row stays, with how to install its peer; the row of g++ is still measured."""
     fake = lambda num: lambda: Solved(jnp.ones(num), jnp.ones(num, bool))
     monkeypatch.setattr(mpc_rows, "mpc_solves", lambda kind, problems, dtype, **_: fake(len(problems.x)))
@@ -99,10 +99,10 @@ def test_missing_peers_are_told(hidden, monkeypatch):
         monkeypatch.setattr(simulator_rows, name, lambda dtype, num, *_: lambda: 3 * (np.zeros(num),))
     once = dataclasses.replace(QUICK, dtype=("float64",))
     rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(once).rows]
-    told = {row.against: row.missing for row in rows}
-    assert told["CasADi FATROP"] == told["CasADi IPOPT"] == "missing: pip install casadi"
-    assert told["numba, one core"] == "missing: pip install numba"
-    assert told["scikit-learn"] == "missing: pip install scikit-learn"
+    missing = {row.against: row.missing for row in rows}
+    assert missing["CasADi FATROP"] == missing["CasADi IPOPT"] == "missing: pip install casadi"
+    assert missing["numba, one core"] == "missing: pip install numba"
+    assert missing["scikit-learn"] == "missing: pip install scikit-learn"
     assert all(row.ratio is None for row in rows if row.missing)
     assert all(row.ratio is not None for row in rows if not row.missing)
 

@@ -10,7 +10,7 @@ from driftjax.studies.hidden_effects import criteria, running
 from driftjax.studies.hidden_effects.bench import CASES, StudyConfig, run_study
 from driftjax.studies.hidden_effects.case import Case, Hidden, read_case
 from driftjax.studies.hidden_effects.draw import DEFAULT, CaseNumbers, draw_cases
-from driftjax.studies.hidden_effects.drivers import DRIVERS
+from driftjax.studies.hidden_effects.driving_variables import DRIVING_VARIABLES
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.foreign import follow_commands, foreign_vehicle
 from driftjax.studies.hidden_effects.score import rate_interval, score_results
@@ -24,12 +24,12 @@ def result(truth=(), causes=(), verdict="NAMED", **more) -> criteria.Result:
     effects = tuple(Hidden(name, (size,)) for name, size in truth)
     case = Case(("none", "single", "pair")[len(effects)], "sedan", 1, effects)
     sizes = {name: {"theta": [value], "half_width": [0.1]} for name, value in causes}
-    told = [
+    causes = [
         {"effect": n, "probability": 0.9, "p_value": 0.01, "rivals": {}, "scale": [1.0], **v} for n, v in sizes.items()
     ]
     looks = [{"effect": n, "strengths": [s], "T": 9.0, "rank": 0, "alike": {"mass": 0.5}} for n, s in truth]
     return {
-        "case": json.loads(case.line()), "group": case.group, "seconds": 2.0, "verdict": verdict, "causes": told,
+        "case": json.loads(case.line()), "group": case.group, "seconds": 2.0, "verdict": verdict, "causes": causes,
         "named": list(sizes), "p_first": 0.3, "p_left": 0.5, "skill": {"extended": [0.5, 0.4, 0.6]},
         "oracle": [0.6, 0.5, 0.7], "naive": "channel_delay", "unexplained": {"drivers": [], "at_first": []},
         "hidden": [one | sizes.get(one["effect"], {}) for one in looks],
@@ -67,7 +67,7 @@ def test_a_case_becomes_parameters_in_the_order_of_the_catalogue():
      ('{"condition": "single", "car": "rc", "seed": 1, "effects": [{"name": "magic", "strengths": [1]}]}', "magic"),
      ('{"condition": "single", "car": "rc", "seed": 1, "effects": [{"name": "mass", "strengths": []}]}', "mass")],
 )  # fmt: skip
-def test_a_bad_case_is_told(line, word):
+def test_a_bad_case_is_reported(line, word):
     with pytest.raises(BadInput, match=word):
         read_case(line)
 
@@ -162,7 +162,7 @@ def test_figures_are_drawn_of_what_there_is(tmp_path):
 
 
 def test_every_effect_has_driving_variables():
-    assert set(DRIVERS) == set(EFFECTS)
+    assert set(DRIVING_VARIABLES) == set(EFFECTS)
 
 
 @pytest.mark.parametrize("car", ["std", "mb"])

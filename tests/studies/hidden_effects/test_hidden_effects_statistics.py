@@ -1,4 +1,4 @@
-"""Rates over many fresh cases of the hidden-effects bench: which share is named, measured and told apart from chance.
+"""Rates over many fresh cases of the hidden-effects bench: which share is named, measured and significant.
 
 Run with `-m statistics`. DRIFTJAX_CASES (200) single effects are drawn, a fifth as many logs of nothing, pairs and
 effects that the catalogue lacks, half of all on each car, from a seed that is printed; DRIFTJAX_SEED repeats a run.

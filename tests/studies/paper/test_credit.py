@@ -8,7 +8,7 @@ import pytest
 from driftjax.studies.paper.credit import CONTRASTS, RUNGS, SQUARE, WATERFALL, credit
 from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.statistics import summarise_figures
-from driftjax.studies.paper.table import comparison_page
+from driftjax.studies.paper.table import paper_page
 
 ERRORS = {"nominal": 0.8, "lags": 0.7, "arrival": 0.6, "gp_reference": 0.5, "gp_mpc": 0.4, "both": 0.3, "laps": 0.25,
           "sets": 0.24, "correction": 0.1, "all": 0.12, "correction_only": 0.55}  # fmt: skip
@@ -67,7 +67,7 @@ def test_what_was_not_driven_is_credited_with_nothing():
 
 
 def test_net_gains_stand_beside_those_of_the_paper_and_the_figure_is_drawn(tmp_path):
-    words = comparison_page(results())
+    words = paper_page(results())
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in words.splitlines() if line.startswith("|")]
     net = {row[0]: row for row in rows if row[0].startswith("**by")}
     gpr, exploration = net[CONTRASTS["gpr"].words], net[CONTRASTS["exploration"].words]

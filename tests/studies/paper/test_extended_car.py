@@ -42,7 +42,7 @@ def test_commands_keep_to_the_limits_and_measurements_have_the_noise_asked_for(l
         assert np.all(np.std(second, axis=1) < 1.3 * np.sqrt(6) * sigma[:2])
 
 
-def test_a_car_that_cannot_be_held_is_told():
+def test_a_car_that_cannot_be_held_is_reported():
     vehicle = load_vehicle("sedan").with_combined_slip(None)
     ice = dataclasses.replace(load_plant("sedan"), muf=0.15, mur=0.15)
     with pytest.raises(RuntimeError, match="it spun in 6 draws"):

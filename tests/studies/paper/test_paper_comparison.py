@@ -22,7 +22,7 @@ from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.laps import per_plant
 from driftjax.studies.paper.run import start_run
 from driftjax.studies.paper.statistics import GAINS, METHODS, paired_gain, summarise_figures, targets
-from driftjax.studies.paper.table import comparison_page
+from driftjax.studies.paper.table import paper_page
 
 SECTION = (10.0, 20.0)
 SERIES = ("s", "e", "e_ref", "beta", "beta_ref", "r", "r_ref", "V", "delta", "Fxr")
@@ -197,9 +197,9 @@ def ends(nominal: float, gpr: float, explored: float, spread: float, num: int = 
     [(60.0, [10.0, 80.0], True), (60.0, [-5.0, 90.0], False), (40.0, [30.0, 50.0], False), (60.0, [None, None], False)],
 )
 def test_a_gain_is_shown_by_its_size_and_its_interval(value, ci95, met):
-    told = {"value": value, "ci95": ci95}
+    gain = {"value": value, "ci95": ci95}
     rows = ends(0.5, 0.3, 0.2, 0.01)
-    gains = {name: told for name in GAINS}
+    gains = {name: gain for name in GAINS}
     found = {row["name"]: row for row in targets("sedan", gains, {"paper": rows})}
     assert found["gpr"]["met"] is met and found["gpr"]["aim"] == 52.8
     assert found["best_error"]["of"] == ("paper", "explore-best") and found["best_error"]["met"]
@@ -232,7 +232,7 @@ def results() -> dict:
 
 
 def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
-    words = comparison_page(results())
+    words = paper_page(results())
     missed = [line for line in words.splitlines() if line.endswith("| no |")]
     assert any("lateral error of the best method" in line for line in missed)
     assert "Plants 16 to 31 (seed 6, half: held out), 2 noise seeds each" in words and "abababab" in words
@@ -262,7 +262,7 @@ def test_states_far_from_the_data_are_counted(tmp_path):
     assert extrapolated(run, "paper", SECTION) == {"gpr-best": pytest.approx(0.5)}
 
 
-def test_bad_input_is_told_in_one_sentence(tmp_path, capsys):
+def test_bad_input_is_reported_in_one_sentence(tmp_path, capsys):
     RunFolder.create(tmp_path / "learn", {}, "learn")
     assert main(["paper", "--resume", str(tmp_path / "learn")]) == 2
     assert "not of `driftjax paper`" in capsys.readouterr().err
@@ -295,5 +295,5 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
     assert json.loads((out / "results.json").read_text()) == whole
     (out / "results.md").unlink()
-    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == comparison_page(whole)
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(whole)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()

@@ -1,12 +1,12 @@
-"""Optimal control problems in batches: sequential quadratic programming with the batch on the last axis.
+"""Solve optimal control problems in batches: sequential quadratic programming with the batch on the last axis.
 
 Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
-a few interior-point iterations on the quadratic program, which touch the matrices only (`lane_qp`); primal and dual
+a few interior-point iterations on the quadratic program, which touch the matrices only (`batch_qp`); primal and dual
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
-al. 2005), whose program is solved to the tolerance. Full steps are taken: nearly all lanes of a tracking problem
+al. 2005), whose program is solved to the tolerance. Full steps are taken: nearly all entries of a tracking problem
 converge from a fair guess, the others say so in `result`, and the safeguarded `solve` takes them. An l1 merit function
 with backtracking rejected good steps of a Gaussian process's dynamics and doubled their iterations. Everything is
-elementwise along the batch, so that a CPU fills its vector registers with lanes.
+elementwise along the batch, so that a CPU fills its vector registers with batch entries.
 """
 
 from typing import NamedTuple
@@ -19,29 +19,29 @@ from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
-from driftjax.solve.interior_point import SLACK_FLOOR, split
-from driftjax.solve.lane_ocp import AbstractLanes, Components
-from driftjax.solve.lane_qp import (
-    Error,
-    Lanes,
-    Model,
+from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
+from driftjax.solve.batch_qp import (
+    BatchIterate,
+    OptimalityError,
+    QPModel,
+    bound_constraints,
     changes,
-    gaps_of,
-    measured,
+    constraint_values,
     next_barrier,
-    program_step,
-    residual,
+    optimality_error,
+    qp_step,
 )
-from driftjax.solve.materialise import materialised
+from driftjax.solve.component_derivatives import Entry, hessian, total
+from driftjax.solve.compute_once import compute_once
+from driftjax.solve.interior_point import SLACK_FLOOR, split
 from driftjax.solve.ocp import Options
-from driftjax.solve.sparse import Entry, hessian, total
 
-MANY, SHARE = 64, 8  # of so many lanes the last eighth goes on by itself
+MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
-class LanePlans(eqx.Module):
+class BatchSolution(eqx.Module):
     """Solutions of a batch; components on the first axis, the batch on the last."""
 
     X: Float[Array, "nx N+1 batch"]
@@ -51,16 +51,16 @@ class LanePlans(eqx.Module):
     cost: Float[Array, " batch"]  # objective at (X, U)
     kkt: Float[Array, " batch"]  # scaled stationarity and complementarity of the problem, not of a program [-]
     violation: Float[Array, " batch"]  # worst defect or violation of a limit
-    program: Float[Array, " batch"]  # both, of the last quadratic program
+    qp_error: Float[Array, " batch"]  # worst of both, of the last quadratic program
     num_steps: Array  # SQP iterations (batch,)
     result: RESULTS
 
 
 class _Loop(NamedTuple):
-    lanes: Lanes
+    iterate: BatchIterate
     barrier: Array
-    error: Error  # of the problem
-    program: Array  # error of the last program
+    error: OptimalityError  # of the problem
+    qp_error: Array  # error of the last program
     num_steps: Array
     open: Array  # whether the iterate is still to be judged
 
@@ -68,27 +68,27 @@ class _Loop(NamedTuple):
 class _Batch(NamedTuple):
     """Constant data of the iterations."""
 
-    ocp: AbstractLanes
+    ocp: AbstractBatchOCP
     stages: PyTree  # parameters (N, batch) or (N, 1)
     last: PyTree  # those of the end (batch,) or (1,)
     u_before: Components
-    tolerance: Array  # of each lane
+    tolerance: Array  # of each entry
     max_steps: Array
 
-    def of(self, lanes: Array) -> "_Batch":
+    def take(self, entries: Array) -> "_Batch":
         """Return the data of some batch entries."""
         num = len(self.tolerance)
         wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
-        return _Batch(self.ocp.of(lanes), *_of_lanes(wide, lanes))
+        return _Batch(self.ocp.take(entries), *_take(wide, entries))
 
 
-def _rows(tree: PyTree) -> Array:
+def _pack(tree: PyTree) -> Array:
     """Return all values of each entry in one column: one gather for all, since XLA fails on many fused gathers."""
     leaves = jax.tree.leaves(tree)
     return jnp.concatenate([a.reshape(-1, a.shape[-1]).astype(jnp.result_type(*leaves)) for a in leaves])
 
 
-def _unrowed(rows: Array, tree: PyTree) -> PyTree:
+def _unpack(rows: Array, tree: PyTree) -> PyTree:
     """Return columns as arrays like those of `tree`, with another batch size."""
     leaves, structure = jax.tree.flatten(tree)
     ends = np.cumsum([a[..., 0].size for a in leaves])
@@ -97,38 +97,38 @@ def _unrowed(rows: Array, tree: PyTree) -> PyTree:
     return jax.tree.unflatten(structure, like)
 
 
-def _of_lanes(tree: PyTree, lanes: Array) -> PyTree:
-    return _unrowed(_rows(tree)[:, lanes], tree)
+def _take(tree: PyTree, entries: Array) -> PyTree:
+    return _unpack(_pack(tree)[:, entries], tree)
 
 
-def _solved(batch: _Batch, loop: _Loop) -> _Loop:
+def _solve_open(batch: _Batch, loop: _Loop) -> _Loop:
     """Iterate until all entries are solved; the last unsolved ones are gathered into a smaller batch."""
     num = len(batch.tolerance)
     few = num // SHARE if num >= MANY else 0
     loop = jax.lax.while_loop(lambda s: jnp.sum(s.open) > few, lambda s: _iterate(batch, s), loop)
     if not few:
         return loop
-    lanes = jnp.argsort(~loop.open)[:few]
-    rest = _solved(batch.of(lanes), _of_lanes(loop, lanes))
-    return _unrowed(_rows(loop).at[:, lanes].set(_rows(rest)), loop)
+    entries = jnp.argsort(~loop.open)[:few]
+    rest = _solve_open(batch.take(entries), _take(loop, entries))
+    return _unpack(_pack(loop).at[:, entries].set(_pack(rest)), loop)
 
 
-def _linearised(batch: _Batch, it: Lanes, around: PyTree) -> tuple[Model, PyTree, Error]:
+def _linearise(batch: _Batch, it: BatchIterate, expansion: PyTree) -> tuple[QPModel, PyTree, OptimalityError]:
     """Return the model at an iterate, without second derivatives of the dynamics, what these need, and the error."""
     ocp, nx = batch.ocp, len(it.X)
     x, xN = [x[:-1] for x in it.X], [x[-1] for x in it.X]
-    y, M, more = ocp.linearise(x, it.U, batch.stages, around)
+    y, M, more = ocp.linearise(x, it.U, batch.stages, expansion)
     h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U)
     hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN)
-    model = Model(M, H, HN, [a - b[1:] for a, b in zip(y, it.X, strict=True)], _full(h, it.U[0]), _full(hN, xN[0]))
-    return model, more, residual(ocp, batch.u_before, model, it)
+    model = QPModel(M, H, HN, [a - b[1:] for a, b in zip(y, it.X, strict=True)], _full(h, it.U[0]), _full(hN, xN[0]))
+    return model, more, optimality_error(ocp, batch.u_before, model, it)
 
 
 def _full(entries: list[Entry], like: Array) -> list[Array]:
     return [jnp.zeros_like(like) if e is None else jnp.broadcast_to(e, like.shape) for e in entries]
 
 
-def _objective(batch: _Batch, it: Lanes) -> Array:
+def _objective(batch: _Batch, it: BatchIterate) -> Array:
     ocp = batch.ocp
     cost = jnp.sum(ocp.cost([x[:-1] for x in it.X], it.U, batch.stages), axis=0)
     cost = cost + ocp.terminal([x[-1] for x in it.X], batch.last)
@@ -137,7 +137,7 @@ def _objective(batch: _Batch, it: Lanes) -> Array:
     return cost
 
 
-def _bent(batch: _Batch, it: Lanes, model: Model, more: PyTree) -> Model:
+def _with_curvature(batch: _Batch, it: BatchIterate, model: QPModel, more: PyTree) -> QPModel:
     """Return the model with second derivatives of the dynamics."""
     bend = batch.ocp.curvature([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
     return model._replace(
@@ -145,51 +145,56 @@ def _bent(batch: _Batch, it: Lanes, model: Model, more: PyTree) -> Model:
     )
 
 
-def _worst(error: Error) -> Array:
+def _worst(error: OptimalityError) -> Array:
     return jnp.maximum(error.kkt, error.violation)
 
 
 def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
-    it = loop.lanes
-    around = batch.ocp.around([x[:-1] for x in it.X], it.U, batch.stages)
-    model, more, error = materialised(lambda it, around: _linearised(batch, it, around))(it, around)
+    it = loop.iterate
+    expansion = batch.ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages)
+    model, more, error = compute_once(lambda it, expansion: _linearise(batch, it, expansion))(it, expansion)
     error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
     worst = _worst(error)
     open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (loop.num_steps < batch.max_steps)
     loop = loop._replace(error=error, open=open_)
-    return jax.lax.cond(jnp.any(open_), lambda: _stepped(batch, loop, model, more), lambda: loop)
+    return jax.lax.cond(jnp.any(open_), lambda: _step_open(batch, loop, model, more), lambda: loop)
 
 
-def _stepped(batch: _Batch, loop: _Loop, model: Model, more: PyTree) -> _Loop:
-    """Move the open lanes towards the solutions of their programs, of the last one allowed to the tolerance."""
+def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loop:
+    """Move the open entries towards the solutions of their programs, of the last one allowed to the tolerance."""
     last, worst = loop.num_steps + 1 >= batch.max_steps, _worst(loop.error)
     share = jnp.maximum(jnp.minimum(FORCING * worst, COARSE), FINE * batch.tolerance)
     accuracy = jnp.where(last, batch.tolerance, share)
 
-    def step(model: Model, it: Lanes, barrier: Array, open_: Array) -> tuple[Model, Lanes, Array, Error]:
-        model, it, length = program_step(batch.ocp, batch.u_before, model, it, barrier, open_)
+    def step(
+        model: QPModel, it: BatchIterate, barrier: Array, open_: Array
+    ) -> tuple[QPModel, BatchIterate, Array, OptimalityError]:
+        model, it, length = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
         lower = jnp.where(open_, next_barrier(it, barrier, length, batch.tolerance), barrier)
-        return model, it, lower, residual(batch.ocp, batch.u_before, model, it)
+        return model, it, lower, optimality_error(batch.ocp, batch.u_before, model, it)
 
     def improve(state: tuple) -> tuple:
-        model, it, barrier, program, open_, count = state
-        model, it, barrier, error = materialised(step)(model, it, barrier, open_)
-        program = jnp.where(open_, _worst(error), program)
+        model, it, barrier, qp_error, open_, count = state
+        model, it, barrier, error = compute_once(step)(model, it, barrier, open_)
+        qp_error = jnp.where(open_, _worst(error), qp_error)
         more_steps = count + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
-        open_ = open_ & ~(program <= accuracy) & jnp.isfinite(program) & more_steps
-        return model, it, barrier, program, open_, count + 1
+        open_ = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & more_steps
+        return model, it, barrier, qp_error, open_, count + 1
 
-    bent = materialised(lambda it, model, more: _bent(batch, it, model, more))(loop.lanes, model, more)
-    start = (bent, loop.lanes, loop.barrier, loop.program, loop.open, 0)
-    _, it, barrier, program, *_ = jax.lax.while_loop(lambda state: jnp.any(state[4]), improve, start)
-    return loop._replace(lanes=it, barrier=barrier, program=program, num_steps=loop.num_steps + loop.open)
+    model = compute_once(lambda it, model, more: _with_curvature(batch, it, model, more))(loop.iterate, model, more)
+    start = (model, loop.iterate, loop.barrier, loop.qp_error, loop.open, 0)
+    _, it, barrier, qp_error, *_ = jax.lax.while_loop(lambda state: jnp.any(state[4]), improve, start)
+    return loop._replace(iterate=it, barrier=barrier, qp_error=qp_error, num_steps=loop.num_steps + loop.open)
 
 
-def _start(ocp: AbstractLanes, x0: Components, u_before: Components, X: Components, U: Components, barrier) -> Lanes:
+def _start(
+    ocp: AbstractBatchOCP, x0: Components, u_before: Components, X: Components, U: Components, barrier
+) -> BatchIterate:
     X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
-    slack = [jnp.maximum(g, SLACK_FLOOR) for g in measured(gaps_of(ocp), U, changes(U, u_before), [x[1:] for x in X])]
-    return Lanes(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
+    values = constraint_values(bound_constraints(ocp), U, changes(U, u_before), [x[1:] for x in X])
+    slack = [jnp.maximum(value, SLACK_FLOOR) for value in values]
+    return BatchIterate(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
 
 def _result(worst: Array, tolerance: Array) -> RESULTS:
@@ -197,8 +202,8 @@ def _result(worst: Array, tolerance: Array) -> RESULTS:
     return RESULTS.where(worst <= tolerance, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
 
 
-def solve_lanes(
-    ocp: AbstractLanes,
+def solve_batch(
+    ocp: AbstractBatchOCP,
     x0: Float[Array, "nx batch"],
     u_before: Float[Array, "nu batch"],
     params: PyTree,
@@ -206,12 +211,12 @@ def solve_lanes(
     U: Float[Array, "nu N batch"],
     options: Options,
     needed: Bool[Array, " batch"] | None = None,
-) -> LanePlans:
+) -> BatchSolution:
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
     `options.max_steps` is the number of SQP iterations: 1 for a real-time iteration, whose program is solved to the
-    tolerance. A lane's `result` is `successful` only where its KKT residual and violation are below the tolerance.
-    Lanes that are not `needed` stay at their guess and hold up none; all options may be of each lane (batch,).
+    tolerance. An entry's `result` is `successful` only where its KKT residual and violation are below the tolerance.
+    Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
     """
     dtype = U[0].dtype
     large = jnp.full_like(U[0][0], jnp.inf)
@@ -221,10 +226,10 @@ def solve_lanes(
     batch = _Batch(ocp, stages, last, list(u_before), tolerance, wide(options.max_steps, jnp.int32))
     start = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier)
     open_ = wide(True, bool) if needed is None else needed
-    loop = _Loop(start, barrier, Error(large, large), large, wide(0, jnp.int32), open_)
-    end = _solved(batch, loop)
-    it = end.lanes
+    loop = _Loop(start, barrier, OptimalityError(large, large), large, wide(0, jnp.int32), open_)
+    end = _solve_open(batch, loop)
+    it = end.iterate
     result = jax.vmap(_result)(_worst(end.error), tolerance)
     dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), dtype)
     X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
-    return LanePlans(X, U, costates, dual, _objective(batch, it), *end.error, end.program, end.num_steps, result)
+    return BatchSolution(X, U, costates, dual, _objective(batch, it), *end.error, end.qp_error, end.num_steps, result)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from driftjax.control.lanes import lanes_of
+from driftjax.control.drift_batch_ocp import to_batch_ocp
 from driftjax.control.mpc import DriftOCP, Reference, along, solve_mpc, within_limits
 from driftjax.parallel import vmap_batch
-from driftjax.solve import LanePlans, Options, solve_lanes
+from driftjax.solve import BatchSolution, Options, solve_batch
 from driftjax.vehicle import SingleTrack
 
 MIN_BATCH = 16  # the batched solver is no faster below this size
@@ -64,7 +64,7 @@ def solve_with_fallback(ocp: DriftOCP, problem: MPCProblem) -> MPCResult:
     return jax.lax.scan(attempt, first, jnp.asarray(ATTEMPTS))[0]
 
 
-def solve_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"]) -> MPCResult:
+def solve_mpc_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"]) -> MPCResult:
     """Solve a batch (leading axis): large single-track batches in one batched solve, others by `solve_with_fallback`.
 
     Problems that the batched solver leaves unacceptable are solved by `solve_with_fallback`, one after the other.
@@ -75,8 +75,8 @@ def solve_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"
     found = _batched(ocp, problem, needed)
     left = needed & ~acceptable(found, problem.options)
 
-    def again(lane: tuple[DriftOCP, MPCProblem, MPCResult, Array]) -> MPCResult:
-        ocp, problem, found, left = lane
+    def again(entry: tuple[DriftOCP, MPCProblem, MPCResult, Array]) -> MPCResult:
+        ocp, problem, found, left = entry
         return jax.lax.cond(left, lambda: solve_with_fallback(ocp, problem), lambda: found)
 
     return jax.lax.cond(jnp.any(left), lambda: jax.lax.map(again, (ocp, problem, found, left)), lambda: found)
@@ -89,8 +89,8 @@ def _batched(ocp: DriftOCP, problem: MPCProblem, needed: Array) -> MPCResult:
     lagged_input = jax.vmap(along)(ocp, problem.lagged_input, U)
     guess = jnp.concatenate([problem.X, lagged_input / scale[:, None]], axis=2)
     last = lambda a: jnp.transpose(a, (2, 1, 0))  # move the batch axis to the end, and back
-    plans: LanePlans = solve_lanes(
-        lanes_of(ocp, scale[:, 1]),
+    plans: BatchSolution = solve_batch(
+        to_batch_ocp(ocp, scale[:, 1]),
         jnp.concatenate([problem.x, problem.lagged_input / scale], axis=1).T,
         (problem.previous / scale).T,
         jax.tree.map(lambda a: a.T, problem.reference),

@@ -1,4 +1,4 @@
-"""Factorise a stage-wise Newton system by a Riccati recursion, reusable for several right-hand sides."""
+"""Factorise a stage-wise Newton system by a Riccati recursion, and solve it for several right-hand sides."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float
 
 
-class Quadratic(NamedTuple):
+class NewtonMatrices(NamedTuple):
     """Matrices of: minimise sum 1/2 d'Hd + h'd, d = (dx, du), subject to dx+ = A dx + B du + c, dx_0 = 0."""
 
     Hxx: Float[Array, "N nx nx"]
@@ -18,13 +18,13 @@ class Quadratic(NamedTuple):
     HN: Float[Array, "nx nx"]
 
 
-class Sweep(NamedTuple):
-    """Gains, inverse input blocks and cost-to-go of x_1..x_N; `convex` where the minimiser exists."""
+class RiccatiFactors(NamedTuple):
+    """Feedback gains, inverse input Hessians and Hessians of the cost-to-go of x_1..x_N."""
 
     K: Float[Array, "N nu nx"]
     inverse: Float[Array, "N nu nu"]
     P: Float[Array, "N nx nx"]
-    convex: Bool[Array, ""]
+    convex: Bool[Array, ""]  # whether all input Hessians are positive definite, so that a minimiser exists
 
 
 def _inverse(R: Float[Array, "nu nu"]) -> tuple[Array, Array]:
@@ -38,7 +38,7 @@ def _inverse(R: Float[Array, "nu nu"]) -> tuple[Array, Array]:
     return jnp.stack([jnp.stack([d, -b]), jnp.stack([-b, a])]) / safe, positive
 
 
-def factor(q: Quadratic) -> Sweep:
+def factorise(q: NewtonMatrices) -> RiccatiFactors:
     """Run the backward recursion. The reduced Hessian is positive definite exactly where all input blocks are."""
 
     def backward(P, stage):
@@ -51,11 +51,14 @@ def factor(q: Quadratic) -> Sweep:
         return 0.5 * (before + before.T), (K, inverse, P, positive)
 
     _, (K, inverse, P, positive) = lax.scan(backward, q.HN, q[:5], reverse=True)
-    return Sweep(K, inverse, P, jnp.all(positive) & jnp.all(jnp.isfinite(K)))
+    return RiccatiFactors(K, inverse, P, jnp.all(positive) & jnp.all(jnp.isfinite(K)))
 
 
-def substitute(sweep: Sweep, A: Array, B: Array, c: Array, hx: Array, hu: Array, hN: Array):
-    """Return the step in states (N+1, nx) and inputs (N, nu), and the costates (N, nx) of x_1..x_N after it."""
+def solve_factored(factors: RiccatiFactors, A: Array, B: Array, c: Array, hx: Array, hu: Array, hN: Array):
+    """Solve for one right-hand side.
+
+    Returns the step in states (N+1, nx) and inputs (N, nu), and the costates (N, nx) of x_1..x_N after it.
+    """
 
     def backward(p, stage):
         K, inverse, P, A, B, c, hx, hu = stage
@@ -63,7 +66,7 @@ def substitute(sweep: Sweep, A: Array, B: Array, c: Array, hx: Array, hu: Array,
         k = -inverse @ (hu + B.T @ g)
         return hx + A.T @ g + K.T @ (hu + B.T @ g), (k, p)
 
-    _, (k, p) = lax.scan(backward, hN, (sweep.K, sweep.inverse, sweep.P, A, B, c, hx, hu), reverse=True)
+    _, (k, p) = lax.scan(backward, hN, (factors.K, factors.inverse, factors.P, A, B, c, hx, hu), reverse=True)
 
     def forward(dx, stage):
         K, k, P, p, A, B, c = stage
@@ -72,5 +75,5 @@ def substitute(sweep: Sweep, A: Array, B: Array, c: Array, hx: Array, hu: Array,
         return after, (after, du, P @ after + p)
 
     start = jnp.zeros_like(hN)
-    _, (dX, dU, costates) = lax.scan(forward, start, (sweep.K, k, sweep.P, p, A, B, c))
+    _, (dX, dU, costates) = lax.scan(forward, start, (factors.K, k, factors.P, p, A, B, c))
     return jnp.concatenate([start[None], dX]), dU, costates

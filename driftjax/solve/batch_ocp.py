@@ -1,4 +1,4 @@
-"""Optimal control problems whose functions act on components: the interface of the batched solver."""
+"""Interface of the batched solver: optimal control problems whose functions act on components."""
 
 import abc
 from collections.abc import Sequence
@@ -10,26 +10,26 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Int, PyTree
 
-from driftjax.solve.sparse import Matrix, dot, hessian, jacobian
+from driftjax.solve.component_derivatives import Matrix, dot, hessian, jacobian
 
 Components = list[Array]
 Limits = Sequence[tuple[Array | float | None, Array | float | None]]  # lower and upper, None for none
 
 
-class AbstractLanes(eqx.Module):
+class AbstractBatchOCP(eqx.Module):
     """A discrete-time optimal control problem with the first state and the input before it fixed.
 
     minimise sum_k cost(x_k, u_k, p_k) + sum_k rate_weight (u_k - u_{k-1})^2 + terminal(x_N, p_N)
     subject to x_{k+1} = step(x_k, u_k, p_k), input, change and state limits.
 
     All functions take components (one array per entry of x and u, of any one shape) and act on each element by itself.
-    Scale the variables to order one. At most two inputs. Arrays in a problem have a leading axis of lanes, of 1 where
-    all share them.
+    Scale the variables to order one. At most two inputs. Arrays in a problem have a leading batch axis, of size 1
+    where all entries share them.
     """
 
-    def of(self, lanes: Int[Array, " few"]) -> Self:
+    def take(self, entries: Int[Array, " few"]) -> Self:
         """Return the problems of some batch entries."""
-        some = lambda a: a[lanes] if eqx.is_array(a) and jnp.ndim(a) and len(a) > 1 else a
+        some = lambda a: a[entries] if eqx.is_array(a) and jnp.ndim(a) and len(a) > 1 else a
         return jax.tree.map(some, self)
 
     @abc.abstractmethod
@@ -60,11 +60,16 @@ class AbstractLanes(eqx.Module):
         """Return the limits of each state of stages 1 to N; none by default."""
         return ()
 
-    def around(self, x: Components, u: Components, p: PyTree) -> PyTree:
-        """Return what `linearise` reads of matrix products, which must not be mixed with elementwise work; or None."""
+    def local_expansion(self, x: Components, u: Components, p: PyTree) -> PyTree:
+        """Return the local expansion that `linearise` reads, None by default.
 
-    def linearise(self, x: Components, u: Components, p: PyTree, around: PyTree) -> tuple[Components, Matrix, PyTree]:
-        """Return the next state, its derivatives [state][state and input], and what `curvature` reads.
+        It is for matrix products, which must not be mixed with elementwise work.
+        """
+
+    def linearise(
+        self, x: Components, u: Components, p: PyTree, expansion: PyTree
+    ) -> tuple[Components, Matrix, PyTree]:
+        """Return the next state, its derivatives [state][state and input], and the data that `curvature` reads.
 
         Override for a cheaper computation.
         """

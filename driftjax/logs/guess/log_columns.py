@@ -1,4 +1,4 @@
-"""All numeric columns of any log, put on one even time base."""
+"""Read all numeric columns of any log onto one even time base."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,9 +19,9 @@ FINEST = 0.02  # s, of the time base
 MOST = 10000  # samples; a longer log is read from its start
 GAP = 0.5  # s, over which values are interpolated
 FEW = 3  # different values up to which a column is a flag, unless its name says what it measures
-CLEAR = 0.9  # worth of such a name
+CLEAR = 0.9  # score of such a name
 NUMERIC = 0.9  # share of cells that must be numbers
-LEAST_TIME = 0.3  # worth of the name of a time
+LEAST_TIME = 0.3  # least score of the name of a time
 JUMP = 0.9  # share of a turn that is a jump of an angle
 
 
@@ -34,8 +34,8 @@ class Column(NamedTuple):
     """Values (n,) in the unit of the file, NaN between runs and in gaps."""
 
 
-class Material(NamedTuple):
-    """What a log holds."""
+class LogColumns(NamedTuple):
+    """Columns of a log on one even time base."""
 
     path: Path
     dt: float
@@ -45,7 +45,7 @@ class Material(NamedTuple):
     time_factor: float
     """[s per unit of it]"""
     run: str | None
-    """Column that tells runs apart, in each of which time starts anew."""
+    """Column that separates runs, in each of which time starts anew."""
     columns: list[Column]
     flags: list[str]
     """Columns of two or three values."""
@@ -56,13 +56,13 @@ class Material(NamedTuple):
     """Samples per second of columns with uneven time steps [Hz]."""
 
 
-def read_material(path: Path) -> Material:
+def read_log_columns(path: Path) -> LogColumns:
     """Read every column of a log; raises `BadInput` as `read_log` does, or if no column is the time."""
     kind = recording_kind(path)
     return _of_table(path) if kind is None else _of_recording(path, kind)
 
 
-def _of_table(path: Path) -> Material:
+def _of_table(path: Path) -> LogColumns:
     table = parse_table(path, read_bytes(path), lambda line: False)
     units = table.units or ("",) * len(table.names)
     numbers: dict[str, np.ndarray] = {}
@@ -97,10 +97,10 @@ def _of_table(path: Path) -> Material:
     found = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
     longest = t[max(parts, key=lambda part: part.stop - part.start)] if parts else t
     rates = {name: rate for name in numbers for rate in _uneven(longest)}
-    return Material(path, dt, time, factor, run, found, flags, constant, "header", rates)
+    return LogColumns(path, dt, time, factor, run, found, flags, constant, "header", rates)
 
 
-def _of_recording(path: Path, kind: str) -> Material:
+def _of_recording(path: Path, kind: str) -> LogColumns:
     stamps: Stamps = "header"
     try:
         found = all_series(path, kind, stamps)
@@ -117,7 +117,7 @@ def _of_recording(path: Path, kind: str) -> Material:
     usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in found.items()])
     columns = [Column(name, unit, _at(grid, found[name][1].t, y)) for name, unit, y in usable]
     rates = {name: rate for name, _, _ in usable for rate in _uneven(found[name][1].t)}
-    return Material(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates)
+    return LogColumns(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates)
 
 
 def _uneven(t: np.ndarray) -> list[float]:
@@ -131,7 +131,7 @@ def _by_values(columns: list[tuple[str, str, np.ndarray]]) -> tuple[list[tuple],
     usable, flags, constant = [], [], []
     for name, unit, y in columns:
         different = np.unique(y[np.isfinite(y)])
-        clear = max(meaning(name, unit).worth.values()) >= CLEAR
+        clear = max(meaning(name, unit).name_score.values()) >= CLEAR
         if len(different) < 2 and not (clear and different.any()):  # a force may be constant; zeros fill up messages
             constant.append(name)
         elif len(different) <= FEW and not clear:
@@ -160,10 +160,14 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
         steps = np.diff(y)
         rising = float(np.mean(steps > 0)) if len(steps) else 0.0
         said = meaning(name)
-        if rising < 0.9 or said.worth["t"] < LEAST_TIME or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0]):
+        if (
+            rising < 0.9
+            or said.name_score["t"] < LEAST_TIME
+            or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0])
+        ):
             continue
         even = 1.0 - min(float(np.std(steps[steps > 0]) / np.mean(steps[steps > 0])), 1.0)
-        score = said.worth["t"] * rising * (0.5 + 0.5 * even)
+        score = said.name_score["t"] * rising * (0.5 + 0.5 * even)
         if score > best:
             fits = units_of_time(y)
             factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)

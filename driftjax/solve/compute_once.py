@@ -1,7 +1,7 @@
-"""Long elementwise expressions compiled without recomputation.
+"""Compile long elementwise expressions without computing anything twice.
 
 XLA fuses elementwise operations by computing a value again for each of its users, which in the derivatives of a car
-costs several times the work they hold. `materialised` computes each value once and keeps it where it is used twice.
+costs several times the work they hold. `compute_once` computes each value once and keeps it where it is used twice.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ T = TypeVar("T")
 FREE = {"broadcast_in_dim", "neg", "copy", "reshape", "squeeze", "slice", "convert_element_type", "stop_gradient"}
 
 
-def materialised(function: Callable[P, T]) -> Callable[P, T]:
+def compute_once(function: Callable[P, T]) -> Callable[P, T]:
     """Return `function` with no repeated operation and every shared array computed once."""
 
     def run(*args: P.args, **kwargs: P.kwargs) -> T:

@@ -59,4 +59,4 @@ _TABLE = {
     "tyre_curve_front": _FRONT,
     "tyre_curve_rear": _REAR + " r",
 }
-DRIVERS: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}
+DRIVING_VARIABLES: dict[str, frozenset[str]] = {name: frozenset(words.split()) for name, words in _TABLE.items()}

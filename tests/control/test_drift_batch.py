@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.lane_solve import MIN_BATCH, MPCProblem, solve_batch, solve_with_fallback
-from driftjax.control.lanes import drift_lanes
+from driftjax.control.batch_solve import MIN_BATCH, MPCProblem, solve_mpc_batch, solve_with_fallback
+from driftjax.control.drift_batch_ocp import drift_batch_ocp
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.solve import Options
@@ -52,8 +52,8 @@ NAMES = (pytest.param("the paper's", marks=pytest.mark.slow), "all")
 def batched_values(batched, z, costate, p):
     """Everything about one step at states and inputs `z`, in one program for all sampling times."""
     x, u = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
-    around = batched.around(x, u, p)
-    y, M, more = batched.linearise(x, u, p, around)
+    expansion = batched.local_expansion(x, u, p)
+    y, M, more = batched.linearise(x, u, p, expansion)
     bend = batched.curvature(x, u, [c[None] for c in costate], p, more)
     return (y, M), batched.step(x, u, p), batched.cost(x, u, p), bend
 
@@ -62,7 +62,7 @@ def batched_values(batched, z, costate, p):
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
     whole = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
-    batched = drift_lanes(CONFIG, weights, CAR, learnt)
+    batched = drift_batch_ocp(CONFIG, weights, CAR, learnt)
     reached = [-0.22, 6.3] if batched.lags is not None else []
     tracked = list(X[: len(batched.Q)])
     here = jax.tree.map(lambda a: np.asarray(a)[0], reference(5))
@@ -95,14 +95,14 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_second_derivatives_become_exact_with_short_steps(name):
     weights, learnt = CASES[name]
-    lanes = lambda dt: drift_lanes(replace(CONFIG, dt=dt), weights, CAR, learnt)
+    problem = lambda dt: drift_batch_ocp(replace(CONFIG, dt=dt), weights, CAR, learnt)
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
-    z = np.array([*X[: len(lanes(CONFIG.dt).Q)], *([] if learnt is None else [-0.22, 6.3]), *U])
+    z = np.array([*X[: len(problem(CONFIG.dt).Q)], *([] if learnt is None else [-0.22, 6.3]), *U])
     costate = np.random.default_rng(1).normal(size=len(z) - 2)
 
     def error(dt: float) -> float:
         """Largest, over the largest second derivative; of what is multiplied by dt."""
-        batched, steps = lanes(dt), 1e-5 * np.eye(len(z))
+        batched, steps = problem(dt), 1e-5 * np.eye(len(z))
         slope = lambda z: pulled(batched_values(batched, z, costate, p)[0][1], costate)
         bend = np.array([slope(z + step) - slope(z - step) for step in steps]) / 2e-5
         H = batched_values(batched, z, costate, p)[3]
@@ -124,7 +124,7 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     """In a process of its own: XLA reads the flag, without which this program takes minutes to compile, only once."""
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
     out = tmp_path / "found.npz"
-    code = f"import test_drift_lanes; test_drift_lanes.answer({str(out)!r})"
+    code = f"import test_drift_batch; test_drift_batch.answer({str(out)!r})"
     paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
     env = os.environ | {"XLA_FLAGS": fused, "PYTHONPATH": paths, "JAX_ENABLE_X64": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
@@ -147,6 +147,6 @@ def answer(out: str) -> None:
     options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
     problem = MPCProblem(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
-    together = eqx.filter_jit(solve_batch)(ocp, problem, jnp.arange(num) > 0)
+    together = eqx.filter_jit(solve_mpc_batch)(ocp, problem, jnp.arange(num) > 0)
     alone = eqx.filter_jit(eqx.filter_vmap(solve_with_fallback))(ocp, problem)
     np.savez(out, **together._asdict(), **{f"{name}_alone": value for name, value in alone._asdict().items()})

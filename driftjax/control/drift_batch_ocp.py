@@ -10,16 +10,25 @@ from jax import Array
 from jaxtyping import PyTree
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
-from driftjax.control.residual import Learnt, learnt
+from driftjax.control.residual import ResidualDerivatives, residual_derivatives
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
-from driftjax.solve.lane_ocp import AbstractLanes, Components, Limits
-from driftjax.solve.sparse import Entry, Matrix, column, dot, midpoint_curvature, runge_kutta, times, total
+from driftjax.solve.batch_ocp import AbstractBatchOCP, Components, Limits
+from driftjax.solve.component_derivatives import (
+    Entry,
+    Matrix,
+    column,
+    dot,
+    midpoint_curvature,
+    runge_kutta,
+    times,
+    total,
+)
 from driftjax.track import curvilinear_rates
 from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_residual
 
 
-class DriftLanes(AbstractLanes):
+class DriftBatchOCP(AbstractBatchOCP):
     """Eq. 10 (Wu et al. 2025): inputs delta [rad] and Fxr in `Fxr_unit` newtons, state (V, beta, r) in SI.
 
     Where the path is tracked (e, theta) follow, and with actuator lags the actuator outputs. Parameters of the solver
@@ -73,33 +82,33 @@ class DriftLanes(AbstractLanes):
                 *((n + i, 1 - share) for i, share in enumerate(mean))]  # fmt: skip
 
     def step(self, x: Components, u: Components, p: Reference) -> Components:
-        """Next state by one RK4 step."""
+        """Return the next state by one RK4 step."""
         n, (acting, end) = len(self.Q), self._actuated(x, u)
-        around, rates = self.around(x, u, p), self._rates(p.kappa)
-        held = [] if around is None else around.d
+        expansion, rates = self.local_expansion(x, u, p), self._rates(p.kappa)
+        held = [] if expansion is None else expansion.d
         return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
 
-    def around(self, x: Components, u: Components, p: Reference) -> Learnt | None:
+    def local_expansion(self, x: Components, u: Components, p: Reference) -> ResidualDerivatives | None:
         """Return the residual at all stages."""
         if self.residual is None:
             return None
         acting = self._actuated(x, u)[0]
-        return learnt(self.residual, [*x[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
+        return residual_derivatives(self.residual, [*x[:3], *acting], (1.0, 1.0, 1.0, 1.0, self.Fxr_unit))
 
     def linearise(
-        self, x: Components, u: Components, p: Reference, around: Learnt | None
+        self, x: Components, u: Components, p: Reference, expansion: ResidualDerivatives | None
     ) -> tuple[Components, Matrix, PyTree]:
         """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
         acting, end = self._actuated(x, u)
-        held = [] if around is None else around.d
+        held = [] if expansion is None else expansion.d
         y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
-        return [*y, *end], self._by_state_and_input(M, x, around), (y, M, around)
+        return [*y, *end], self._by_state_and_input(M, x, expansion), (y, M, expansion)
 
-    def _by_state_and_input(self, M: Matrix, x: Components, around: Learnt | None) -> Matrix:
-        """Derivatives of the next state from those of what is tracked by (tracked, acting, residual's rates)."""
+    def _by_state_and_input(self, M: Matrix, x: Components, expansion: ResidualDerivatives | None) -> Matrix:
+        """Return derivatives of the next state by (x, u) from those by (tracked, acting, residual's rates)."""
         n, m = len(self.Q), len(self.R)
-        if around is not None:
-            J = self._wide(around.J)
+        if expansion is not None:
+            J = self._wide(expansion.J)
             M = [[total((row[j], dot(row[n + m :], column(J, j)))) for j in range(n + m)] for row in M]
         M = [[times(share, row[j]) for j, share in self._columns()] for row in M]
         for i, share in enumerate(self._shares()[1]):
@@ -109,26 +118,26 @@ class DriftLanes(AbstractLanes):
         return M
 
     def _wide(self, J: Matrix) -> Matrix:
-        """Derivatives by (V, beta, r, acting) as those by (tracked, acting)."""
+        """Pad derivatives by (V, beta, r, acting) to derivatives by (tracked, acting)."""
         return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
 
     def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
-        """Second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
-        (y, M, around), n = more, len(self.Q)
-        held = [] if around is None else around.d
+        """Return second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
+        (y, M, expansion), n = more, len(self.Q)
+        held = [] if expansion is None else expansion.d
         acting = self._actuated(x, u)[0]
         H = midpoint_curvature(self._rates(p.kappa), x[:n], [*acting, *held], (y, M), self.dt, costate[:n])
-        if around is not None:
+        if expansion is not None:
             weight = [dot(costate[:n], column(M, n + len(self.R) + k)) for k in range(3)]
-            H = self._with_residual(H, around, weight)
+            H = self._with_residual(H, expansion, weight)
         columns = self._columns()
         return [[times(a, b, H[i][j]) for j, b in columns] for i, a in columns]
 
-    def _with_residual(self, H: Matrix, around: Learnt, weight: Components) -> Matrix:
-        """Second derivatives by (tracked, acting) from those by the residual's rates too, which they move."""
+    def _with_residual(self, H: Matrix, expansion: ResidualDerivatives, weight: Components) -> Matrix:
+        """Return second derivatives by (tracked, acting), with the chain rule through the residual's rates."""
         m = len(self.Q) + 2
-        J = self._wide(around.J)
-        bend = [self._wide([*self._wide_rows(h)]) for h in around.H]
+        J = self._wide(expansion.J)
+        bend = [self._wide([*self._wide_rows(h)]) for h in expansion.H]
         W = [[total((H[i][j], dot(H[i][m:], column(J, j)))) for j in range(m)] for i in range(m + 3)]
         return [
             [total((W[i][j], dot(column(J, i), [W[m + k][j] for k in range(3)]),
@@ -167,7 +176,7 @@ class DriftLanes(AbstractLanes):
         return [(-rate, rate) for rate in self.rate]
 
 
-def lanes_of(
+def to_batch_ocp(
     ocp: DriftOCP,
     Fxr_unit: Array,
     *,
@@ -175,11 +184,11 @@ def lanes_of(
     front_slip: bool = True,
     residual: bool = True,
     lags: bool = True,
-) -> DriftLanes:
+) -> DriftBatchOCP:
     """Convert problems `ocp`, with a leading batch axis as `Fxr_unit` has, keeping only the requested terms."""
     unit = jnp.stack([jnp.ones_like(Fxr_unit), Fxr_unit], axis=-1)
     split = lambda a: list(a.T)
-    return DriftLanes(
+    return DriftBatchOCP(
         car=ocp.nominal,
         dt=ocp.dt,
         Q=split(ocp.Q)[: 5 if path else 3],
@@ -194,13 +203,13 @@ def lanes_of(
     )
 
 
-def drift_lanes(
+def drift_batch_ocp(
     config: MPCConfig, weights: Weights, vehicle: VehicleConfig, residual: Residual | None = None, dtype: type = float
-) -> DriftLanes:
+) -> DriftBatchOCP:
     """Build the problem shared by all entries, in one precision, without terms that weights and lags disable."""
     ocp = drift_ocp(config, weights, vehicle, no_residual(zero_gp(1, 5, 3)) if residual is None else residual)
     wide = jax.tree.map(lambda a: a[None].astype(dtype) if eqx.is_inexact_array(a) else a[None], ocp)
-    return lanes_of(
+    return to_batch_ocp(
         wide,
         jnp.full(1, config.Fxr_unit, dtype),
         path=max(weights.Q_path) > 0,

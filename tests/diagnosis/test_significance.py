@@ -6,7 +6,7 @@ from diagnosis.toy import BLOCKS, LENGTH, toy_problem
 
 from driftjax.diagnosis import naming
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import claims
+from driftjax.diagnosis.evidence import significance
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.score import benjamini_yekutieli, scores
 from driftjax.diagnosis.select import Selection, fitted
@@ -32,7 +32,7 @@ def test_effects_beyond_the_first_are_exploratory_and_chance_is_not_supported(mo
     problem, nominal = toy_problem(monkeypatch, residuals, np.full(8, -3.0), np.full(8, 3.0), runs=RUNS)
     selection = selection_of(problem, nominal, (0, 1, 2, 3, 4, 6))
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    found = claims(problem, selection, model, dict(enumerate(SIZES)))
+    found = significance(problem, selection, model, dict(enumerate(SIZES)))
     assert [i for i, one in found.items() if one.exploratory] == [4, 6]
     assert [i for i, one in found.items() if not one.supported] == [6]
     assert found[6].p_value > 0.05 > found[4].p_value
@@ -44,7 +44,9 @@ def test_what_the_false_discovery_rate_does_not_allow_is_left_out(monkeypatch):
     monkeypatch.setattr(naming, "search_multistart", lambda *args: (problem, crowd))
     _, selection = name_effects(problem)
     assert selection.selected == (0, 1, 2, 3, 4)
-    assert selection.claims is not None and [selection.claims[i].exploratory for i in range(5)] == [False] * 4 + [True]
+    assert selection.significance is not None and [selection.significance[i].exploratory for i in range(5)] == [
+        False
+    ] * 4 + [True]
     np.testing.assert_allclose(selection.fit.theta, SIZES, atol=0.1)
 
 

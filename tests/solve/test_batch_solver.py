@@ -1,4 +1,4 @@
-"""The batched solver: a problem that is no car against SciPy, failures kept to their lane, one real-time iteration."""
+"""The batched solver: a problem that is no car against SciPy, failures kept to their entry, one real-time iteration."""
 
 import equinox as eqx
 import jax
@@ -10,13 +10,13 @@ from scipy.optimize import minimize
 
 from driftjax.core import RESULTS
 from driftjax.solve import Options
-from driftjax.solve.lane_ocp import AbstractLanes
-from driftjax.solve.lanes import solve_lanes
+from driftjax.solve.batch import solve_batch
+from driftjax.solve.batch_ocp import AbstractBatchOCP
 
 N, DT = 12, 0.1
 
 
-class Pendulum(AbstractLanes):
+class Pendulum(AbstractBatchOCP):
     """Swings a pendulum towards `p` [rad] with bounded torque and speed; one input."""
 
     torque: float = 2.0
@@ -50,8 +50,8 @@ def problem(dtype: type = np.float64) -> tuple[Array, ...]:
     return x0, u_before, jnp.broadcast_to(target, (N + 1, 4)), X, jnp.zeros((1, N, 4), dtype)
 
 
-def scipys(ocp: Pendulum, lane: int) -> np.ndarray:
-    x0, before, p, _, _ = (np.asarray(a)[..., lane] for a in problem())
+def scipys(ocp: Pendulum, entry: int) -> np.ndarray:
+    x0, before, p, _, _ = (np.asarray(a)[..., entry] for a in problem())
 
     def states(U):
         x = [x0]
@@ -75,7 +75,7 @@ def scipys(ocp: Pendulum, lane: int) -> np.ndarray:
 @eqx.filter_jit
 def solved(ocp, args, options):
     x0, before, p, X, U = args
-    return solve_lanes(ocp, x0, before, p, X, U, options)
+    return solve_batch(ocp, x0, before, p, X, U, options)
 
 
 def test_a_bounded_pendulum_is_swung_as_scipy_swings_it():
@@ -86,8 +86,8 @@ def test_a_bounded_pendulum_is_swung_as_scipy_swings_it():
     assert float(jnp.max(jnp.abs(plans.X[1]))) <= ocp.speed + 1e-8
     assert float(jnp.max(jnp.abs(plans.U))) > 0.99 * ocp.torque  # else no limit would have been tested
     assert float(jnp.max(jnp.abs(plans.X[1]))) > 0.99 * ocp.speed
-    for lane in range(4):
-        np.testing.assert_allclose(plans.U[0, :, lane], scipys(ocp, lane), atol=2e-5)
+    for entry in range(4):
+        np.testing.assert_allclose(plans.U[0, :, entry], scipys(ocp, entry), atol=2e-5)
 
 
 def test_single_precision_finds_the_same_plan():
@@ -99,30 +99,30 @@ def test_single_precision_finds_the_same_plan():
     assert float(jnp.max(jnp.abs(single.U))) <= Pendulum().torque + 1e-6
 
 
-def test_a_lane_that_fails_says_so_and_leaves_the_others_alone():
+def test_an_entry_that_fails_says_so_and_leaves_the_others_alone():
     x0, before, p, X, U = problem()
     alone = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8))
     broken = solved(Pendulum(), (x0.at[0, 1].set(jnp.nan), before, p, X.at[1, 0, 3].set(0.0), U), Options(1e-8))
     assert bool((broken.result == RESULTS.non_finite)[1])
-    for lane in (0, 2, 3):
-        assert bool((broken.result == RESULTS.successful)[lane])
-        np.testing.assert_array_equal(broken.U[..., lane], alone.U[..., lane])
+    for entry in (0, 2, 3):
+        assert bool((broken.result == RESULTS.successful)[entry])
+        np.testing.assert_array_equal(broken.U[..., entry], alone.U[..., entry])
     few = solved(Pendulum(), (x0, before, p, X, U), Options(1e-8, max_steps=2))
     assert bool(jnp.all(few.result == RESULTS.not_converged))
 
 
-@pytest.mark.parametrize("copies", [1, 16])  # of 64 lanes and more, the last go on by themselves
-def test_every_lane_has_its_own_tolerance_and_steps(copies):
-    """No lane depends on the options of another: a batch of laps may hold laps of other settings."""
+@pytest.mark.parametrize("copies", [1, 16])  # of 64 entries and more, the last go on by themselves
+def test_every_entry_has_its_own_tolerance_and_steps(copies):
+    """No entry depends on the options of another: a batch of laps may hold laps of other settings."""
     args = tuple(jnp.tile(a, copies) for a in problem())
     options = Options(jnp.tile(jnp.array([1e-8, 1e-2, 1e-8, 1e-2]), copies), 0.1,
                       jnp.tile(jnp.array([60, 60, 2, 60]), copies))  # fmt: skip
     mixed = solved(Pendulum(), args, options)
-    for lane, (tolerance, steps) in enumerate([(1e-8, 60), (1e-2, 60), (1e-8, 2), (1e-2, 60)]):
+    for entry, (tolerance, steps) in enumerate([(1e-8, 60), (1e-2, 60), (1e-8, 2), (1e-2, 60)]):
         alone = solved(Pendulum(), problem(), Options(tolerance, 0.1, steps))
-        here = mixed.U[..., lane::4]
-        np.testing.assert_allclose(here, alone.U[..., lane : lane + 1] + jnp.zeros_like(here), rtol=1e-9, atol=1e-12)
-        assert bool(jnp.all((mixed.result == RESULTS.successful)[lane::4])) == (steps == 60)
+        here = mixed.U[..., entry::4]
+        np.testing.assert_allclose(here, alone.U[..., entry : entry + 1] + jnp.zeros_like(here), rtol=1e-9, atol=1e-12)
+        assert bool(jnp.all((mixed.result == RESULTS.successful)[entry::4])) == (steps == 60)
     assert float(mixed.kkt[1]) > 1e-6  # else its tolerance would not have been its own
 
 
@@ -133,7 +133,7 @@ def test_real_time_iterations_lead_to_the_solution():
     kkt = []
     for _ in range(8):
         plans = solved(Pendulum(), (x0, before, p, X, U), Options(1e-9, 1.0, 1))
-        assert bool(jnp.all(plans.program <= 1e-9)) and bool(jnp.all(plans.num_steps == 1))
+        assert bool(jnp.all(plans.qp_error <= 1e-9)) and bool(jnp.all(plans.num_steps == 1))
         kkt.append(float(jnp.max(jnp.maximum(plans.kkt, plans.violation))))
         X, U = plans.X, plans.U
     assert kkt[0] > 1e-3
@@ -149,7 +149,7 @@ def test_new_numbers_never_mean_a_new_program():
         nonlocal traces
         traces += 1
         x0, before, p, X, U = args
-        return solve_lanes(Pendulum(), x0, before, p, X, U, options)
+        return solve_batch(Pendulum(), x0, before, p, X, U, options)
 
     x0, before, p, X, U = problem()
     counted((x0, before, p, X, U), Options(1e-6))

@@ -16,9 +16,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from driftjax.core import RESULTS
-from driftjax.planner.sweep import Quadratic, Sweep, factor, substitute
-from driftjax.solve import AbstractOCP, Options
-from driftjax.solve import Plan as Solution
+from driftjax.solve.ocp import AbstractOCP, Options, Solution
+from driftjax.solve.riccati_factors import NewtonMatrices, RiccatiFactors, factorise, solve_factored
 
 SLACK_START = 1e-2  # least slack of a gap at the start
 FILTER_SIZE = 60  # entries; the oldest give way
@@ -38,7 +37,7 @@ class Point(NamedTuple):
     slack: tuple[Array, Array]
 
 
-class Loop(NamedTuple):
+class FilterState(NamedTuple):
     w: Point
     costates: Array
     dual: tuple[Array, Array]
@@ -98,7 +97,7 @@ class _Problem(eqx.Module):
         return each, jax.hessian(self.ocp.terminal)(w.X[-1], self.last)
 
 
-class Model(NamedTuple):
+class FilterDerivatives(NamedTuple):
     cost_x: Array
     cost_u: Array
     grad_N: Array
@@ -113,15 +112,17 @@ def _over_stages(function: Callable, *args) -> Any:
     return lax.map(lambda one: function(*one), args, batch_size=TOGETHER)
 
 
-def _linearise(problem: _Problem, w: Point) -> Model:
+def _linearise(problem: _Problem, w: Point) -> FilterDerivatives:
     ocp, stages = problem.ocp, problem.stages
     cost_x, cost_u = _over_stages(jax.grad(ocp.cost, (0, 1)), w.X[:-1], w.U, stages)
     y, A, B = _over_stages(lambda x, u, p: ocp.linearise(x, u, p, None), w.X[:-1], w.U, stages)
     grad_N = jax.grad(ocp.terminal)(w.X[-1], problem.last)
-    return Model(cost_x, cost_u, grad_N, A, B, y - w.X[1:], problem.misfit(w))
+    return FilterDerivatives(cost_x, cost_u, grad_N, A, B, y - w.X[1:], problem.misfit(w))
 
 
-def _gradient(problem: _Problem, m: Model, w: Point, dual, misfit, barrier: Array) -> tuple[Array, Array, Array]:
+def _gradient(
+    problem: _Problem, m: FilterDerivatives, w: Point, dual, misfit, barrier: Array
+) -> tuple[Array, Array, Array]:
     """Return the right-hand side of the Newton system for given gap misfits, slacks and duals eliminated."""
     pull = jax.tree.map(lambda z, s, c: z / s * c - barrier / s, dual, w.slack, misfit)
     hx = m.cost_x + jnp.einsum("kgi,kg->ki", problem.Gx, pull[0])
@@ -129,7 +130,7 @@ def _gradient(problem: _Problem, m: Model, w: Point, dual, misfit, barrier: Arra
     return hx, hu, m.grad_N + problem.GN.T @ pull[1]
 
 
-def _factor(problem: _Problem, m: Model, loop: Loop) -> tuple[Sweep, Array]:
+def _shifted_factors(problem: _Problem, m: FilterDerivatives, loop: FilterState) -> tuple[RiccatiFactors, Array]:
     """Factorise the Newton system with the smallest shift that makes it convex (Sec. 3.1)."""
     H, HN = problem.hessian(loop.w, loop.costates)
     weight = jax.tree.map(lambda z, s: z / s, loop.dual, loop.w.slack)
@@ -144,13 +145,15 @@ def _factor(problem: _Problem, m: Model, loop: Loop) -> tuple[Sweep, Array]:
         more = jnp.where(count == 1, jnp.maximum(first, 8 * shift), 8 * shift)
         shift = jnp.where(count == 0, shift, more)
         Hs = H + shift * jnp.eye(H.shape[-1])
-        blocks = Quadratic(Hs[:, :nx, :nx], Hs[:, nx:, :nx], Hs[:, nx:, nx:], m.A, m.B, HN + shift * jnp.eye(nx))
-        return shift, factor(blocks), count + 1
+        blocks = NewtonMatrices(Hs[:, :nx, :nx], Hs[:, nx:, :nx], Hs[:, nx:, nx:], m.A, m.B, HN + shift * jnp.eye(nx))
+        return shift, factorise(blocks), count + 1
 
     indefinite = lambda carry: ~carry[1].convex & (carry[0] < LARGEST_SHIFT)
-    none = Sweep(jnp.zeros((len(H), nu, nx)), jnp.zeros((len(H), nu, nu)), jnp.zeros_like(m.A), jnp.asarray(False))
-    shift, sweep, _ = lax.while_loop(indefinite, attempt, (loop.floor, none, jnp.zeros((), int)))
-    return sweep, shift
+    none = RiccatiFactors(
+        jnp.zeros((len(H), nu, nx)), jnp.zeros((len(H), nu, nu)), jnp.zeros_like(m.A), jnp.asarray(False)
+    )
+    shift, factors, _ = lax.while_loop(indefinite, attempt, (loop.floor, none, jnp.zeros((), int)))
+    return factors, shift
 
 
 def _to_boundary(values, steps, share: Array) -> Array:
@@ -163,23 +166,25 @@ def _violation(dynamics: Array, misfit: tuple[Array, Array]) -> Array:
     return jnp.sum(jnp.abs(dynamics)) + sum(jnp.sum(jnp.abs(c)) for c in misfit)
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     d: Point
     costates: Array  # after the full step
 
 
-def _step(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, dynamics: Array, misfit) -> Step:
+def _step(
+    problem: _Problem, m: FilterDerivatives, factors: RiccatiFactors, loop: FilterState, dynamics: Array, misfit
+) -> NewtonStep:
     hx, hu, hN = _gradient(problem, m, loop.w, loop.dual, misfit, loop.barrier)
-    dX, dU, costates = substitute(sweep, m.A, m.B, dynamics, hx, hu, hN)
+    dX, dU, costates = solve_factored(factors, m.A, m.B, dynamics, hx, hu, hN)
     d_slack = jax.tree.map(jnp.add, problem.gap_step(dX, dU), misfit)
-    return Step(Point(dX, dU, d_slack), costates)
+    return NewtonStep(Point(dX, dU, d_slack), costates)
 
 
 def _along(w: Point, d: Point, length: Array) -> Point:
     return jax.tree.map(lambda y, dy: y + length * dy, w, d)
 
 
-class Trial(NamedTuple):
+class FilterTrial(NamedTuple):
     """A trial point of the line search."""
 
     w: Point
@@ -192,7 +197,9 @@ class Trial(NamedTuple):
     number: Array
 
 
-def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -> tuple[Trial, Array]:
+def _search(
+    problem: _Problem, m: FilterDerivatives, factors: RiccatiFactors, loop: FilterState, step: NewtonStep
+) -> tuple[FilterTrial, Array]:
     """Run the filter line search (Sec. 2.3) and update the filter; the second trial may be a correction (Sec. 2.4)."""
     w, barrier, d = loop.w, loop.barrier, step.d
     theta, phi = _violation(m.dynamics, m.misfit), problem.barrier_objective(w, barrier)
@@ -212,30 +219,32 @@ def _search(problem: _Problem, m: Model, sweep: Sweep, loop: Loop, step: Step) -
         finite = jnp.isfinite(theta_new) & jnp.isfinite(phi_new)
         return finite & outside & jnp.where(descent, armijo, progress), descent
 
-    def corrected(last: Trial) -> tuple[Point, Array]:
+    def corrected(last: FilterTrial) -> tuple[Point, Array]:
         dynamics = longest * m.dynamics + last.dynamics
         misfit = jax.tree.map(lambda c, new: longest * c + new, m.misfit, last.misfit)
-        second = _step(problem, m, sweep, loop, dynamics, misfit).d
+        second = _step(problem, m, factors, loop, dynamics, misfit).d
         reach = _to_boundary(w.slack, second.slack, share)
         return _along(w, second, reach), reach
 
-    def attempt(last: Trial) -> Trial:
+    def attempt(last: FilterTrial) -> FilterTrial:
         correct = (last.number == 1) & ~(_violation(last.dynamics, last.misfit) < theta)
         length = jnp.where((last.number == 0) | correct, longest, last.length / 2)
         point, reach = lax.cond(correct, corrected, lambda _: (_along(w, d, length), length), last)
         dynamics, misfit = problem.defects(point)
         good, descent = acceptable(length, _violation(dynamics, misfit), problem.barrier_objective(point, barrier))
-        return Trial(point, dynamics, misfit, good, descent, length, reach, last.number + 1)
+        return FilterTrial(point, dynamics, misfit, good, descent, length, reach, last.number + 1)
 
     none, no = jnp.zeros((), int), jnp.asarray(False)
-    first = Trial(w, m.dynamics, m.misfit, no, no, longest, longest, none)
+    first = FilterTrial(w, m.dynamics, m.misfit, no, no, longest, longest, none)
     trial = lax.while_loop(lambda t: ~t.ok & (t.number < TRIALS), attempt, first)
     corner = jnp.stack([(1 - GAMMA) * theta, phi - GAMMA * theta])
     entries = jnp.concatenate([loop.entries[:1], corner[None], loop.entries[1:-1]])
     return trial, jnp.where(trial.ok & ~trial.descent, entries, loop.entries)
 
 
-def _errors(problem: _Problem, m: Model, w: Point, costates: Array, dual, barrier: Array) -> tuple[Array, Array]:
+def _errors(
+    problem: _Problem, m: FilterDerivatives, w: Point, costates: Array, dual, barrier: Array
+) -> tuple[Array, Array]:
     """Return the scaled optimality error (Eq. 5) for a barrier parameter, and the worst violation."""
     before = jnp.concatenate([jnp.zeros_like(costates[:1]), costates[:-1]])
     along_x = (
@@ -256,7 +265,7 @@ def _errors(problem: _Problem, m: Model, w: Point, costates: Array, dual, barrie
     return kkt, jnp.max(violation)
 
 
-def _judge(problem: _Problem, m: Model, loop: Loop, options: Options) -> Loop:
+def _judge(problem: _Problem, m: FilterDerivatives, loop: FilterState, options: Options) -> FilterState:
     """Evaluate the iterate; reduce the barrier parameter once its problem is solved accurately enough."""
     w, barrier = loop.w, loop.barrier
     kkt, violation = _errors(problem, m, w, loop.costates, loop.dual, jnp.zeros_like(barrier))
@@ -272,14 +281,14 @@ def _judge(problem: _Problem, m: Model, loop: Loop, options: Options) -> Loop:
     )
 
 
-def _move(problem: _Problem, m: Model, loop: Loop) -> Loop:
+def _move(problem: _Problem, m: FilterDerivatives, loop: FilterState) -> FilterState:
     """Return the next iterate; the same one where no step was acceptable."""
     w, barrier = loop.w, loop.barrier
-    sweep, shift = _factor(problem, m, loop)
-    step = _step(problem, m, sweep, loop, m.dynamics, m.misfit)
+    factors, shift = _shifted_factors(problem, m, loop)
+    step = _step(problem, m, factors, loop, m.dynamics, m.misfit)
     share = jnp.maximum(0.99, 1 - barrier)
     d_dual = jax.tree.map(lambda s, z, ds: barrier / s - z - z / s * ds, w.slack, loop.dual, step.d.slack)
-    trial, entries = _search(problem, m, sweep, loop, step)
+    trial, entries = _search(problem, m, factors, loop, step)
     reach, ok = _to_boundary(loop.dual, d_dual, share), trial.ok
     dual = jax.tree.map(lambda z, dz: z + reach * dz, loop.dual, d_dual)
     dual = jax.tree.map(lambda z, s: jnp.clip(z, barrier / s / 1e10, barrier / s * 1e10), dual, trial.w.slack)
@@ -292,18 +301,21 @@ def _move(problem: _Problem, m: Model, loop: Loop) -> Loop:
                          failures=failures, num_steps=loop.num_steps + 1, moved=ok)  # fmt: skip
 
 
-def _iterate(problem: _Problem, loop: Loop, options: Options) -> Loop:
+def _iterate(problem: _Problem, loop: FilterState, options: Options) -> FilterState:
     """Evaluate the iterate and step from it; derivatives appear here once, which halves the program."""
     m = _linearise(problem, loop.w)
     loop = _judge(problem, m, loop, options)
     return lax.cond(loop.open, lambda: _move(problem, m, loop), lambda: loop)
 
 
-def solve(ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, options: Options) -> Solution:
-    """Solve one problem from the guess `X` (N+1, nx), `U` (N, nu); `params` has N+1 rows, the last for the end.
+def solve_with_filter(
+    ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, options: Options
+) -> Solution:
+    """Solve one problem by a filter line search from the guess `X` (N+1, nx), `U` (N, nu).
 
-    Same problem and solution as `driftjax.solve.solve`. `result` is `successful` only where KKT residual and violation
-    are below the tolerance; `stalled` where no step is acceptable any more.
+    `params` has N+1 rows, the last for the end. Same problem and solution as `driftjax.solve.solve`. `result` is
+    `successful` only where KKT residual and violation are below the tolerance; `stalled` where no step is acceptable
+    any more.
     """
     stages, last = jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
     Gx, Gu = jax.vmap(jax.jacfwd(ocp.constraints, (0, 1)))(X[:-1], U, stages)
@@ -316,8 +328,9 @@ def solve(ocp: AbstractOCP, x0: Array, params: NamedTuple, X: Array, U: Array, o
     theta = _violation(*problem.defects(w))
     zero, count = jnp.zeros((), X.dtype), jnp.zeros((), int)
     entries = jnp.full((FILTER_SIZE, 2), jnp.inf).at[0, 0].set(1e4 * jnp.maximum(1.0, theta))  # (Eq. 21)
-    loop = Loop(w, jnp.zeros_like(X[1:]), dual, options.barrier, zero, zero, entries, count, count, zero + jnp.inf,
-                zero + jnp.inf, jnp.asarray(False), jnp.asarray(True))  # fmt: skip
+    large, moved, open_ = zero + jnp.inf, jnp.asarray(False), jnp.asarray(True)
+    loop = FilterState(w, jnp.zeros_like(X[1:]), dual, options.barrier, zero, zero, entries, count, count, large, large,
+                       moved, open_)  # fmt: skip
     end = lax.while_loop(lambda s: s.open, lambda s: _iterate(problem, s, options), loop)
     done = jnp.maximum(end.kkt, end.violation) <= options.tolerance
     failed = RESULTS.where(end.failures >= GIVE_UP, RESULTS.stalled, RESULTS.not_converged)

@@ -1,4 +1,4 @@
-"""Report the worth of each named effect: its share of the explained error, and the held-out error without it."""
+"""Report the share of each named effect in the explained error, and the held-out error without it."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from driftjax.report.style import COMPARED, new_figure
 from driftjax.report.table import aligned, with_interval
 
 
-def worth_table(content: dict[str, Any]) -> str:
+def error_share_table(content: dict[str, Any]) -> str:
     """Format family, probability and share of every cause, and what the error grows by without it; empty without any.
 
     `content` is that of diagnosis.json, also an older one.
@@ -49,7 +49,7 @@ def waterfall(content: dict[str, Any]) -> list[tuple[str, float, float]]:
     return [("nominal car", 0.0, 100.0), *steps, ("left", 0.0, float(level[-1]))]
 
 
-def plot_worth(content: dict[str, Any]) -> Figure | None:
+def plot_error_shares(content: dict[str, Any]) -> Figure | None:
     """Plot the waterfall of the named effects; None without any."""
     steps = waterfall(content)
     if not steps:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core.integrate import RK4
-from driftjax.solve.materialise import bind, materialised
+from driftjax.solve.compute_once import bind, compute_once
 
 Entry = Any  # an array, or None for zero
 Matrix = list[list[Entry]]
@@ -50,7 +50,7 @@ def jacobian(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[
     columns = []
     for i in range(len(z)):
         tangents = [jnp.ones_like(zj) if i == j else None for j, zj in enumerate(z)]
-        columns.append(_pushed(linear.jaxpr, linear.consts, tangents))
+        columns.append(_push_tangents(linear.jaxpr, linear.consts, tangents))
     return values, [list(row) for row in zip(*columns, strict=True)]
 
 
@@ -61,7 +61,7 @@ def hessian(function: Callable[..., Array], *z: Array) -> tuple[list[Entry], Mat
     return gradient, [[H[min(i, j)][max(i, j)] for j in range(len(z))] for i in range(len(z))]
 
 
-def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> list[Entry]:
+def _push_tangents(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> list[Entry]:
     """Apply a linear program to tangents, some of which are zero."""
     known: dict[Any, Entry] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *tangents], strict=True))
     read = lambda v: v.val if isinstance(v, jex.Literal) else known[v]
@@ -69,7 +69,7 @@ def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> l
         values, name = [read(v) for v in eqn.invars], eqn.primitive.name
         inner = eqn.params.get("jaxpr") or eqn.params.get("call_jaxpr")
         if inner is not None and name in ("jit", "pjit", "closed_call"):
-            out = _pushed(inner.jaxpr, inner.consts, values)
+            out = _push_tangents(inner.jaxpr, inner.consts, values)
         elif name == "div" and values[0] is not None:
             out = [values[0] * (1 / values[1])]  # one division for all the tangents that are divided by this
         elif not any(value is None for value in values):
@@ -88,7 +88,9 @@ def _pushed(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry]) -> l
                       "reshape", "squeeze", "select_n", "transpose", "integer_pow"):  # fmt: skip
             out = [None]
         else:
-            raise NotImplementedError(f"no rule for zeros through '{name}'; add it to driftjax/solve/sparse.py")
+            raise NotImplementedError(
+                f"no rule for zeros through '{name}'; add it to driftjax/solve/component_derivatives.py"
+            )
         known.update(zip(eqn.outvars, out, strict=True))
     return [read(v) for v in jaxpr.outvars]
 
@@ -118,7 +120,7 @@ def runge_kutta(
     none = _filled([[None] * nz for _ in range(nx)], shape, zero)
     begin = [[total((none[i][j], zero + 1 if i == j else None)) for j in range(nz)] for i in range(nx)]
     carry, tableau = ([zero] * nx, none, list(x), begin), (jnp.asarray(RK4.into), jnp.asarray(RK4.weights))
-    (_, _, ends, M), _ = jax.lax.scan(materialised(chained), carry, tableau)
+    (_, _, ends, M), _ = jax.lax.scan(compute_once(chained), carry, tableau)
     return ends, M
 
 

@@ -1,12 +1,12 @@
-"""Derivatives by components against JAX's own, zeros told apart, values computed once."""
+"""Derivatives by components against JAX's own, zeros kept apart, values computed once."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from driftjax.core import Control, State, rk4_step
-from driftjax.solve.materialise import materialised
-from driftjax.solve.sparse import jacobian, midpoint_curvature, runge_kutta
+from driftjax.solve.component_derivatives import jacobian, midpoint_curvature, runge_kutta
+from driftjax.solve.compute_once import compute_once
 from driftjax.vehicle import load_vehicle
 
 DT = 0.05
@@ -20,18 +20,18 @@ def sliding():
     return rates, step, [jnp.array(z) for z in Z]
 
 
-def dense(M, lane):
-    return np.array([[0.0 if entry is None else entry[lane] for entry in row] for row in M])
+def dense(M, entry):
+    return np.array([[0.0 if entry is None else value[entry] for value in row] for row in M])
 
 
 def test_chained_derivatives_of_a_runge_kutta_step_are_those_of_the_whole():
     rates, step, z = sliding()
     y, M = runge_kutta(rates, z[:3], z[3:], DT)
     first = jax.jit(jax.jacfwd(step))
-    for lane in range(2):
-        v = jnp.array([entry[lane] for entry in z])
-        np.testing.assert_allclose([entry[lane] for entry in y], step(v), rtol=1e-14)
-        np.testing.assert_allclose(dense(M, lane), first(v), atol=1e-13)
+    for entry in range(2):
+        v = jnp.array([value[entry] for value in z])
+        np.testing.assert_allclose([value[entry] for value in y], step(v), rtol=1e-14)
+        np.testing.assert_allclose(dense(M, entry), first(v), atol=1e-13)
 
 
 def test_second_derivatives_at_the_middle_of_a_step_are_of_second_order():
@@ -48,7 +48,7 @@ def test_second_derivatives_at_the_middle_of_a_step_are_of_second_order():
 
     def error(dt):
         H, bent = both(jnp.asarray(dt))
-        return max(np.abs(dense(H, lane) - bent[lane]).max() for lane in range(2)) / np.abs(bent).max()
+        return max(np.abs(dense(H, entry) - bent[entry]).max() for entry in range(2)) / np.abs(bent).max()
 
     assert error(DT) < 0.2
     assert error(DT / 8) < error(DT / 2) / 8  # of first order it would be a quarter
@@ -56,7 +56,7 @@ def test_second_derivatives_at_the_middle_of_a_step_are_of_second_order():
 
 def test_entries_that_cannot_depend_are_none():
     _, J = jacobian(lambda x, y, z: [jnp.sin(x) * y, jnp.where(y > 0, z, -z), y - 2 * x], *jnp.ones((3, 4)))
-    assert [[entry is None for entry in row] for row in J] == [
+    assert [[value is None for value in row] for row in J] == [
         [False, False, True],
         [True, True, False],
         [False, False, True],
@@ -70,10 +70,10 @@ def test_what_is_used_twice_is_computed_once_and_means_the_same():
         return {"a": jnp.sin(x) * jnp.sin(x) + y, "b": jnp.where(jnp.sin(x) > 0, x, y)}
 
     x, y = jnp.linspace(-2, 2, 7), jnp.linspace(1, 3, 7)
-    program = jax.make_jaxpr(materialised(function))(x, y)
+    program = jax.make_jaxpr(compute_once(function))(x, y)
     names = [eqn.primitive.name for eqn in program.jaxpr.eqns]
     assert names.count("sin") == 1
     assert names.count("optimization_barrier") == 1
-    found, plain = materialised(function)(x, y), function(x, y)
+    found, plain = compute_once(function)(x, y), function(x, y)
     np.testing.assert_array_equal(found["a"], plain["a"])
     np.testing.assert_array_equal(found["b"], plain["b"])

@@ -1,4 +1,4 @@
-"""One stage of the Riccati recursion, entry by entry, for problems whose cost and limits know the input before.
+"""One stage of the Riccati recursion, entry by entry, for costs and limits that depend on the previous input too.
 
 The value of a stage is a quadratic in (x, w), x the state and w the input of the stage before:
 half of x'Px + 2 x'Sw + w'Tw, plus p'x + v'w.
@@ -9,12 +9,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from driftjax.solve.component_derivatives import Entry, Matrix, column, dot, times, total
 from driftjax.solve.riccati import EIGENVALUE_FLOOR, TINY
-from driftjax.solve.sparse import Entry, Matrix, column, dot, times, total
 
 
-class Value(NamedTuple):
-    """Quadratic in state and input before."""
+class CostToGo(NamedTuple):
+    """Cost-to-go, a quadratic in the state and the previous input."""
 
     P: Matrix
     S: Matrix
@@ -24,14 +24,14 @@ class Value(NamedTuple):
 
 
 class Policy(NamedTuple):
-    """Step of the input, k + Kx dx + Kw dw."""
+    """Affine policy for the step of the input: k + Kx dx + Kw dw."""
 
     Kx: Matrix
     Kw: Matrix
     k: list[Entry]
 
 
-class Local(NamedTuple):
+class StageSystem(NamedTuple):
     """Newton system of one stage; entries None are zero."""
 
     A: Matrix  # derivatives of the next state
@@ -43,7 +43,7 @@ class Local(NamedTuple):
     pull: list[Entry]  # first derivative in it
 
 
-def inverse_absolute(Q: Matrix) -> Matrix:
+def inverse_absolute_entries(Q: Matrix) -> Matrix:
     """Invert a 1x1 or 2x2 symmetric matrix with absolute eigenvalues; as `riccati.inverse_absolute`."""
     scale = [1 / jnp.sqrt(jnp.maximum(jnp.abs(Q[i][i]), 1e-12)) for i in range(len(Q))]
     if len(Q) == 1:
@@ -63,8 +63,8 @@ def _symmetric(n: int, entry) -> Matrix:
     return [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
 
 
-def backward(V: Value, s: Local) -> tuple[Value, Policy]:
-    """Return the value before the stage and the policy in it, from the value after."""
+def backward_stage(V: CostToGo, s: StageSystem) -> tuple[CostToGo, Policy]:
+    """Return cost-to-go before the stage and the policy in it, from the cost-to-go after."""
     n, m = len(s.A), len(s.rate)
     X, U = range(n), range(m)
     PA = [[dot(V.P[i], column(s.A, j)) for j in X] for i in X]
@@ -79,13 +79,13 @@ def backward(V: Value, s: Local) -> tuple[Value, Policy]:
     )))  # fmt: skip
     qx = [total((dot(column(s.A, i), g), s.h[i])) for i in X]
     qu = [total((dot(column(s.B, l), g), dot(column(V.S, l), s.c), V.v[l], s.h[n + l], s.pull[l])) for l in U]
-    inverse = inverse_absolute(Quu)
+    inverse = inverse_absolute_entries(Quu)
     minus = [[-e for e in row] for row in inverse]
     Kx = [[dot(minus[l], column(Qux, j)) for j in X] for l in U]
     Kw = [[times(inverse[l][q], s.rate[q]) for q in U] for l in U]
     k = [dot(minus[l], qu) for l in U]
     negated = [None if r is None else -r for r in s.rate]
-    before = Value(
+    before = CostToGo(
         P=_symmetric(n, lambda i, j: total((Qxx[i][j], dot(column(Qux, i), column(Kx, j))))),
         S=[[dot(column(Qux, i), column(Kw, l)) for l in U] for i in X],
         T=_symmetric(m, lambda i, j: total((s.rate[i] if i == j else None, times(negated[i], Kw[i][j])))),
@@ -95,7 +95,7 @@ def backward(V: Value, s: Local) -> tuple[Value, Policy]:
     return before, Policy(Kx, Kw, k)
 
 
-def forward(policy: Policy, s: Local, dx: list[Array], dw: list[Array]) -> tuple[list[Entry], list[Entry]]:
+def forward_stage(policy: Policy, s: StageSystem, dx: list[Array], dw: list[Array]) -> tuple[list[Entry], list[Entry]]:
     """Return the steps of the next state and of the input."""
     du = [total((dot(row, dx), dot(Kw, dw), k)) for row, Kw, k in zip(policy.Kx, policy.Kw, policy.k, strict=True)]
     return [total((dot(a, dx), dot(b, du), c)) for a, b, c in zip(s.A, s.B, s.c, strict=True)], du

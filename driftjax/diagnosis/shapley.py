@@ -1,4 +1,4 @@
-"""What each named effect is worth: its share of what all of them explain together.
+"""Divide the explained error among the named effects (Shapley shares).
 
 Effects that explain the same error share it as Shapley (1953) divides a gain: each gets the mean, over all orders of
 adding them, of what it adds. What a set explains follows from the derivatives at the fit. Only errors of V, beta and r
@@ -20,14 +20,14 @@ from driftjax.logs.columns import MEASURED
 RESAMPLES = 500  # of the blocks of time
 
 
-class Worth(NamedTuple):
-    """Share of one effect in what all named effects explain of the cost; shares add to 1."""
+class ErrorShare(NamedTuple):
+    """Share of one effect in the cost that all named effects explain; shares add to 1."""
 
     share: float
     ci95: tuple[float, float]  # over blocks of time
 
 
-def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dict[int, Worth]:
+def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dict[int, ErrorShare]:
     """Return the share of every named effect in the fall of the cost of V, beta and r, to first order about the fit."""
     members = selection.selected
     if not members:
@@ -53,5 +53,5 @@ def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dic
                 grown = tuple(j for j in members if j == i or j in chosen)
                 gained += weight * (value[grown] - value[chosen])
         share = gained / value[members]
-        found[i] = Worth(float(share[0]), tuple(np.percentile(share[1:], [2.5, 97.5]).tolist()))
+        found[i] = ErrorShare(float(share[0]), tuple(np.percentile(share[1:], [2.5, 97.5]).tolist()))
     return found
