@@ -7,6 +7,7 @@ is positive (ISO 8855). Importing the package sets up JAX (float64, compilation 
 import importlib
 from typing import TYPE_CHECKING
 
+from driftjax.environment import __version__ as __version__
 from driftjax.environment import setup as setup
 
 if TYPE_CHECKING:
@@ -70,8 +71,6 @@ if TYPE_CHECKING:
     from driftjax.vehicle import draw_plants as draw_plants
     from driftjax.vehicle import load_plant as load_plant
     from driftjax.vehicle import load_vehicle as load_vehicle
-
-__version__ = "0.1.0"
 
 MODULES = {
     "control.drift_mpc": ("DriftMPC", "MPCState", "mpc_state", "steady_reference"),

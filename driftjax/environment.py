@@ -8,6 +8,8 @@ import sys
 import warnings
 from pathlib import Path
 
+__version__ = "0.1.0"
+
 # XLA's flag for programs that round alike on any number of threads: loops cut into parts for them round otherwise.
 SERIAL_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
 CACHE = "~/.cache/driftjax"

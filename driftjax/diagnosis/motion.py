@@ -129,8 +129,7 @@ def motion_residuals(
     road = road_acceleration(model, State(V, beta, r), still, run.place)
     turn = jnp.angle(jnp.exp(1j * (change(psi) - mean(r)) * T)) / T
     e = jnp.stack([turn, *moved, mean(ax) - along + mean(road[0]), mean(ay) - left + mean(road[1])], axis=1)
-    sideways = body(jnp.stack([mean(across[0]), mean(across[1])]))
-    late = body(jnp.stack([mean(r * across[0]), mean(r * across[1])]))
+    sideways, late = (body(jnp.stack([mean(f * across[0]), mean(f * across[1])])) for f in (1.0, r))
     ahead = body(jnp.stack([change(across[1]), -change(across[0])]))
     arms = [body(jnp.stack([change(jnp.cos(psi)), change(jnp.sin(psi))])),
             body(jnp.stack([-change(jnp.sin(psi)), change(jnp.cos(psi))]))]  # fmt: skip
@@ -150,9 +149,8 @@ def motion_residuals(
         [bend(mean(r)), zero, zero, zero, zero], [zero, bend(mean(vx)), zero, zero, zero],
         [zero, zero, bend(mean(vy)), zero, zero], [zero, zero, zero, bend(along), bend(left)],
     ]  # fmt: skip
-    return MotionResiduals(
-        e, jnp.stack([jnp.stack(column, 1) for column in own], 2), _whole_windows(known, motion, W, n)
-    )
+    of_sensors = jnp.stack([jnp.stack(column, 1) for column in own], 2)
+    return MotionResiduals(e, of_sensors, _whole_windows(known, motion, W, n))
 
 
 def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Array:

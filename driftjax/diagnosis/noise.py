@@ -32,6 +32,7 @@ LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first on
 NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
+LONGEST_SLOW = 1.0  # at most: what lasts longer has a cause that is to be named, such as a bias [s]
 ASKED_FOR = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
 SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 30  # of the search, at most
@@ -225,6 +226,6 @@ def noise_bounds(start: Noise, tells: np.ndarray, dt: float) -> tuple[Noise, Noi
     )
     high = Noise(
         np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e3, UNSEEN) * start.disturbance, 5.0,
-        np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, 5.0,
+        np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, LONGEST_SLOW,
     )  # fmt: skip
     return low, high

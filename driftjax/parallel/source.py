@@ -66,7 +66,9 @@ def _closure(modules: tuple[str, ...]) -> tuple[dict[str, Path], set[str]]:
             continue
         if root in own or not str(file).startswith(INSTALLED):
             files[name] = file
-            queue += [*_imports(name, file), name.rpartition(".")[0]]
+            above = name.rpartition(".")[0]
+            # the facade lists every public name, of which a module below it runs none
+            queue += [*_imports(name, file), *([above] if above != "driftjax" else [])]
         elif root not in sys.stdlib_module_names:
             libraries.add(root)
     return files, libraries

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from driftjax import __version__
+from driftjax.environment import __version__
 
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
