@@ -15,7 +15,14 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.diagnosis.noise_model import Noise
-from driftjax.diagnosis.observer import Gains, Steps, innovations_with_gains, kalman_gains, propagate_derivatives
+from driftjax.diagnosis.observer import (
+    Gains,
+    Steps,
+    innovations_with_gains,
+    kalman_gains,
+    propagate_derivatives,
+    propagate_pieces,
+)
 from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.parallel import call
 
@@ -23,12 +30,12 @@ PRIOR = 3.0  # standard deviation of a parameter before any data, in typical siz
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
 SILENT_DISTURBANCE = 0.5  # and that of a channel that does not tell it
 UNSEEN = 10.0  # bound of such a disturbance, over the first one
+CORRELATION = 0.3  # correlation time of disturbances assumed before any is known [s]
 UNMEASURED = (
     0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
 )
-CORRELATION = 0.3  # and its correlation time [s]
-FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
 LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first ones, below which variances are searched
+FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
 NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
@@ -127,11 +134,10 @@ def information_of_noise(
 
     def whitened(x, steps, e, L):
         gains = kalman_gains(steps.A[:, :3, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, informative)
-        return gains.whitening, innovations_with_gains(steps, e, L, gains, dt)
+        return (gains.whitening, innovations_with_gains(steps, e, L, gains, dt)), gains.whitening
 
     def piece(steps, e, L):
-        whitening, _ = whitened(x, steps, e, L)
-        by_whitening, by_e = jax.jacfwd(whitened)(x, steps, e, L)
+        (by_whitening, by_e), whitening = jax.jacfwd(whitened, has_aux=True)(x, steps, e, L)
         # a channel that does not count has no row: one on the diagonal lets the factor be inverted
         full = whitening + jax.vmap(jnp.diag)(jnp.where(jnp.any(whitening, axis=-1), 0.0, 1.0))
         G = jnp.einsum("tijn,tjk->tikn", by_whitening, jnp.linalg.inv(full))
@@ -139,10 +145,6 @@ def information_of_noise(
         return jnp.einsum("tijn,tijm->nm", symmetric, symmetric) / 2 + jnp.einsum("tin,tim->nm", moved, moved)
 
     return jnp.sum(jax.vmap(piece)(steps, e, L), axis=0)
-
-
-def _derivatives(steps: Steps, gains: Gains, dt: float) -> Array:
-    return jax.vmap(lambda steps, gains: propagate_derivatives(steps, gains, dt))(steps, gains)
 
 
 def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Array, dt: float, informative: Array):
@@ -195,7 +197,7 @@ def estimate_noise(
     slow errors where the data ask for them; where they are `slow_known`, those of `start`.
     """
     steps, e, gains = spread_pieces((steps, e, gains))
-    J, use = call(_derivatives, steps, gains, dt), jnp.asarray(informative, float)
+    J, use = call(propagate_pieces, steps, gains, dt), jnp.asarray(informative, float)
 
     def minimise(first: Noise, low: Noise, high: Noise) -> tuple[Noise, float]:
         scale = search_scale(first)

@@ -21,8 +21,8 @@ class Noise(NamedTuple):
     sigma: np.ndarray  # (3,) standard deviation of the white errors of V, beta, r
     disturbance: np.ndarray  # (3,) standard deviation of the rates of V, beta, r
     correlation: float  # correlation time of the disturbances [s]
-    slow: np.ndarray = np.zeros(3)  # (3,) standard deviation of the slow errors of V, beta, r
-    slow_correlation: float = 1.0  # and their correlation time [s]
+    slow: np.ndarray  # (3,) standard deviation of the slow errors of V, beta, r
+    slow_correlation: float  # and their correlation time [s]
 
     @property
     def total(self) -> np.ndarray:

@@ -204,6 +204,11 @@ def propagate_derivatives(
     return jax.lax.scan(on, (steps.first, still, still, still), rows)[1]
 
 
+def propagate_pieces(steps: Steps, gains: Gains, dt: float) -> Float[Array, "P T 3 K"]:
+    """Apply `propagate_derivatives` to pieces, the leading axis."""
+    return jax.vmap(propagate_derivatives, in_axes=(0, 0, None))(steps, gains, dt)
+
+
 def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
     """Return the innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
     still = jnp.zeros((6, 1))

@@ -20,7 +20,7 @@ from driftjax.diagnosis.observer import (
     command_derivatives,
     kalman_gains,
     observe_run,
-    propagate_derivatives,
+    propagate_pieces,
     sample_derivatives,
     samples_in_run,
 )
@@ -182,10 +182,6 @@ def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: f
     return jax.lax.map(lambda of: observe_run(model, of[0], of[1], of[2], dt), (theta, runs, gains))
 
 
-def _chain(steps: Steps, gains: Gains, dt: float) -> Array:
-    return eqx.filter_vmap(propagate_derivatives, in_axes=(0, 0, None))(steps, gains, dt)
-
-
 def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> tuple[Array, Array]:
     return eqx.filter_vmap(command_derivatives, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
@@ -314,5 +310,6 @@ def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces, width: int | 
     for k in range(0, num, width):
         pad = lambda a: np.pad(a[..., k : k + width], [(0, 0)] * (a.ndim - 1) + [(0, max(k + width - num, 0))])  # noqa: B023
         part = steps._replace(C=pad(steps.C), F=pad(steps.F), first=pad(steps.first))
-        parts.append(map_pieces(lambda steps, gains: call(_chain, steps, gains, data.dt), len(data.run), part, gains))
+        propagate = lambda steps, gains: call(propagate_pieces, steps, gains, data.dt)
+        parts.append(map_pieces(propagate, len(data.run), part, gains))
     return -whiten(gains, jnp.asarray(np.concatenate(parts, axis=-1)[..., :num]))
