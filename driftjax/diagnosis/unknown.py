@@ -1,7 +1,7 @@
-"""Detect errors that no effect of the catalogue explains: generic terms in every rate and sensor.
+"""Detect errors that no effect of the catalogue explains: generic terms in every rate, axle force and sensor.
 
 After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
-the same test as effects. What they explain beside the effects named says which rate is wrong and what it depends on.
+the same test as effects. What they explain beside the effects named says what is wrong and what it depends on.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise
-from driftjax.diagnosis.observer import Path, Steps, slip_angles
+from driftjax.diagnosis.observer import Path, slip_angles
 from driftjax.diagnosis.runs import Linearisation, whitened_derivatives
 from driftjax.diagnosis.score import (
     CONDITION,
@@ -23,21 +24,22 @@ from driftjax.diagnosis.score import (
     studentised_scores,
     sums_by_block,
 )
-from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, penalised_cost
+from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection
 from driftjax.logs.columns import MEASURED
-from driftjax.vehicle.single_track import G
+from driftjax.vehicle.single_track import G, SingleTrack
 from driftjax.vehicle.universal import Universal
 
-UNITS = {"rate": ("m/s^2", "rad/s", "rad/s^2"), "sensor": ("m/s", "rad", "rad/s")}  # of V, beta, r
+UNITS = {"rate": ("m/s^2", "rad/s", "rad/s^2"), "force": ("N", "N"), "sensor": ("m/s", "rad", "rad/s")}
+CHANNELS = {"rate": MEASURED, "force": ("Fyf", "Fyr"), "sensor": MEASURED}  # that a term adds to
 MIN_TERM_GAIN = 16.0  # required fall of the cost of a remaining term: terms are many
 TERM_PENALTY = 5.0  # penalty per term when variables are compared
 
 
 class Term(NamedTuple):
-    """A generic error: `value` times a function of one variable, added to one rate or to one sensor."""
+    """A generic error: `value` times a function of one variable, added to a rate, an axle force or a sensor."""
 
-    channel: str  # whose
-    where: str  # `rate` or `sensor`
+    channel: str  # V, beta or r, or the force Fyf or Fyr in the wheel frame
+    where: str  # `rate`, `force` or `sensor`
     function: str  # dimensionless, such as `V^2/(gL)`
     value: float  # [unit]
     half_width: float  # of its 95 % interval, robust to dependence within blocks [unit]
@@ -49,6 +51,7 @@ class Unexplained(NamedTuple):
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
     gain: float  # fall of the cost that the best single term promises
+    share: float  # of the fall by named effects and that term together: what the term would add, 1 where none is named
     variables: dict[str, float]  # explanatory, with the promised fall of the cost, largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
@@ -63,7 +66,7 @@ class Unexplained(NamedTuple):
 class GenericTerms(NamedTuple):
     """Scores of the generic terms, with the effects of one hypothesis projected out."""
 
-    kinds: list[tuple[str, str, str, int]]  # (n) variable, function, rate or sensor, channel
+    kinds: list[tuple[str, str, str, int]]  # (n) variable, function, key of `CHANNELS`, channel
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
     own: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
@@ -126,14 +129,15 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
         else remaining
     )
     gain, term = best_term(problem, remaining)
-    most, force = best_term(problem, whole)
-    simpler = None
+    fall, simpler = 0.0, None
+    if selection.selected:
+        fall = max(selection.nominal.cost - evaluate_fit(base, selection.fit.theta).cost, 0.0)
     if len(selection.selected) > 1:
-        earned = selection.nominal.cost - penalised_cost(
-            base, evaluate_fit(base, selection.fit.theta), selection.selected
-        )
-        simpler = force if most - PARAMETER_PENALTY >= earned else None
-    return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(whole))
+        most, alone = best_term(problem, whole)
+        earned = fall - PARAMETER_PENALTY * len(base.columns(selection.selected))
+        simpler = alone if most - PARAMETER_PENALTY >= earned else None
+    share = gain / (gain + fall) if gain + fall else 0.0
+    return Unexplained(remaining.p_value, gain, share, rank_variables(remaining), term, simpler, rank_variables(whole))
 
 
 def generic_terms(
@@ -143,10 +147,10 @@ def generic_terms(
     rates = [(v, *one) for v, terms in rate_functions(problem, at.path).items() for one in terms.items()]
     sensors = [(v, *one) for v, one in sensor_functions(problem, at.path).items()]
     kinds = [
-        (v, name, where, channel) for where, of in (("rate", rates), ("sensor", sensors))
-        for v, name, _ in of for channel in range(len(MEASURED))
+        (v, name, where, channel) for functions, places in ((rates, ("rate", "force")), (sensors, ("sensor",)))
+        for v, name, _ in functions for where in places for channel in range(len(CHANNELS[where]))
     ]  # fmt: skip
-    J = _sensitivities(problem, at.steps, [value for *_, value in rates], [value for *_, value in sensors])
+    J = _sensitivities(problem, at, [value for *_, value in rates], [value for *_, value in sensors])
     K = len(problem.lower)
     further = np.asarray(at.J).shape[2] - len(MEASURED)  # channels that no term acts on
     J = np.concatenate([np.asarray(at.J), np.pad(J, ((0, 0), (0, 0), (0, further), (0, 0)))], axis=-1)
@@ -180,19 +184,33 @@ def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
     value, j = terms.U[at] / information[at], terms.J @ terms.P[:, at]
     H, blocks = sums_by_block(problem, terms.e - value * j, j[..., None])  # the scores of what the term itself leaves
     width = half_widths_from(H, blocks, np.array([0]))[0]
-    return float(gain[at]), Term(MEASURED[channel], where, function, float(value * size), float(width * size), unit)
+    return float(gain[at]), Term(
+        CHANNELS[where][channel], where, function, float(value * size), float(width * size), unit
+    )
 
 
 def term_scales(model: Universal) -> dict[str, np.ndarray]:
-    """Return the scale of rates (g, sqrt(g/L), g/L) and of V, beta, r themselves (sqrt(gL), 1, sqrt(g/L)), SI."""
-    time, speed = float(model.base.unit_time), float(model.base.unit_speed)
-    return {"rate": np.array([G, 1 / time, 1 / time**2]), "sensor": np.array([speed, 1.0, 1 / time])}
+    """Return the scales of rates (g, sqrt(g/L), g/L), axle forces (m g) and V, beta, r (sqrt(gL), 1, sqrt(g/L)), SI."""
+    time, speed, weight = float(model.base.unit_time), float(model.base.unit_speed), float(model.base.m) * G
+    return {"rate": np.array([G, 1 / time, 1 / time**2]), "force": np.full(2, weight),
+            "sensor": np.array([speed, 1.0, 1 / time])}  # fmt: skip
 
 
-def _sensitivities(problem: Problem, steps: Steps, rates: list[Array], sensors: list[Array]) -> np.ndarray:
-    """Return whitened derivatives (P, T, 3, terms) of the predictions by terms, three per function (P, T)."""
-    size = {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
-    push = steps.push * size["rate"]
+def rates_of_forces(car: SingleTrack, path: Path) -> Array:
+    """Return the change (P, T, 3, 2) of the rates of V, beta, r by the lateral forces of front and rear axle [1/N]."""
+
+    def rates(force: Array, z: Array, u: Array) -> Array:
+        return jnp.stack(car.rates(State(z[0], z[1], z[2]), Control(u[0], u[1]), force[0], force[1]))
+
+    by_force = jax.vmap(jax.vmap(jax.jacfwd(rates), in_axes=(None, 0, 0)), in_axes=(None, 0, 0))
+    return jax.jit(by_force)(jnp.zeros(2), jnp.asarray(path.z), jnp.asarray(path.u))
+
+
+def _sensitivities(problem: Problem, at: Linearisation, rates: list[Array], sensors: list[Array]) -> np.ndarray:
+    """Return whitened derivatives (P, T, 3, terms): by rates and axle forces, five per function (P, T), and sensors."""
+    steps, size = at.steps, {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
+    force = steps.push @ rates_of_forces(problem.model.base.nominal, at.path) * size["force"]
+    push = jnp.concatenate([steps.push * size["rate"], force], axis=-1)
     rate_columns = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
     readings = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
     zeros = lambda like, num: jnp.zeros((*like.shape[:-1], num))

@@ -80,6 +80,8 @@ def decide_verdict(
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
     no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
+    Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
+    that effects and term explain together; else they may stand for a cause that the catalogue lacks.
     """
     large = (
         explained.unexplained_exceeds(tolerated)
@@ -100,12 +102,16 @@ def decide_verdict(
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
-    certain = all(map(sure, claimed)) and not remaining.simpler
+    stand_in = remaining.significant and remaining.share > tolerated
+    certain = all(map(sure, claimed)) and not remaining.simpler and not stand_in
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     if remaining.simpler:
         words.append(f"Together they explain no more than {_words(remaining.simpler)} would.")
+    elif stand_in:
+        add = f"explains {100 * remaining.share:.0f} % of the misfit that both explain"
+        words.append(f"The catalogue may lack the cause: beside these names {_words(remaining.term)} {add}.")
     verdict = Verdict.NAMED if certain else Verdict.SET
     if not problem.data.force_known:
         words.append("The drive force was estimated, and its errors may stand for these effects.")
@@ -170,5 +176,6 @@ def _unknown(problem: Problem, named: list[Cause], remaining: Unexplained) -> st
 
 def _words(term: Term) -> str:
     """Describe a generic term in words."""
-    where = f"in the rate of {term.channel}" if term.where == "rate" else f"in what is measured as {term.channel}"
+    places = {"rate": "the rate of", "force": "the lateral force", "sensor": "what is measured as"}
+    where = f"in {places[term.where]} {term.channel}"
     return f"{term.value:.2g} ± {term.half_width:.1g} {term.unit} times {term.function} {where}"

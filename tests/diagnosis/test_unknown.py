@@ -12,10 +12,11 @@ from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
 from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
 from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
+from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
-from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms
+from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms, rates_of_forces
 from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
@@ -88,7 +89,7 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
 def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left, verdict):
     """What remains is significant in each case."""
     problem, found = nominal_only("drive_gain", 2.5)
-    remaining = find_unexplained(problem, found, 0)
+    remaining = find_unexplained(problem, found, 0)._replace(share=0.05)  # of what would be named
     assert remaining.significant
     cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
     explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
@@ -107,6 +108,37 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         assumed = problem._replace(data=problem.data._replace(force_known=False))
         hint = decide_verdict(assumed, found, [cause], remaining, 36.0, explained, 0.1)
         assert hint.verdict == Verdict.UNKNOWN and "friction_rear" in hint.sentence and "force" in hint.sentence
+
+
+def test_what_remains_beside_a_name_keeps_it_from_being_certain_by_its_share():
+    problem, found = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, found, 0)
+    assert remaining.share == 1  # nothing is named
+    cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
+    explained = Explained(0.97, (0.95, 1.0), 0.05, (0.03, 0.07), 1.0, True)
+    verdict = lambda left: decide_verdict(problem, found, [cause], left, 36.0, explained, 0.1)
+    assert verdict(remaining._replace(share=0.09)).verdict == Verdict.NAMED
+    doubt = verdict(remaining._replace(share=0.11))
+    assert doubt.verdict == Verdict.SET and "in the rate of V explains 11 % of the misfit" in doubt.sentence
+    assert verdict(remaining._replace(share=0.11, p_value=1.0)).verdict == Verdict.NAMED
+
+
+def test_less_grip_of_the_rear_that_the_catalogue_lacks_is_a_lateral_force_of_the_rear_axle():
+    """Its sign is that of less force in the direction against the slip."""
+    problem, found = nominal_only("friction_rear", -1.0)
+    remaining = find_unexplained(problem, found, 0)
+    assert remaining.significant and remaining.term[:2] == ("Fyr", "force") and remaining.term.unit == "N"
+    assert "in the lateral force Fyr" in decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
+
+
+def test_the_rates_of_axle_forces_are_those_that_residual_forces_come_from():
+    problem, found = nominal_only("drive_gain", 0.0)
+    path = found.linearisation.path
+    by_force = np.asarray(rates_of_forces(sedan().build(), path))
+    z, u = np.asarray(path.z), np.asarray(path.u)
+    for axle, force in enumerate(np.eye(3)[1:]):  # Fx, Fyf, Fyr
+        back = disturbance_forces(sedan(), z[..., :3], u[..., 0], by_force[..., axle])
+        np.testing.assert_allclose(back, np.broadcast_to(force, back.shape), atol=1e-9)
 
 
 def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
