@@ -6,6 +6,8 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
+from driftjax.diagnosis.noise import telling_channels
+from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
 LOST_MISFIT = (
@@ -13,6 +15,7 @@ LOST_MISFIT = (
 )
 DELAYS = (0.5, 0.75, 1.0)  # of the steering, from which a search begins too [sqrt(L/g)]
 LATE = 0.05  # share of the cost that such a delay must save by itself
+LEAST_DISTURBANCE = 0.5  # variance of the estimated disturbances, over that assumed: less at a fit is too much noise
 POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
 
 
@@ -41,13 +44,17 @@ def search_multistart(
     Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
     beside all effects; then the search goes round about. Where the steering is late by as much as a manoeuvre takes,
     its derivative at no delay says little, and less grip seems to explain more: then the search begins late, too.
+    Where the fitted car needs far less process noise than was assumed, for strong effects are more than their
+    derivatives at the nominal car say, the search goes on with its noise.
     """
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
         late = search_from_late(problem, close, seed, most, report)
         penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
-        return problem, close if late is None or penalised(close) <= penalised(late) else late
+        best = close if late is None or penalised(close) <= penalised(late) else late
+        too_noisy = bool(best.selected) and disturbance_ratio(problem, best).min() < LEAST_DISTURBANCE
+        return search_with_own_noise(problem, best, problem, seed, most, report) if too_noisy else (problem, best)
     anew, selection = search_from_far(problem, seed, most, report)
     if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
         return problem, close
@@ -86,7 +93,29 @@ def search_from_far(
     loose = with_nominal_noise(problem)
     start = require_finite_cost(nominal_fit(loose))
     rough = search(loose, start, seed, most=most, report=report)
-    anew = with_estimated_noise(problem, rough.fit.theta, problem.active)
-    fit = refit_to_convergence(anew, evaluate_fit(anew, rough.fit.theta), anew.columns(rough.selected))[0]
-    selection = search(anew, require_finite_cost(fit), seed, rough.selected, most, report)
-    return anew, selection._replace(base=loose, nominal=start, nominal_scores=rough.nominal_scores, free=rough.free)
+    return search_with_own_noise(problem, rough, loose, seed, most, report)
+
+
+def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
+    """Return the variances of the disturbances estimated at the fit over those assumed, of informative channels.
+
+    The mean of the squared estimate and its variance is 1 over the assumed one in the stationary state of a right
+    model (the update of expectation maximisation; Shumway and Stoffer 1982, Eq. 12).
+    """
+    path, data = selection.linearisation.path, problem.data
+    valid = np.asarray(path.valid)
+    used = samples_in_run(valid)
+    variance = np.asarray(problem.gains.P)[..., range(3, 6), range(3, 6)]
+    second = (np.asarray(path.d) ** 2 + variance)[used].mean(axis=0)
+    return (second / problem.noise.disturbance**2)[telling_channels(valid, data.informative)]
+
+
+def search_with_own_noise(
+    problem: Problem, rough: Selection, base: Problem, seed: int, most: int, report: Callable[[str], None]
+) -> tuple[Problem, Selection]:
+    """Search again with the noise of the car fitted in `rough`, from its effects; `rough` was searched in `base`."""
+    own = with_estimated_noise(problem, rough.fit.theta, problem.active)
+    fit = refit_to_convergence(own, evaluate_fit(own, rough.fit.theta), own.columns(rough.selected))[0]
+    selection = search(own, require_finite_cost(fit), seed, rough.selected, most, report)
+    nominal = {"nominal": rough.nominal, "nominal_scores": rough.nominal_scores, "free": rough.free}
+    return own, selection._replace(base=base, **nominal)

@@ -9,8 +9,18 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.core import BadInput
 from driftjax.diagnosis import multistart
-from driftjax.diagnosis.fit import Fit, evaluate_fit, initial_noise, with_noise
-from driftjax.diagnosis.multistart import LOST_MISFIT, misfit, nominal_fit, search_from_far, search_multistart
+from driftjax.diagnosis.fit import Fit, evaluate_fit, initial_noise, refit_to_convergence, with_noise
+from driftjax.diagnosis.multistart import (
+    LEAST_DISTURBANCE,
+    LOST_MISFIT,
+    disturbance_ratio,
+    misfit,
+    nominal_fit,
+    search_from_far,
+    search_multistart,
+)
+from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.select import Selection
 
 
 @pytest.mark.slow
@@ -38,6 +48,23 @@ def test_a_lost_observer_is_no_end():
     anew, found = search_multistart(trusting)
     assert [ORDER[i] for i in found.selected] == ["friction_rear"] and anew is not trusting
     assert found.fit.cost < evaluate_fit(anew, truth).cost + 1.0
+
+
+def test_too_much_noise_shows_at_the_fit_and_the_search_goes_on_with_the_right_one():
+    truth = hidden(friction_rear=1.4)
+    problem = build_problem(sedan(), EFFECTS, recorded(truth, 5, 7))
+    noise = problem.noise
+    loud = with_noise(problem, problem.start, noise._replace(disturbance=4 * noise.disturbance))
+    member = (ORDER.index("friction_rear"),)
+    ratios = []
+    for one in (problem, loud):
+        fit, at = refit_to_convergence(one, evaluate_fit(one, truth), one.columns(member))
+        remaining = scores(one, at, fit.theta, member, 0)
+        ratios.append(disturbance_ratio(one, Selection(member, fit, at, remaining, one, fit, remaining)))
+    assert ratios[0].min() > 0.7 and ratios[0].max() < 1.3 and ratios[1].min() < LEAST_DISTURBANCE
+    anew, found = search_multistart(loud)
+    assert [ORDER[i] for i in found.selected] == ["friction_rear"] and found.base is loud
+    assert anew.noise.disturbance[2] == pytest.approx(noise.disturbance[2], rel=0.2)
 
 
 def test_data_that_no_car_can_have_made_are_refused():
