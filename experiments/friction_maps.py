@@ -88,9 +88,13 @@ def fitted(log: dj.Log) -> dict[str, Any]:
 
 def diagnosed(log: dj.Log, folder: Path) -> dict[str, Any]:
     """Return the verdict on the log."""
-    found = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
-    found.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
-    return {"verdict": str(found.verdict), "sentence": found.sentence, "named": [one.effect for one in found.causes]}
+    diagnosis = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
+    diagnosis.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
+    return {
+        "verdict": str(diagnosis.verdict),
+        "sentence": diagnosis.sentence,
+        "named": [one.effect for one in diagnosis.causes],
+    }
 
 
 def table(results: dict[str, Any]) -> str:

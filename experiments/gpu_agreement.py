@@ -45,10 +45,10 @@ def fit_gp() -> np.ndarray:
 
 def solve_mpc() -> np.ndarray:
     """Return the optimal costs of 64 problems with a GP in the dynamics."""
-    found = mpc_solves("converged", starts(PROBLEMS), "float64", gp=example_gp(POINTS))()
-    if not np.all(np.asarray(found.solved)):
+    solved = mpc_solves("converged", starts(PROBLEMS), "float64", gp=example_gp(POINTS))()
+    if not np.all(np.asarray(solved.solved)):
         raise RuntimeError("an MPC problem was not solved to the tolerance")
-    return np.asarray(found.cost)
+    return np.asarray(solved.cost)
 
 
 PARTS: dict[str, Callable[[], np.ndarray]] = {

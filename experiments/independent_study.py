@@ -52,13 +52,13 @@ def run_case(case: Case) -> Result:
         write_csv(path, case.record())
         log = dj.read_log(path)
     start, used = time.perf_counter(), time.process_time()
-    found = dj.diagnose(vehicle, log, dj.DiagnoseConfig(gp=False, seed=case.seed))
+    diagnosis = dj.diagnose(vehicle, log, dj.DiagnoseConfig(gp=False, seed=case.seed))
     seconds = {"seconds": time.perf_counter() - start, "seconds_cpu": time.process_time() - used}
-    content = found.content()
+    content = diagnosis.content()
     kept = {name: content[name] for name in ("verdict", "sentence", "causes", "explained", "answer", "unexplained")}
     kept |= {"ratio": content["gain"]["ratio"], "skill": content["gain"]["skill"]}
     result = {"case": dataclasses.asdict(case), "runs": len(log.runs)} | seconds | kept
-    return result | (looks(case, found.evidence) if found.evidence else {})
+    return result | (looks(case, diagnosis.evidence) if diagnosis.evidence else {})
 
 
 def looks(case: Case, evidence: Evidence) -> dict[str, Any]:

@@ -83,11 +83,11 @@ def masked(run: dj.Run, channels: tuple[str, ...]) -> dj.Run:
 def result_of(case: Case, name: str, runs: tuple[dj.Run, ...]) -> dict[str, Any]:
     """Diagnose `runs`, and compare what is named with the truth."""
     start = time.perf_counter()
-    found = dj.diagnose(nominal_vehicle(case), dj.Log(runs), dj.DiagnoseConfig(0, gp=False, seed=case.seed))
-    causes = {cause.effect: [cause.effect, *cause.rivals] for cause in found.causes}
+    diagnosis = dj.diagnose(nominal_vehicle(case), dj.Log(runs), dj.DiagnoseConfig(0, gp=False, seed=case.seed))
+    causes = {cause.effect: [cause.effect, *cause.rivals] for cause in diagnosis.causes}
     return {
-        "case": to_dict(case), "channels": name, "verdict": str(found.verdict), "named": list(causes),
-        "hidden": list(case.names), "sets": list(causes.values()), "sentence": found.sentence,
+        "case": to_dict(case), "channels": name, "verdict": str(diagnosis.verdict), "named": list(causes),
+        "hidden": list(case.names), "sets": list(causes.values()), "sentence": diagnosis.sentence,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip
 

@@ -73,8 +73,8 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
     folder = cfg.out / name
     if not (folder / "compare.json").is_file():
         real, simulated = (log.split_runs(cfg.cut) for log in logs)
-        found = dj.compare(CAR, real, simulated)
-        found.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
+        comparison = dj.compare(CAR, real, simulated)
+        comparison.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
 

@@ -104,15 +104,15 @@ def both(
     name: str, car: dj.VehicleConfig, log: dj.Log, effects: tuple[str, ...], truth: dict[str, float]
 ) -> dict[str, Any]:
     """Calibrate `car` at once and by stages; print and return what comes out."""
-    found = {}
+    summaries = {}
     for way in ("at once", "staged"):
         begin = time.perf_counter()
         calibration = dj.calibrate(car, log, effects, staged=way == "staged", catalogue=CATALOGUE)
-        found[way] = summary(calibration, truth) | {"time_s": time.perf_counter() - begin}
-        print(f"\n{name}, {way}: {found[way]['time_s']:.0f} s, error over that of the nominal car "
-              f"{found[way]['ratio']}, truth in {found[way]['inside']} of {found[way]['known']}\n{calibration}",
+        now = summaries[way] = summary(calibration, truth) | {"time_s": time.perf_counter() - begin}
+        print(f"\n{name}, {way}: {now['time_s']:.0f} s, error over that of the nominal car "
+              f"{now['ratio']}, truth in {now['inside']} of {now['known']}\n{calibration}",
               flush=True)  # fmt: skip
-    return found
+    return summaries
 
 
 def summary(calibration: Calibration, truth: dict[str, float]) -> dict[str, Any]:

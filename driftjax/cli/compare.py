@@ -72,14 +72,14 @@ def run(argv: list[str]) -> int:
         print_notes(f"{name}: {note}" for name, log in (("A", log_a), ("B", log_b)) for note in log.notes)
         with progress() as report:
             step = by_steps(report, STEPS)
-            found = compare(vehicle, log_a, log_b, flags.options, report=step)
-            found.save(folder.path)
+            comparison = compare(vehicle, log_a, log_b, flags.options, report=step)
+            comparison.save(folder.path)
             step("done")
-        print(f"\n{found.verdict}: {found.sentence}\n")
+        print(f"\n{comparison.verdict}: {comparison.sentence}\n")
         if tables := comparison_text(folder.read_json("compare")):
             print(tables)
         print(f"report: {write_comparison(folder)}")
-        print(f"next: {NEXT[found.verdict].format(path=shlex.quote(str(folder.path)))}")
+        print(f"next: {NEXT[comparison.verdict].format(path=shlex.quote(str(folder.path)))}")
         return 0
 
     return run_in(folder, work)

@@ -188,6 +188,6 @@ def _shipped(car: str) -> LearnConfig:
 def files_of(config: LearnConfig) -> dict[str, Path]:
     """Return the files that the options name, and the distribution of the car's plants unless plants are given."""
     named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
-    found = {kind: find_config(kind, name) for kind, name in named.items()}
+    files = {kind: find_config(kind, name) for kind, name in named.items()}
     given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {"plant": f"{config.car}_distribution"}
-    return found | {key: find_config("plant", name) for key, name in given.items()}
+    return files | {key: find_config("plant", name) for key, name in given.items()}

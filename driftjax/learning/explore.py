@@ -48,8 +48,8 @@ class Drifts(eqx.Module):
     def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
         """Return the GP input z (5,) of the drift at speed `V`, and whether it exists."""
         fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
-        found = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
-        return features(found.x, found.u), found.result == RESULTS.successful
+        equilibrium = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
+        return features(equilibrium.x, equilibrium.u), equilibrium.result == RESULTS.successful
 
 
 def drifts(scenario: Scenario) -> Drifts:

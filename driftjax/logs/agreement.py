@@ -80,8 +80,8 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
     checks = [check for check in CHECKS if set(check.needs) <= has]
     checks += [] if wheelbase is None else [steering_check(wheelbase)]
     smoothed = [smooth_channels(run) for run in runs]
-    found = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
-    return [one for one in found if one is not None]
+    evaluated = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
+    return [one for one in evaluated if one is not None]
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:

@@ -240,10 +240,10 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
 
 
 def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    found = values.get(key) or {}
-    if not isinstance(found, dict):
-        raise BadInput(f"{path}: key '{key}' is {found!r}; it needs 'column: ...' lines.")
-    return found
+    mapping = values.get(key) or {}
+    if not isinstance(mapping, dict):
+        raise BadInput(f"{path}: key '{key}' is {mapping!r}; it needs 'column: ...' lines.")
+    return mapping
 
 
 def _plain(value: float | str) -> float | str:

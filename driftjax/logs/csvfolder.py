@@ -54,17 +54,19 @@ def _columns(table: Table) -> dict[str, str]:
     """Return the unit of every column that begins with a number, and of the headings of quaternions."""
     units = dict(zip(table.names, table.units or ("",) * len(table.names), strict=True))
     times = _time_columns(table)
-    found = {name: unit for name, unit in units.items() if name and name not in times and _has_numbers(table, name)}
-    return found | {f"{before}.yaw": "rad" for before, parts in _vectors(found).items() if set(parts) == set("xyzw")}
+    numeric = {name: unit for name, unit in units.items() if name and name not in times and _has_numbers(table, name)}
+    return numeric | {
+        f"{before}.yaw": "rad" for before, parts in _vectors(numeric).items() if set(parts) == set("xyzw")
+    }
 
 
 def _vectors(names: Iterable[str]) -> dict[str, dict[str, str]]:
     """Return the columns of each vector or quaternion, by its name and x, y, z or w."""
-    found = defaultdict[str, dict[str, str]](dict)
+    vectors = defaultdict[str, dict[str, str]](dict)
     for name in names:
         if match := re.fullmatch(r"(.+)[._/]([xyzw])", name):
-            found[match[1]][match[2]] = name
-    return found
+            vectors[match[1]][match[2]] = name
+    return vectors
 
 
 def _has_numbers(table: Table, name: str) -> bool:

@@ -43,15 +43,15 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
         notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
     if len(long) > 1:
         notes.append(f"{raw.where}: was cut at gaps into {len(long)} parts.")
-    found = [_even(stretch, dt, every) for stretch in long]
+    segments = [_even(stretch, dt, every) for stretch in long]
     if every > dt:
         notes.append(f"{raw.where}: its uneven time steps, {every:.3g} s or less, were resampled to {1 / dt:.4g} Hz.")
     else:
         _note_repairs(raw, long, dt, notes)
     if factor == 1:
-        return found
+        return segments
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
-    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in found]
+    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in segments]
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:

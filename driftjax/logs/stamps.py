@@ -23,7 +23,7 @@ def header_stamp(content: Any) -> int | None:
     stamp = get_field(get_field(content, "header"), "stamp")
     stamp = get_field(content, "timestamp") if stamp is ABSENT else stamp
     whole, rest = ([get_field(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
-    whole, rest = (next(filter(is_scalar, found), None) for found in (whole, rest))
+    whole, rest = (next(filter(is_scalar, scalars), None) for scalars in (whole, rest))
     return None if whole is None or rest is None else int(whole) * 10**9 + int(rest)
 
 

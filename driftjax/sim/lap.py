@@ -180,8 +180,8 @@ def drive(
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
         key = vmap_batch(lambda one: jax.random.fold_in(one, k))(keys)
-        found: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
-        motion, sensed = found
+        readings: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
+        motion, sensed = readings
         command, memory, decision = policy(sensed, carry.memory, alive)
         advance = vmap_batch(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
         after = advance(plants, carry.plant, command)

@@ -199,10 +199,10 @@ def lagged_step(
     def on(carry, row):
         k, end, known = carry
         first, into, weight = row
-        found = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
-        moving = first_slip_rate(model, begun(known), found[:3], dt)
-        k = jnp.where(first, k, found[:3])
-        known = jnp.where(first, jnp.concatenate([moving, found[3:]]), known)
+        derivative = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
+        moving = first_slip_rate(model, begun(known), derivative[:3], dt)
+        k = jnp.where(first, k, derivative[:3])
+        known = jnp.where(first, jnp.concatenate([moving, derivative[3:]]), known)
         return (k, end + weight * dt * k, known), k
 
     (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), evaluations(method, start.dtype))
