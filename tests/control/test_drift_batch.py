@@ -106,8 +106,8 @@ def test_second_derivatives_become_exact_with_short_steps(name):
         slope = lambda z: pulled(batched_values(batched, z, costate, p)[0][1], costate)
         bend = np.array([slope(z + step) - slope(z - step) for step in steps]) / 2e-5
         H = batched_values(batched, z, costate, p)[3]
-        found = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
-        return np.abs(found - bend).max() / np.abs(bend).max()
+        values = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
+        return np.abs(values - bend).max() / np.abs(bend).max()
 
     assert error(0.05) < 0.2
     assert error(0.005) < error(0.02) / 10
@@ -123,17 +123,17 @@ def pulled(M, costate) -> np.ndarray:
 def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     """In a process of its own: XLA reads the flag, without which this program takes minutes to compile, only once."""
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
-    out = tmp_path / "found.npz"
+    out = tmp_path / "results.npz"
     code = f"import test_drift_batch; test_drift_batch.answer({str(out)!r})"
     paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
     env = os.environ | {"XLA_FLAGS": fused, "PYTHONPATH": paths, "JAX_ENABLE_X64": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    found = np.load(out)
-    assert found["num_steps"][0] == 0  # not needed
-    assert (found["kkt"][1:] <= 1e-7).all() and (found["kkt_alone"][1:] <= 1e-7).all()
-    np.testing.assert_allclose(found["U"][1:] / UNIT, found["U_alone"][1:] / UNIT, atol=1e-6)
-    np.testing.assert_allclose(found["X"][1:], found["X_alone"][1:], atol=1e-6)
+    results = np.load(out)
+    assert results["num_steps"][0] == 0  # not needed
+    assert (results["kkt"][1:] <= 1e-7).all() and (results["kkt_alone"][1:] <= 1e-7).all()
+    np.testing.assert_allclose(results["U"][1:] / UNIT, results["U_alone"][1:] / UNIT, atol=1e-6)
+    np.testing.assert_allclose(results["X"][1:], results["X_alone"][1:], atol=1e-6)
 
 
 def answer(out: str) -> None:

@@ -48,9 +48,9 @@ def test_skill_is_one_for_a_model_at_the_noise_floor_and_zero_for_no_change():
 
 def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_gain():
     assert skill(errors(2.0), errors(3.0, seed=1), FLOOR)[0] < -0.5
-    found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
-    assert sum(low < 0 < high for _, (low, high), *_ in found) >= 34
-    assert np.abs([value for value, *_ in found]).max() < 0.35
+    skills = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
+    assert sum(low < 0 < high for _, (low, high), *_ in skills) >= 34
+    assert np.abs([value for value, *_ in skills]).max() < 0.35
 
 
 def test_a_floor_above_what_a_model_reaches_makes_no_share_above_one():
@@ -72,8 +72,8 @@ def test_no_share_is_reported_where_noise_explains_everything():
 
 def test_errors_are_reported_over_those_of_the_nominal_car_also_where_noise_explains_everything():
     before, half = errors(5.0), errors(5.0)
-    found = ratios(before, half._replace(squares=half.squares / 4))
-    np.testing.assert_allclose(found, [[0.5, 0.5, 0.5]] * 2)
+    shares = ratios(before, half._replace(squares=half.squares / 4))
+    np.testing.assert_allclose(shares, [[0.5, 0.5, 0.5]] * 2)
     channel = before.squares * np.array([0.0, 1.0, 1.0])  # one of three is mended, whatever its unit
     np.testing.assert_allclose(ratios(before, before._replace(squares=channel))[:, 0], np.sqrt(2 / 3))
     value, low, high = ratios(errors(0.0), errors(0.0, seed=1))[1]

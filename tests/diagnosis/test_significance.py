@@ -32,10 +32,10 @@ def test_effects_beyond_the_first_are_exploratory_and_chance_is_not_supported(mo
     problem, nominal = toy_problem(monkeypatch, residuals, np.full(8, -3.0), np.full(8, 3.0), runs=RUNS)
     selection = selection_of(problem, nominal, (0, 1, 2, 3, 4, 6))
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    found = significance(problem, selection, model, dict(enumerate(SIZES)))
-    assert [i for i, one in found.items() if one.exploratory] == [4, 6]
-    assert [i for i, one in found.items() if not one.supported] == [6]
-    assert found[6].p_value > 0.05 > found[4].p_value
+    results = significance(problem, selection, model, dict(enumerate(SIZES)))
+    assert [i for i, one in results.items() if one.exploratory] == [4, 6]
+    assert [i for i, one in results.items() if not one.supported] == [6]
+    assert results[6].p_value > 0.05 > results[4].p_value
 
 
 def test_what_the_false_discovery_rate_does_not_allow_is_left_out(monkeypatch):

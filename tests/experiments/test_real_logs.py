@@ -46,8 +46,8 @@ def test_every_question_asks_for_what_there_is():
 
 
 def test_friction_is_relative_to_the_calibrated_car():
-    found = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
-    one = found["friction.p"]
+    answers = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
+    one = answers["friction.p"]
     assert one["value"] == pytest.approx(0.425) and one["ci95"] == pytest.approx([0.4, 0.45]) and one["as_known"]
     assert not answer(LOW, diagnosis("friction", "p", -0.4, 0.02), {"friction": -0.2})["friction.p"]["as_known"]
     assert answer(LOW, diagnosis("drive_gain", "p", -0.4, 0.02), {"friction": -0.2}) == {}
@@ -92,10 +92,10 @@ def test_unknown_and_premature_questions_are_refused(tmp_path):
 @pytest.mark.slow
 def test_the_recording_of_the_sedan_shows_its_sensors(tmp_path):
     assert SHARED.is_dir(), "this test needs the measured log of ../shared/data"
-    found = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
-    value = {name: one["value"] for name, one in found["answer"].items()}
+    content = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
+    value = {name: one["value"] for name, one in content["answer"].items()}
     assert value["sideslip_bias.p"] == pytest.approx(-0.01, abs=0.001)  # as others found
     assert value["gyro_bias.p"] == pytest.approx(0.005, abs=0.001)
     assert value["steer_gain.p"] == pytest.approx(0.1, abs=0.05)
-    assert found["verdict"] != "UNKNOWN" and found["gain"]["ci95"]["extended"][0] > 0.5
-    assert found["measured"]["created"] and (tmp_path / "real_logs.png").is_file()
+    assert content["verdict"] != "UNKNOWN" and content["gain"]["ci95"]["extended"][0] > 0.5
+    assert content["measured"]["created"] and (tmp_path / "real_logs.png").is_file()

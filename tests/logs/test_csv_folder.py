@@ -80,8 +80,8 @@ def test_files_with_stamps_in_two_columns_or_one_are_one_log(tmp_path):
 
 
 def test_stamps_are_no_channels_and_a_quaternion_has_a_heading(tmp_path):
-    found = csv_channels(recorded(tmp_path / "drive"))
-    assert "pose.q.yaw" in found and not {"imu.s", "imu.ns", "pose.stamp", "imu."} & set(found)
+    channels = csv_channels(recorded(tmp_path / "drive"))
+    assert "pose.q.yaw" in channels and not {"imu.s", "imu.ns", "pose.stamp", "imu."} & set(channels)
 
 
 def test_uneven_stamps_are_resampled_to_the_rate_that_the_error_proposes(tmp_path):

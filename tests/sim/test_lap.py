@@ -85,14 +85,14 @@ def test_full_lock_and_throttle_ends_the_lap_and_freezes_only_its_own_entry(pair
 
 
 def test_a_slow_lap_times_out():
-    found = lap([PURSUE, PURSUE], [1, 2], time_limit=0.3)
-    assert [int(c) for c in found.code] == [LapCode.TIMEOUT] * 2
-    assert bool(jnp.all(found.trace.alive)) and found.trace.s.shape == (2, 6)  # although 0.3 / 0.05 < 6
+    laps = lap([PURSUE, PURSUE], [1, 2], time_limit=0.3)
+    assert [int(c) for c in laps.code] == [LapCode.TIMEOUT] * 2
+    assert bool(jnp.all(laps.trace.alive)) and laps.trace.s.shape == (2, 6)  # although 0.3 / 0.05 < 6
 
 
 def test_braking_to_a_halt_stalls():
-    found = lap([PURSUE, [0.0, -1.5e4]], [1, 2])
-    assert [int(c) for c in found.code] == [LapCode.COMPLETED, LapCode.STALLED]
+    laps = lap([PURSUE, [0.0, -1.5e4]], [1, 2])
+    assert [int(c) for c in laps.code] == [LapCode.COMPLETED, LapCode.STALLED]
 
 
 def test_a_batch_equals_single_laps(pair):

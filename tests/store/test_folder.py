@@ -162,7 +162,7 @@ def test_runs_are_listed_and_other_folders_passed_over(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "config.yaml").write_text("a: 1")
     made = [RunFolder.create(tmp_path / "runs" / name, CONFIG).path for name in ("a", "b")]
-    assert [found.path for found in list_runs(tmp_path)] == made
+    assert [run.path for run in list_runs(tmp_path)] == made
     assert list_runs(tmp_path / "absent") == []
 
 

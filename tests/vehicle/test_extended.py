@@ -35,11 +35,11 @@ NUM = 16
 def with_effects(car="sedan", size=1.0, combined_slip=1.0, names=(), **values) -> VehicleConfig:
     """A car with all parameters of `names` at `size` typical sizes, and with `values` of one-parameter effects, SI."""
     vehicle = dataclasses.replace(load_vehicle(car), combined_slip=combined_slip)
-    found = [
+    effect_values = [
         EffectParameterValue(effect.name, p.name, values[name] if name in values else size * p.scale(vehicle))
         for name, effect in EFFECTS.items() if name in names or name in values for p in effect.parameters
     ]  # fmt: skip
-    return dataclasses.replace(vehicle, effects=tuple(found))
+    return dataclasses.replace(vehicle, effects=tuple(effect_values))
 
 
 @functools.cache
