@@ -15,8 +15,7 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
-from driftjax.vehicle.parameters import EffectParameterValue
+from driftjax.studies.text_file import write_text
 
 RECORDINGS = ("DS1", "DS2", "DS3", "DS4", "DS5")
 DELAY = 0.12  # s of the steering, to start from: what `driftjax inspect` prints for DS5
@@ -55,9 +54,8 @@ def main(cfg: Config) -> dict[str, Any]:
             results[name] = fitted(log)
         if cfg.diagnose and "refused" not in results[name] and "verdict" not in results[name]:
             results[name] |= diagnosed(log, cfg.out / name)
-        text = json.dumps(results, indent=1)
-        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
-        write_atomically(path.with_suffix(".md"), lambda file: file.write_text(table(results), encoding="utf-8"))
+        write_text(path, json.dumps(results, indent=1))
+        write_text(path.with_suffix(".md"), table(results))
         print(name, results[name], flush=True)
     print(table(results))
     return results
@@ -65,9 +63,7 @@ def main(cfg: Config) -> dict[str, Any]:
 
 def nominal_car() -> dj.VehicleConfig:
     """Return the shipped car with a steering delay, without which its observer loses the car."""
-    car = dj.load_vehicle("f1tenth")
-    delay = EffectParameterValue("steer_delay", "d", DELAY)
-    return dataclasses.replace(car, effects=(delay, *car.effects))
+    return dj.with_effects(dj.load_vehicle("f1tenth"), {"steer_delay": {"d": DELAY}})
 
 
 def fitted(log: dj.Log) -> dict[str, Any]:

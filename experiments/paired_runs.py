@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
+from driftjax.studies.text_file import write_text
 
 FOLDER = "2024/PathFollowingSim2real/TestingData"
 PATHS = ("rd_path", "syn_path", "lot17")
@@ -63,8 +63,7 @@ def main(cfg: Config) -> dict[str, Any]:
         if cfg.compare:
             results[name] |= compared(logs, cfg, name)
         print(name, results[name], flush=True)
-        text = json.dumps(results, indent=1)
-        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
+        write_text(path, json.dumps(results, indent=1))
     return results
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
 from driftjax.tyre import nominal_tyre, read_tir
-from driftjax.vehicle.effect import Parameter, effects_by_name
+from driftjax.vehicle.effect import EFFECTS, Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
 from driftjax.vehicle.single_track import G
 
@@ -89,6 +90,18 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
     return value
+
+
+def with_effects(vehicle: VehicleConfig, effects: Mapping[str, Mapping[str, float]]) -> VehicleConfig:
+    """Return `vehicle` with these effects (effect -> parameter -> value, SI) beside its own, whose values they replace.
+
+    The covariance of its effects is dropped. Raises `BadInput` for unknown names and for values out of bounds.
+    """
+    given = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
+    own = [one for one in vehicle.effects if one.effect not in effects]
+    order = list(EFFECTS)
+    parameters = sorted((*own, *given), key=lambda one: order.index(one.effect))
+    return dataclasses.replace(vehicle, effects=tuple(parameters), covariance=())
 
 
 def _effect_parameters(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:

@@ -5,13 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from driftjax.vehicle.effect.families import FAMILY_OF
+import driftjax as dj
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 OTHERWISE_DEFINED = ("power_limit", "side_wind")  # whose parameters the plant defines otherwise than the catalogue
 OF_SENSORS = ("sensor", "time base")
 BODY = ("track_width",)  # what `body` brings along: not looked for, and not false where it is named
 Result = dict[str, Any]
+
+
+def family_of(name: str) -> str:
+    """Return the part of the car or of the measurement that the effect `name` belongs to."""
+    (effect,) = dj.effects_by_name((name,))
+    return effect.family
 
 
 def effects_of_body(body: float) -> tuple[str, ...]:
@@ -40,13 +46,13 @@ def score(result: Result) -> Result:
     truth, causes = result["case"]["hidden"], result["causes"]
     hidden, named = list(truth), [cause["effect"] for cause in causes]
     matches = match(causes, hidden)
-    families = {FAMILY_OF[name] for name in [*named, *matches.values()]}
-    wanted = {FAMILY_OF[name] for name in hidden}
+    families = {family_of(name) for name in [*named, *matches.values()]}
+    wanted = {family_of(name) for name in hidden}
     tentative = {cause["effect"] for cause in causes if cause.get("exploratory")}
     there = effects_of_body(result["case"]["body"])
     wrong = [name for name in named if name not in matches and name not in there]
     false = [name for name in wrong if name not in tentative]
-    physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS and name not in there]
+    physics = [name for name in named if family_of(name) not in OF_SENSORS and name not in there]
     return {
         "first": bool(causes) and causes[0]["effect"] in matches,
         "found": sorted(matches.values()),
@@ -56,7 +62,7 @@ def score(result: Result) -> Result:
         "false_exploratory": [name for name in wrong if name in tentative],
         "families_found": sorted(wanted & families),
         "families_missed": sorted(wanted - families),
-        "families_false": sorted({FAMILY_OF[name] for name in false} - wanted),
+        "families_false": sorted({family_of(name) for name in false} - wanted),
         "physics": [name for name in physics if name not in tentative],
         "physics_exploratory": [name for name in physics if name in tentative],
         "covered": coverage(causes, truth),

@@ -8,10 +8,11 @@ import yaml
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import load_columns
+from driftjax.studies.model_errors import plot_model_errors
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_by_name
 from experiments import real_logs
-from experiments.real_logs import QUESTIONS, Config, answer, format_result, main, nominal_car, plant_file, plot_errors
+from experiments.real_logs import QUESTIONS, Config, answer, format_result, main, nominal_car, plant_file
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "data"
 LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
@@ -65,7 +66,7 @@ def test_results_are_formatted_and_plotted():
     assert "on the car of dart_slides: nominal 0 of 4, extended 3 of 4; lateral error changes by -0.200" in words
     nothing = copy.deepcopy(content) | {"answer": {}}
     assert "none of them was named" in format_result(STEERING, nothing)
-    bars = plot_errors({"dart_steering": content}).axes[2].containers
+    bars = plot_model_errors({"dart_steering": content["gain"]}).axes[2].containers
     assert [bar.datavalues[0] for bar in bars] == pytest.approx([1.0, 0.75, 0.25])  # pyright: ignore
 
 

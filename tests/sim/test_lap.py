@@ -10,11 +10,11 @@ import pytest
 
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
-from driftjax.core import Control
+from driftjax.core import BadInput, Control
 from driftjax.gp import zero_gp
-from driftjax.sim import LapCode, LapConfig, drive
+from driftjax.sim import LapCode, LapConfig, drive, drive_laps
 from driftjax.sim.lap import wrap
-from driftjax.sim.sensors import SensorConfig
+from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.track.build import from_curvature
 from driftjax.vehicle import load_plant, load_vehicle, no_residual, stack_plants
 
@@ -114,6 +114,22 @@ def test_the_same_keys_give_the_same_laps_and_others_do_not(pair):
     driven = np.asarray(pair.trace.alive[1])  # an entry's noise does not depend on its neighbour's key
     np.testing.assert_array_equal(other.trace.alive[1], driven)
     np.testing.assert_array_equal(other.trace.sensed.V[1][driven], pair.trace.sensed.V[1][driven])
+
+
+def test_laps_of_a_controller_of_ones_own_are_those_of_a_batch():
+    """With the same noise, key by key; one speed serves all cars."""
+    plants, fixed = [load_plant("sedan")] * 2, jnp.asarray([[0.0, -1.5e4], [0.02, 0.0]])
+    hold = lambda sensed, memory, alive: (Control(fixed[:, 0], fixed[:, 1]), memory, alive)
+    laps = drive_laps(plants, PATH, hold, SPEED, sensors="sedan", config=CONFIG, dt=DT, seed=3)
+    paths = jax.tree.map(lambda a: jnp.broadcast_to(a, (2, *a.shape)), PATH)
+    keys = jax.random.split(jax.random.key(3), 2)
+    batch = drive(stack_plants(plants), paths, jnp.full(2, SPEED), hold, (), load_sensors("sedan"), CONFIG, dt=DT,
+                  keys=keys)  # fmt: skip
+    assert int(laps.code[0]) == LapCode.STALLED and laps.trace.V.shape[0] == 2
+    for a, b in zip(jax.tree.leaves(laps), jax.tree.leaves(batch), strict=True):
+        np.testing.assert_array_equal(a, b)
+    with pytest.raises(BadInput, match="give one kind"):
+        drive_laps([load_plant("sedan"), CAR], PATH, hold, SPEED)  # pyright: ignore[reportArgumentType]
 
 
 def test_measurements_scatter_about_the_truth(pair):

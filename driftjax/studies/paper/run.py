@@ -28,6 +28,15 @@ DIAGNOSIS = "diagnosis"  # folder below that of the car
 Report = Callable[[str, float, int], None]
 
 
+def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
+    """Open the run folder `path` of a comparison, or create it; raises `BadInput` where it has other options."""
+    there, config = (path / "config.yaml").is_file(), to_dict(cfg)
+    folder = RunFolder.open(path) if there else RunFolder.create(path, config, "paper")
+    if folder.config != config:
+        raise BadInput(f"{path}: holds a comparison with other options; give another --out.")
+    return folder
+
+
 def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
     """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg

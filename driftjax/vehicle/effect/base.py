@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from types import FunctionType
 from typing import Any, Literal
 
+from driftjax.vehicle.effect.families import FAMILY_OF
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import G
 
@@ -107,6 +108,11 @@ class Effect:
     """Whether a diagnosis looks for it only where it is asked for by name."""
     equation: str = ""
     """Equation and remarks; those of the module's docstring where left out."""
+
+    @property
+    def family(self) -> str:
+        """Return the part of the car or of the measurement that it belongs to, such as "steering" or "sensor"."""
+        return FAMILY_OF[self.name]
 
     def __repr__(self) -> str:
         """Return the fields, own functions by name: without addresses compiled programs can be reused."""
