@@ -51,7 +51,7 @@ def main(cfg: Config) -> list[dict[str, Any]]:
     lines = cfg.out / "missing_channels.jsonl"
     rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
     done = {(json.dumps(row["case"]), row["channels"]) for row in rows}
-    for case in drawn(cfg):
+    for case in draw_study(cfg):
         runs = None
         for name, channels in MASKS.items():
             if (case.line(), name) in done:
@@ -66,7 +66,7 @@ def main(cfg: Config) -> list[dict[str, Any]]:
     return rows
 
 
-def drawn(cfg: Config) -> list[Case]:
+def draw_study(cfg: Config) -> list[Case]:
     """Return the cases of each car: one effect, or none in every `NOTHING_IN`-th."""
     none = cfg.cases // NOTHING_IN
     zero = CaseNumbers(**{field.name: 0 for field in dataclasses.fields(CaseNumbers)})

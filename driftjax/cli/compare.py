@@ -29,7 +29,7 @@ STEPS = {"noise and naming": 72, "differences": 8, "gap": 20, "done": 0}
 class Compare:
     """Name what differs between two logs of like manoeuvres, and the gap that it makes: compare.json, report.html.
 
-    Such as a real car and any simulator of it, a wet and a dry road, before and after a repair.
+    For example of a real car and a simulator of it, on a wet and a dry road, before and after a repair.
     """
 
     a: tyro.conf.Positional[Path]

@@ -22,7 +22,7 @@ STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done"
 
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
-    """Show and name what a simulation gets wrong, from measured logs: diagnosis.json, extended.yaml, report.html."""
+    """Show and name the errors of a simulation from measured logs: diagnosis.json, extended.yaml, report.html."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV, Parquet or MATLAB files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s); with

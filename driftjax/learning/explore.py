@@ -87,7 +87,7 @@ def offset(scenario: Scenario, sets: Candidates, index: Array) -> Array:
     minus a learning gain times its measured error e. The gain of candidate k of K is k/K, at any kind of speeds; e is
     limited to the error that the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve
     alone is not enough: where the planned speed is curved, as in a corner with braking, its smoothness weight outweighs
-    r_b e. Without `correction` the target stays.
+    r_b e. Without `correction` the target does not change.
     """
     config, corner = scenario.config.explore, scenario.corner
     if not config.correction:
@@ -109,8 +109,8 @@ def remaining(
 ) -> Candidates:
     """Return the candidates after the laps in `trace`, which drove `index` (batch,) with the offset `aimed`.
 
-    An entry that improved (`better`) gets new candidates around this lap, the others keep those that remain; so at any
-    kind of speeds. `number` is that of the stage.
+    An entry that improved (`better`) gets new candidates around this lap; the others keep those that remain. This holds
+    for every kind of speeds. `number` is that of the stage.
     """
     visited = sets.visited | jax.nn.one_hot(index, sets.visited.shape[1], dtype=bool)
     left = eqx.tree_at(lambda c: c.visited, sets, visited)

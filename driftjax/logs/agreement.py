@@ -100,8 +100,8 @@ def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[
     num = max(2 * round(window / dt / 2) + 1, 5)
     if len(y) < num:
         return np.full(len(y), np.nan), np.full(len(y), np.nan)
-    keep, whole = near_measurements(y, num // 2), fill_gaps(y)
-    of = lambda order: np.where(keep, np.asarray(savgol_filter(whole, num, 2, order, dt)), np.nan)
+    keep, filled = near_measurements(y, num // 2), fill_gaps(y)
+    of = lambda order: np.where(keep, np.asarray(savgol_filter(filled, num, 2, order, dt)), np.nan)
     return of(0), of(1)
 
 

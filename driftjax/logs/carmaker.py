@@ -1,7 +1,7 @@
 """Read CarMaker results (.erg): records of one time base, described by a text file beside it (.erg.info).
 
-The library cmerg is not used: version 0.4 fails where a quantity has a factor, and returns wrong numbers without a word
-where no blank line parts the quantities.
+The library cmerg is not used: version 0.4 fails where a quantity has a factor, and returns wrong numbers without an
+error where no blank line separates the quantities.
 """
 
 from pathlib import Path

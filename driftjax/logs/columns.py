@@ -151,7 +151,7 @@ class ColumnMap:
     rate: float | None = None
     """Sample rate to thin the log to, or to resample uneven time steps to [Hz]; left out: that of the log."""
     base: str | None = None
-    """Of a recording: the channel whose time stamps all get; left out: the fastest measured."""
+    """In a recording: the channel whose time stamps all others are put on; left out: the fastest measured one."""
     stamps: Stamps = "header"
     """Time stamps of messages: of their headers, where they have them, or of their receipt."""
 

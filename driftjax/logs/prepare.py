@@ -101,12 +101,12 @@ def _even(run: RawRun, dt: float, every: float) -> Segment:
 
 def _note_repairs(raw: RawRun, stretches: list[RawRun], dt: float, notes: list[str]) -> None:
     steps = np.concatenate([np.diff(stretch.values["t"]) for stretch in stretches] or [[]]) / dt
-    whole = np.maximum(np.round(steps), 1)
-    if lost := int(np.sum(whole - 1)):
+    multiples = np.maximum(np.round(steps), 1)
+    if lost := int(np.sum(multiples - 1)):
         notes.append(
             f"{raw.where}: samples are lost; measured values count as missing there, commands are held: {lost}."
         )
-    if (uneven := np.abs(steps - whole) > sampling.UNIFORM).any():
+    if (uneven := np.abs(steps - multiples) > sampling.UNIFORM).any():
         notes.append(
             f"{raw.where}: {uneven.sum()} of {steps.size} time steps differ from {dt:.4g} s; "
             "the run was resampled evenly."

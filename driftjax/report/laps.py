@@ -46,7 +46,7 @@ def read_laps(data: xr.Dataset, controller: str) -> list[Lap]:
 
 
 def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
-    """Return the mean of `curve(lap, s)` over the completed laps, or over all if none is; NaN where no lap got."""
+    """Return the mean of `curve(lap, s)` over the completed laps, or over all if none is; NaN beyond their ends."""
     chosen = [lap for lap in laps if lap.completed] or laps
     rows = np.stack([curve(lap, s) for lap in chosen])
     count = np.isfinite(rows).sum(axis=0)

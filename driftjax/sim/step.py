@@ -156,7 +156,8 @@ def evaluate(
 ) -> Float[Array, "4"]:
     """Return the rates of V, beta and r, `push` added, and the lateral acceleration at a fraction `share` of a step.
 
-    The `first` time, at the start, what the lags during the step depend on is not known yet: those then follow from it.
+    At the `first` evaluation, at the start of the step, the quantities that the lags depend on are not known yet; they
+    follow from its result.
     """
     x = State(y[0], y[1], y[2])
     offsets = first_offsets(model, at_start, dt), lag_offsets(model, at_start, x, share, dt)

@@ -129,7 +129,7 @@ def _trial(study: Any, url: str, number: int) -> Any:
 
 
 def make_watch(url: str, trial: Trial, config: SweepConfig) -> Watch:
-    """Make the callback, in the process that runs `trial`, that reports each step and asks whether to prune."""
+    """Make the callback that reports each step and asks whether to prune, in the process that runs `trial`."""
     import optuna
 
     study = optuna.load_study(study_name=NAME, storage=url, pruner=_named(optuna.pruners, "pruners", config.pruner)())

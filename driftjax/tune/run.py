@@ -64,9 +64,9 @@ def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str,
     report("gradients through laps", 1, 4)
     tuned = timed(lambda: descend(evaluate, slope, box, config.budget))
     report("random search", 2, 4)
-    drawn = timed(lambda: random_search(evaluate, box, config.budget, config.learn.seed))
+    random = timed(lambda: random_search(evaluate, box, config.budget, config.learn.seed))
     first = {"p": np.zeros(len(box)), "loss": tuned["history"][0][1], "cost": 0}
-    return {"default": first, "tuned": tuned, "random": drawn}
+    return {"default": first, "tuned": tuned, "random": random}
 
 
 def results_content(evaluator: LapEvaluator, searches: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:

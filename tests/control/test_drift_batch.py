@@ -61,7 +61,7 @@ def batched_values(batched, z, costate, p):
 @pytest.mark.parametrize("name", NAMES)
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
-    whole = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
+    ocp = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
     batched = drift_batch_ocp(CONFIG, weights, CAR, learnt)
     reached = [-0.22, 6.3] if batched.lags is not None else []
     tracked = list(X[: len(batched.Q)])
@@ -69,15 +69,15 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     acting = reached or list(U)  # a state that no lag remembers has no effect
     unscale = np.concatenate([np.ones(5), UNIT, UNIT])  # from SI to the units of the batch
     kept = [*range(len(tracked)), *((7, 8) if reached else ())]
-    to_z = np.concatenate([whole.x_scale / unscale, np.asarray(whole.u_scale) / UNIT])
+    to_z = np.concatenate([ocp.x_scale / unscale, np.asarray(ocp.u_scale) / UNIT])
 
     @jax.jit
     def value(z):
         """The whole problem in the units of the batch: next state (kept entries) and cost less that of the change."""
         full = jnp.concatenate([jnp.asarray(X), BEFORE, jnp.asarray(acting)]).at[jnp.array(kept)].set(z[:-2])
-        x, u = full * unscale / whole.x_scale, z[-2:] * UNIT / whole.u_scale
-        change = jnp.sum(whole.R * ((z[-2:] - BEFORE) * UNIT) ** 2)
-        return (whole.step(x, u, here) * to_z[:9])[jnp.array(kept)], whole.cost(x, u, here) - change
+        x, u = full * unscale / ocp.x_scale, z[-2:] * UNIT / ocp.u_scale
+        change = jnp.sum(ocp.R * ((z[-2:] - BEFORE) * UNIT) ** 2)
+        return (ocp.step(x, u, here) * to_z[:9])[jnp.array(kept)], ocp.cost(x, u, here) - change
 
     z = np.array([*tracked, *reached, *U])
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))

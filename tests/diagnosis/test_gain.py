@@ -121,9 +121,9 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
 def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
     """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
-    whole, runs = case.result(held_out=3), case.runs()
-    assert set(whole["named"]) == set(case.truth) and whole["skill"]["extended"][1] > 0.5
-    (share,) = criteria.removed_shares([whole])
+    result, runs = case.result(held_out=3), case.runs()
+    assert set(result["named"]) == set(case.truth) and result["skill"]["extended"][1] > 0.5
+    (share,) = criteria.removed_shares([result])
     assert share > 0.8
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)

@@ -80,9 +80,9 @@ def test_gaps_are_left_out_and_missing_columns_reported():
     run = noisy(exact(0), 0)
     V = run.V.copy()
     V[500:560] = np.nan
-    whole, gappy = parity(sedan(), [run], SIGMA), parity(sedan(), [replace(run, V=V)], SIGMA)
-    assert whole is not None and gappy is not None
-    assert whole.num - 4 <= gappy.num < whole.num and np.isfinite(gappy.mean).all()
+    complete, gappy = parity(sedan(), [run], SIGMA), parity(sedan(), [replace(run, V=V)], SIGMA)
+    assert complete is not None and gappy is not None
+    assert complete.num - 4 <= gappy.num < complete.num and np.isfinite(gappy.mean).all()
     assert parity(sedan(), [run, replace(run, extra={"ax": run.extra["ax"]})], SIGMA) is None
     assert parity(sedan(), [replace(run, V=np.full(NUM, np.nan))], SIGMA) is None
     assert parity(sedan(), [replace(run, V=0.1 + 0 * run.V)], SIGMA) is None  # too slow for a sideslip

@@ -114,7 +114,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     assert np.abs(x[driven]).max() < 1 and np.abs(d[driven]).max() < 10
 
 
-def drawn(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_forces(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Forces that wander with time, two drivers that wander on their own, and blocks of 200."""
     wander = lambda: np.convolve(rng.normal(size=num + 49), np.ones(50) / 7, "valid")
     return np.stack([wander() for _ in range(3)], axis=1), np.stack([wander(), wander()]), np.arange(num) // 200
@@ -122,7 +122,7 @@ def drawn(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_bins_find_the_driver_and_how_much_it_explains():
     rng = np.random.default_rng(5)
-    forces, (one, two), block = drawn(rng)
+    forces, (one, two), block = draw_forces(rng)
     forces[:, 2] += 2 * one
     summary = summarise_forces(ResidualForces(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
     assert summary.p_value < 0.01 and best_variable(summary, 2) == "slip_rear"
@@ -135,14 +135,14 @@ def test_bins_find_the_driver_and_how_much_it_explains():
 
 def test_forces_that_go_with_nothing_are_rarely_reported_to():
     summaries = [summarise_forces(ResidualForces(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
-             ((k, drawn(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
+             ((k, draw_forces(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
     assert sum(one.p_value < 0.05 for one in summaries) <= 6
     assert np.mean([one.variables["a"].explained for one in summaries]) < 0.05
 
 
 def test_a_driver_that_hardly_varies_and_bins_of_one_block_are_left_out():
     rng = np.random.default_rng(6)
-    forces, (one, _), block = drawn(rng)
+    forces, (one, _), block = draw_forces(rng)
     signs = np.ones((2, block.max() + 1))
     assert bin_forces(np.full(len(one), 3.0), forces, block, signs) is None
     once = np.where(block == 7, 50.0, one)  # one block far away

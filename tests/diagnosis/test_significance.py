@@ -52,9 +52,9 @@ def test_what_the_false_discovery_rate_does_not_allow_is_left_out(monkeypatch):
 
 def test_the_false_discovery_rate_is_that_of_the_step_up_procedure():
     p = np.array([0.2, 0.001, 0.9, 0.006, 0.03])
-    whole = 1 + 1 / 2 + 1 / 3 + 1 / 4 + 1 / 5
+    harmonic = 1 + 1 / 2 + 1 / 3 + 1 / 4 + 1 / 5
     assert benjamini_yekutieli(p, 0.1).tolist() == [False, True, False, True, False]  # limits 0.0088, 0.0175, 0.026
-    assert 0.006 < 2 * 0.1 / (5 * whole) and 0.03 > 3 * 0.1 / (5 * whole)
+    assert 0.006 < 2 * 0.1 / (5 * harmonic) and 0.03 > 3 * 0.1 / (5 * harmonic)
     assert not benjamini_yekutieli(np.full(5, 0.05), 0.1).any()
     assert benjamini_yekutieli(np.array([0.02, 0.021, 0.022]), 0.1).tolist() == [True] * 3  # the last carries the first
 

@@ -41,8 +41,8 @@ def test_every_question_asks_for_what_there_is():
     for question in QUESTIONS:
         load_columns(question.columns)
         load_vehicle(question.vehicle)
-        asked = (*question.expected, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
-        assert {effect.name for effect in effects_by_name(asked)} == set(asked)
+        names = (*question.expected, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
+        assert {effect.name for effect in effects_by_name(names)} == set(names)
         assert question.calibrated_on or not question.forgotten
 
 

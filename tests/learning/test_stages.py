@@ -79,8 +79,8 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     again, later = (candidates(exploring(scenario, speeds="random"), trace, residual, path, n).V_ep for n in (4, 5))
     assert np.all(at["random"] == np.asarray(again)) and not np.any(np.isin(later, again))
     parents = [jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) for key in scenario.keys]
-    drawn = (at["random"] - V_b) / widest
-    assert np.all(np.abs(drawn - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
+    shares = (at["random"] - V_b) / widest
+    assert np.all(np.abs(shares - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
     same = [offset(scenario, one, jnp.asarray([0, 2])) for one in sets.values()]
     assert np.any(same[0]) and all(np.all(one == same[0]) for one in same)  # all kinds are offered the same corrections
 
@@ -218,10 +218,10 @@ def test_what_was_learnt_reaches_the_layers_asked_for_and_the_lags_reach_all(sce
         assert bool(jnp.all(d.lags == 1)) and bool(jnp.all(d.trust_factor == d.trust_factor[0, 0]))
         return bool(d.trust_factor[0, 0])
 
-    def asked(layers: str) -> tuple[Residual, Residual]:
+    def models(layers: str) -> tuple[Residual, Residual]:
         return _layers(dataclasses.replace(scenario, config=dataclasses.replace(SHORT, layers=layers)), learnt)
 
-    assert [tuple(map(knows, asked(layers))) for layers in ("both", "reference", "mpc", "none")] == [
+    assert [tuple(map(knows, models(layers))) for layers in ("both", "reference", "mpc", "none")] == [
         (True, True),
         (True, False),
         (False, True),

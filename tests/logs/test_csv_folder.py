@@ -29,11 +29,11 @@ def signals(t: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def write_csv(path, t: np.ndarray, columns: dict[str, np.ndarray], stamp: str = "s,ns") -> None:
-    whole, rest = np.divmod(START * 10**9 + np.round(1e9 * t).astype(np.int64), 10**9)
+    seconds, rest = np.divmod(START * 10**9 + np.round(1e9 * t).astype(np.int64), 10**9)
     head = f",{stamp},"
-    shown = [f"{a},{b}" for a, b in zip(whole, rest, strict=True)]
+    shown = [f"{a},{b}" for a, b in zip(seconds, rest, strict=True)]
     if "," not in stamp:
-        shown = [f"{a}{b:09d}" for a, b in zip(whole, rest, strict=True)]  # nanoseconds in one column
+        shown = [f"{a}{b:09d}" for a, b in zip(seconds, rest, strict=True)]  # nanoseconds in one column
     rows = zip(*columns.values(), strict=True)
     lines = [f"0,{when}," + ",".join(f"{y:.9g}" for y in row) for when, row in zip(shown, rows, strict=True)]
     path.write_text("\n".join([head + ",".join(columns), *lines]) + "\n")

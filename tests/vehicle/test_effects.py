@@ -292,10 +292,10 @@ def test_front_share_of_the_drive_leaves_its_sum():
 def test_the_whole_force_may_be_on_the_front_axle_but_only_of_its_own_sign(name):
     """At the upper bound a front-driven car, or one that brakes with its front axle only."""
     (p,) = EFFECTS[name].parameters
-    whole = p.bounds(load_vehicle("sedan"))[1]
-    assert whole == pytest.approx(1.0)
+    upper = p.bounds(load_vehicle("sedan"))[1]
+    assert upper == pytest.approx(1.0)
     for F in (3000.0, -3000.0):
-        flow = car_with("sedan", **{name: whole}).flow(state(), control(0.2, F), STILL, NONE)
+        flow = car_with("sedan", **{name: upper}).flow(state(), control(0.2, F), STILL, NONE)
         front = F if (F > 0) == (name == "drive_split") else 0.0
         np.testing.assert_allclose([flow.Fxf, flow.Fxr], [front, F - front], atol=1e-9)
 
@@ -307,11 +307,11 @@ def test_an_axle_passes_on_no_more_than_its_friction(side):
     for F in (3000.0, 9000.0, 1e8):
         x, u = state(10.0, 0.05, 0.2), control(0.05, side * F)
         flow, plain = limited.flow(x, u, STILL, NONE), free.flow(x, u, STILL, NONE)
-        held, asked = (np.array([flow.Fxf, flow.Fxr]) for flow in (flow, plain))
+        held, plain_force = (np.array([flow.Fxf, flow.Fxr]) for flow in (flow, plain))
         grip = np.array([flow.muf * flow.Fzf, flow.mur * flow.Fzr])
-        assert np.all(held * side > 0) and np.all(np.abs(held) < np.minimum(np.abs(asked), grip))
-        share = np.abs(asked) / grip
-        assert np.all(np.abs(held / asked - 1)[share < 0.25] < 1e-3)
+        assert np.all(held * side > 0) and np.all(np.abs(held) < np.minimum(np.abs(plain_force), grip))
+        share = np.abs(plain_force) / grip
+        assert np.all(np.abs(held / plain_force - 1)[share < 0.25] < 1e-3)
         assert np.all(np.abs(np.abs(held) / grip - 1)[share > 100] < 1e-6)
 
 

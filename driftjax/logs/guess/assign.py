@@ -167,7 +167,7 @@ def _allowed(role: str, said: Meaning) -> tuple[float, ...]:
 
 
 def _nearest(role: str, fit: RelationFit, allowed: tuple[float, ...], one: _Known) -> float:
-    """Return the unit's factor that fits best what a column is to be multiplied by."""
+    """Return the factor of the unit that is nearest to the factor of the fitted relation."""
     if role == "delta" and len(allowed) > 1:  # a wheelbase says degrees or radians
         fits = [factor for factor in allowed if LENGTHS[0] <= factor / abs(fit.factor) <= LENGTHS[1]]
         return fits[0] if fits else _plain_factor(role, one, allowed)
@@ -177,7 +177,7 @@ def _nearest(role: str, fit: RelationFit, allowed: tuple[float, ...], one: _Know
 
 
 def _plain_factor(role: str, one: _Known, allowed: tuple[float, ...]) -> float:
-    """Return the factor where no relation tells it: degrees if radians would be implausible."""
+    """Return the factor where no relation determines it: degrees if the values are implausible as radians."""
     if role in ("latitude", "longitude"):
         return DEG if not one.said.unit else allowed[0]
     most = ANGLES.get(DIMENSIONS[role])
@@ -220,7 +220,7 @@ def _signed(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Chan
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the correlation of two quantities about zero, which a steady circle has too; 0 where nothing is known."""
+    """Return the correlation of two quantities about zero, defined on a steady circle too; 0 without data."""
     both = np.isfinite(a) & np.isfinite(b)
     size = float(np.linalg.norm(a[both]) * np.linalg.norm(b[both]))
     return float(a[both] @ b[both]) / size if size > 0 else 0.0

@@ -201,7 +201,7 @@ def _at(grid: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def unwrapped(y: np.ndarray) -> np.ndarray:
-    """Return `y` without the jumps of an angle by a whole turn, in degrees or radians; as it is without such."""
+    """Return `y` without the jumps of an angle by a whole turn, in degrees or radians; unchanged without jumps."""
     steps = np.abs(np.diff(y))
     for turn in (2 * np.pi, 360.0):
         jumps = steps > JUMP * turn

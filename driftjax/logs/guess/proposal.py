@@ -56,9 +56,9 @@ class Guessed:
     certainty: float
     """From 0 to 1; a score, no probability."""
     reason: str
-    """What speaks for it."""
+    """Evidence for it, in words."""
     delay: float | None
-    """By which the column follows what the others say [s]; None where nothing tells."""
+    """Delay of the column after its prediction from other channels [s]; None where it cannot be estimated."""
 
 
 @dataclass(frozen=True)
@@ -277,8 +277,8 @@ def _guessed(one: ChannelAssignment, v: dict[str, Signal], dt: float, offset: fl
         reason += f"; '{one.rival}' fits as well"
     turn = 0.0
     if offset is not None and abs(offset) > NEAR_ANGLE:
-        whole = RIGHT_ANGLE * round(offset / RIGHT_ANGLE)
-        turn = whole if abs(offset - whole) < NEAR_ANGLE else offset
+        nearest = RIGHT_ANGLE * round(offset / RIGHT_ANGLE)
+        turn = nearest if abs(offset - nearest) < NEAR_ANGLE else offset
     return Guessed(one.role, one.column.name, _rounded(one.factor), float(turn), round(min(certainty, 1.0), 3), reason,
                    delay)  # fmt: skip
 

@@ -143,9 +143,9 @@ def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.nd
 
     Parameters `taken` are projected out of every signature.
     """
-    P, owner, whole = partial_out(H, taken), evidence.problem.owner, np.diag(H)
+    P, owner, information = partial_out(H, taken), evidence.problem.owner, np.diag(H)
     H = P.T @ H @ P
-    own = np.diag(H) > CONDITION * whole
+    own = np.diag(H) > CONDITION * information
     cosine = np.where(
         own & own[column], np.abs(H[column]) / np.sqrt(np.where(own, np.diag(H) * H[column, column], 1)), 0
     )

@@ -105,7 +105,7 @@ class Effect:
     sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
     on_request: bool = False
-    """Whether a diagnosis looks for it only where it is asked for by name."""
+    """Whether a diagnosis includes it only when its name is given."""
     equation: str = ""
     """Equation and remarks; those of the module's docstring where left out."""
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis.cases import examined, whole
+from diagnosis.cases import diagnose_runs, runs_without_spin
 from diagnosis.recorded import NAMES
 from scipy.stats import binom
 
@@ -34,7 +34,7 @@ RIGHT, WRONG = 0.90, 0.15  # least share of right names, largest of false ones
 LEVEL = 0.01  # chance that a kind of few cases fails at its nominal rate
 
 
-def drawn(seed: int):
+def draw_all(seed: int):
     """Cases on both cars in random order."""
     half, few = CASES // 2, FEWER // 2
     numbers = CaseNumbers(
@@ -50,8 +50,8 @@ def sample():
     print(f"DRIFTJAX_SEED={seed} DRIFTJAX_CASES={CASES}")
     measured = origin()  # before the hours that follow, in which files may change
     results_of: dict[str, list[criteria.Result]] = {}
-    for case in drawn(seed):
-        result = examined(case, whole(case))
+    for case in draw_all(seed):
+        result = diagnose_runs(case, runs_without_spin(case))
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s", flush=True)
         results_of.setdefault(case.condition, []).append(result)
     record(measured, seed, results_of)

@@ -289,15 +289,15 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     cfg = dataclasses.replace(PaperConfig(), cars=("sedan",), plants=1, noise_seeds=1, ablations=False)
     options = ["--cars", "sedan", "--plants", "1", "--noise-seeds", "1", "--no-ablations", "--half", "development"]
     assert main(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
-    whole = json.loads((out / "results.json").read_text())
-    assert whole["split"]["plants"] == [0] and cfg.first_plant == 1
+    content = json.loads((out / "results.json").read_text())
+    assert content["split"]["plants"] == [0] and cfg.first_plant == 1
     run = RunFolder.open(out / "sedan/main")
     stages = run.finished()
     for path in (out / "sedan/main/stages").glob(f"[0-9][0-9]_{stages[-1]}.*"):
         path.unlink()
     (out / "sedan/main/results.json").unlink()
     assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
-    assert json.loads((out / "results.json").read_text()) == whole
+    assert json.loads((out / "results.json").read_text()) == content
     (out / "results.md").unlink()
-    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(whole)
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(content)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
