@@ -246,7 +246,7 @@ def _one_pair_of_speeds(assigned: dict[str, ChannelAssignment]) -> dict[str, Cha
 def _steering_ratio(
     assigned: dict[str, ChannelAssignment], wheelbase: float | None, left: list[str]
 ) -> dict[str, ChannelAssignment]:
-    """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase tells it."""
+    """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase determines it."""
     steer = assigned.get("delta")
     if steer is None or steer.fit is None or abs(steer.fit.correlation) < 0.9:
         return assigned

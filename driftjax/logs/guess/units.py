@@ -13,7 +13,7 @@ CLEAR = 0.8  # correlation from which the sizes must agree
 COST = 0.05  # of a unit that is not the first of its dimension, in natural logarithms of a factor
 WORST = 1.5  # of one relation
 LIMITS = {"V": 120.0, "r": 12.0, "beta": 3.2, "ax": 60.0, "ay": 60.0}  # beyond which a channel is implausible [SI]
-SAMPLES = 1200  # that are looked at
+SAMPLES = 1200  # that are compared
 
 
 def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: dict[str, float], dt: float,
