@@ -120,20 +120,20 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
     """
     remaining = generic_terms(problem, selection.linearisation, selection.scores, selection.selected, seed)
     base = selection.base
-    whole = (
+    of_nominal = (
         generic_terms(base, linearise(base, selection.nominal), selection.nominal_scores, (), seed)
         if selection.selected
         else remaining
     )
     gain, term = best_term(problem, remaining)
-    most, force = best_term(problem, whole)
+    most, force = best_term(problem, of_nominal)
     simpler = None
     if len(selection.selected) > 1:
         earned = selection.nominal.cost - penalised_cost(
             base, evaluate_fit(base, selection.fit.theta), selection.selected
         )
         simpler = force if most - PARAMETER_PENALTY >= earned else None
-    return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(whole))
+    return Unexplained(remaining.p_value, gain, rank_variables(remaining), term, simpler, rank_variables(of_nominal))
 
 
 def generic_terms(
