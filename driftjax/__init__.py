@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from driftjax.core import BadInput as BadInput
     from driftjax.core import Control as Control
     from driftjax.core import State as State
+    from driftjax.diagnosis.calibrate import Calibration as Calibration
     from driftjax.diagnosis.calibrate import calibrate as calibrate
     from driftjax.diagnosis.compare import CompareConfig as CompareConfig
     from driftjax.diagnosis.compare import LogComparison as LogComparison
@@ -54,6 +55,10 @@ if TYPE_CHECKING:
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
     from driftjax.report import save_plan as save_plan
+    from driftjax.report import write_diagnosis as write_diagnosis
+    from driftjax.sim import LapCode as LapCode
+    from driftjax.sim import LapConfig as LapConfig
+    from driftjax.sim import drive_laps as drive_laps
     from driftjax.sim import simulate as simulate
     from driftjax.store import RunFolder as RunFolder
     from driftjax.track import Track as Track
@@ -69,14 +74,17 @@ if TYPE_CHECKING:
     from driftjax.vehicle import VehicleConfig as VehicleConfig
     from driftjax.vehicle import build_car as build_car
     from driftjax.vehicle import draw_plants as draw_plants
+    from driftjax.vehicle import effects_by_name as effects_by_name
     from driftjax.vehicle import load_plant as load_plant
     from driftjax.vehicle import load_vehicle as load_vehicle
+    from driftjax.vehicle import with_effects as with_effects
+    from driftjax.vehicle import write_vehicle as write_vehicle
 
 MODULES = {
     "control.drift_mpc": ("DriftMPC", "MPCState", "mpc_state", "steady_reference"),
     "control.mpc": ("MPCConfig", "Reference", "Weights"),
     "core": ("RESULTS", "BadInput", "Control", "State"),
-    "diagnosis.calibrate": ("calibrate",),
+    "diagnosis.calibrate": ("Calibration", "calibrate"),
     "diagnosis.compare": ("CompareConfig", "LogComparison", "compare"),
     "diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "diagnosis.held_out": ("DiagnoseConfig",),
@@ -90,12 +98,23 @@ MODULES = {
     "manoeuvres.campaign": ("Campaign", "record_runs"),
     "manoeuvres.truth": ("effect_strengths",),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
-    "report": ("save_plan",),
-    "sim": ("simulate",),
+    "report": ("save_plan", "write_diagnosis"),
+    "sim": ("LapCode", "LapConfig", "drive_laps", "simulate"),
     "store": ("RunFolder",),
     "track": ("Track", "load_track"),
     "tyre": ("MagicFormula2012", "TyreFile", "fit_tir", "magic_formula", "read_tir", "write_tir"),
-    "vehicle": ("PlantConfig", "Residual", "VehicleConfig", "build_car", "draw_plants", "load_plant", "load_vehicle"),
+    "vehicle": (
+        "PlantConfig",
+        "Residual",
+        "VehicleConfig",
+        "build_car",
+        "draw_plants",
+        "effects_by_name",
+        "load_plant",
+        "load_vehicle",
+        "with_effects",
+        "write_vehicle",
+    ),  # fmt: skip
 }
 PUBLIC = {name: f"driftjax.{module}" for module, names in MODULES.items() for name in names}
 __all__ = ["setup", *PUBLIC]  # pyright: ignore[reportUnsupportedDunderAll]

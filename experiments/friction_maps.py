@@ -15,8 +15,7 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
-from driftjax.vehicle.parameters import EffectParameterValue
+from driftjax.studies.text_file import write_text
 
 RECORDINGS = ("DS1", "DS2", "DS3", "DS4", "DS5")
 DELAY = 0.12  # s of the steering, to start from: what `driftjax inspect` prints for DS5
@@ -55,9 +54,8 @@ def main(cfg: Config) -> dict[str, Any]:
             results[name] = fitted(log)
         if cfg.diagnose and "refused" not in results[name] and "verdict" not in results[name]:
             results[name] |= diagnosed(log, cfg.out / name)
-        text = json.dumps(results, indent=1)
-        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
-        write_atomically(path.with_suffix(".md"), lambda file: file.write_text(table(results), encoding="utf-8"))
+        write_text(path, json.dumps(results, indent=1))
+        write_text(path.with_suffix(".md"), table(results))
         print(name, results[name], flush=True)
     print(table(results))
     return results
@@ -65,9 +63,7 @@ def main(cfg: Config) -> dict[str, Any]:
 
 def nominal_car() -> dj.VehicleConfig:
     """Return the shipped car with a steering delay, without which its observer loses the car."""
-    car = dj.load_vehicle("f1tenth")
-    delay = EffectParameterValue("steer_delay", "d", DELAY)
-    return dataclasses.replace(car, effects=(delay, *car.effects))
+    return dj.with_effects(dj.load_vehicle("f1tenth"), {"steer_delay": {"d": DELAY}})
 
 
 def fitted(log: dj.Log) -> dict[str, Any]:
@@ -88,9 +84,13 @@ def fitted(log: dj.Log) -> dict[str, Any]:
 
 def diagnosed(log: dj.Log, folder: Path) -> dict[str, Any]:
     """Return the verdict on the log."""
-    found = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
-    found.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
-    return {"verdict": str(found.verdict), "sentence": found.sentence, "named": [one.effect for one in found.causes]}
+    diagnosis = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
+    diagnosis.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
+    return {
+        "verdict": str(diagnosis.verdict),
+        "sentence": diagnosis.sentence,
+        "named": [one.effect for one in diagnosis.causes],
+    }
 
 
 def table(results: dict[str, Any]) -> str:

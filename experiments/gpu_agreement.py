@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import driftjax as dj
-from driftjax.parallel import thread_executor
 from driftjax.studies.bench.drift import starts
 from driftjax.studies.bench.mpc import example_gp, mpc_solves
 from driftjax.studies.bench.simulator import double_track_steps
@@ -31,8 +30,7 @@ def simulate() -> np.ndarray:
 
 def step() -> np.ndarray:
     """Return the lateral speed of 4096 double-track cars after a step."""
-    with thread_executor(4096, 1) as executor:
-        return np.asarray(double_track_steps("float64", 4096, executor)().vy)
+    return np.asarray(double_track_steps("float64", 4096)().vy)
 
 
 def fit_gp() -> np.ndarray:
@@ -45,10 +43,10 @@ def fit_gp() -> np.ndarray:
 
 def solve_mpc() -> np.ndarray:
     """Return the optimal costs of 64 problems with a GP in the dynamics."""
-    found = mpc_solves("converged", starts(PROBLEMS), "float64", gp=example_gp(POINTS))()
-    if not np.all(np.asarray(found.solved)):
+    solved = mpc_solves("converged", starts(PROBLEMS), "float64", gp=example_gp(POINTS))()
+    if not np.all(np.asarray(solved.solved)):
         raise RuntimeError("an MPC problem was not solved to the tolerance")
-    return np.asarray(found.cost)
+    return np.asarray(solved.cost)
 
 
 PARTS: dict[str, Callable[[], np.ndarray]] = {

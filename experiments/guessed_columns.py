@@ -95,10 +95,10 @@ class Config:
 
 def known(path: Path) -> Truth:
     """What the log `path` holds."""
-    found = [truth for pattern, truth in KNOWN.items() if fnmatchcase(path.name, pattern)]
-    if not found:
+    truths = [truth for pattern, truth in KNOWN.items() if fnmatchcase(path.name, pattern)]
+    if not truths:
         raise dj.BadInput(f"{path}: is none of the logs whose channels are known; add it to KNOWN.")
-    return found[0]
+    return truths[0]
 
 
 def in_other_units(path: Path, truth: Truth, out: Path, rows: int) -> Truth:

@@ -15,14 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
-from driftjax.diagnosis.diagnose import Evidence
-from driftjax.diagnosis.fit import evaluate_fit, refit_to_convergence
-from driftjax.diagnosis.select import penalised_cost
+from driftjax.studies.hidden_effects.against_truth import nominal_scores, penalised_costs
+from driftjax.studies.text_file import write_text
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
 from experiments.independent.score import Result, alarm_table, effects_of_body, line, right_verdict, score, table
@@ -52,40 +49,16 @@ def run_case(case: Case) -> Result:
         write_csv(path, case.record())
         log = dj.read_log(path)
     start, used = time.perf_counter(), time.process_time()
-    found = dj.diagnose(vehicle, log, dj.DiagnoseConfig(gp=False, seed=case.seed))
+    diagnosis = dj.diagnose(vehicle, log, dj.DiagnoseConfig(gp=False, seed=case.seed))
     seconds = {"seconds": time.perf_counter() - start, "seconds_cpu": time.process_time() - used}
-    content = found.content()
+    content = diagnosis.content()
     kept = {name: content[name] for name in ("verdict", "sentence", "causes", "explained", "answer", "unexplained")}
     kept |= {"ratio": content["gain"]["ratio"], "skill": content["gain"]["skill"]}
     result = {"case": dataclasses.asdict(case), "runs": len(log.runs)} | seconds | kept
-    return result | (looks(case, found.evidence) if found.evidence else {})
-
-
-def looks(case: Case, evidence: Evidence) -> dict[str, Any]:
-    """Return the scores of hidden and named effects at the nominal car, and the penalised costs of truth and result.
-
-    The truth is what is hidden and what the catalogue knows of `body`, which begins at a typical size; all are fitted.
-    """
-    problem, last = evidence.problem, evidence.selection.nominal_scores
-    names = [effect.name for effect in problem.effects]
-    scores = {}
-    for name in {*case.hidden, *(names[i] for i in evidence.selection.selected)}:
-        i = names.index(name)
-        columns = problem.columns((i,))
-        scores[name] = {
-            "T": float(np.abs(last.T[columns]).max()), "gain": float(last.gain[i]),
-            "rank": int((last.gain > last.gain[i]).sum()), "deviations": float(np.sqrt(np.diag(last.H)[columns].max())),
-        }  # fmt: skip
-    theta = [case.hidden.get(effect.name, {}).get(p.name, 0.0) for effect in problem.effects for p in effect.parameters]
-    body = tuple(map(names.index, effects_of_body(case.body)))
-    hidden = tuple(sorted((*map(names.index, case.hidden), *body)))
-    sizes = np.array(theta) / np.asarray(problem.model.scale)
-    sizes[problem.columns(body)] = 1.0
-    true = evaluate_fit(problem, sizes)
-    true = refit_to_convergence(problem, true, problem.columns(hidden))[0] if hidden else true
-    costs = {"named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
-             "truth": penalised_cost(problem, true, hidden)}  # fmt: skip
-    return {"looks": scores, "prices": costs}
+    if diagnosis.evidence is None:
+        return result
+    costs = penalised_costs(diagnosis.evidence, case.hidden, effects_of_body(case.body))
+    return result | {"looks": nominal_scores(diagnosis.evidence, set(case.hidden)), "prices": costs}
 
 
 def read_results(path: Path) -> list[Result]:
@@ -130,8 +103,8 @@ def main(cfg: Config) -> dict[str, Any]:
         if "error" not in one
     ]
     content = {"seed": cfg.seed, "cases": scored(main_results), "alarms": scored(alarms)}
-    write_atomically(cfg.out / "scores.json", lambda p: p.write_text(json.dumps(content, indent=1), encoding="utf-8"))
-    write_atomically(cfg.out / "scores.md", lambda p: p.write_text(text + "\n", encoding="utf-8"))
+    write_text(cfg.out / "scores.json", json.dumps(content, indent=1))
+    write_text(cfg.out / "scores.md", text + "\n")
     print(text)
     return content
 

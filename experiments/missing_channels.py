@@ -17,11 +17,10 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import require, write_atomically
-from driftjax.core.config import to_dict
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.trial import measured_runs, nominal_vehicle
+from driftjax.studies.text_file import write_text
 
 MASKS = {"all channels": (), "no sideslip": ("beta",), "no force": ("Fxr",), "neither": ("beta", "Fxr")}
 NOTHING_IN = 5  # every so-many-th case hides nothing
@@ -42,7 +41,8 @@ class Config:
     """Folder for results; cases that it holds are not driven again."""
 
     def __post_init__(self) -> None:
-        require(self.cases >= 1, f"key 'cases' is {self.cases}; give 1 or more.")
+        if self.cases < 1:
+            raise dj.BadInput(f"key 'cases' is {self.cases}; give 1 or more.")
 
 
 def main(cfg: Config) -> list[dict[str, Any]]:
@@ -51,22 +51,22 @@ def main(cfg: Config) -> list[dict[str, Any]]:
     lines = cfg.out / "missing_channels.jsonl"
     rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
     done = {(json.dumps(row["case"]), row["channels"]) for row in rows}
-    for case in drawn(cfg):
+    for case in draw_study(cfg):
         runs = None
         for name, channels in MASKS.items():
-            if (json.dumps(to_dict(case)), name) in done:
+            if (case.line(), name) in done:
                 continue
             runs = measured_runs(case, nominal_vehicle(case)) if runs is None else runs
             rows.append(result_of(case, name, tuple(masked(run, channels) for run in runs)))
             print(case.car, case.names or "nothing", "|", name, "|", rows[-1]["verdict"], rows[-1]["named"], flush=True)
             with lines.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(rows[-1]) + "\n")
-            write_atomically(cfg.out / "missing_channels.md", lambda path: path.write_text(table(rows)))
+            write_text(cfg.out / "missing_channels.md", table(rows))
     print(table(rows))
     return rows
 
 
-def drawn(cfg: Config) -> list[Case]:
+def draw_study(cfg: Config) -> list[Case]:
     """Return the cases of each car: one effect, or none in every `NOTHING_IN`-th."""
     none = cfg.cases // NOTHING_IN
     zero = CaseNumbers(**{field.name: 0 for field in dataclasses.fields(CaseNumbers)})
@@ -83,11 +83,11 @@ def masked(run: dj.Run, channels: tuple[str, ...]) -> dj.Run:
 def result_of(case: Case, name: str, runs: tuple[dj.Run, ...]) -> dict[str, Any]:
     """Diagnose `runs`, and compare what is named with the truth."""
     start = time.perf_counter()
-    found = dj.diagnose(nominal_vehicle(case), dj.Log(runs), dj.DiagnoseConfig(0, gp=False, seed=case.seed))
-    causes = {cause.effect: [cause.effect, *cause.rivals] for cause in found.causes}
+    diagnosis = dj.diagnose(nominal_vehicle(case), dj.Log(runs), dj.DiagnoseConfig(0, gp=False, seed=case.seed))
+    causes = {cause.effect: [cause.effect, *cause.rivals] for cause in diagnosis.causes}
     return {
-        "case": to_dict(case), "channels": name, "verdict": str(found.verdict), "named": list(causes),
-        "hidden": list(case.names), "sets": list(causes.values()), "sentence": found.sentence,
+        "case": json.loads(case.line()), "channels": name, "verdict": str(diagnosis.verdict), "named": list(causes),
+        "hidden": list(case.names), "sets": list(causes.values()), "sentence": diagnosis.sentence,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip
 

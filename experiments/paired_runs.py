@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
+from driftjax.studies.text_file import write_text
 
 FOLDER = "2024/PathFollowingSim2real/TestingData"
 PATHS = ("rd_path", "syn_path", "lot17")
@@ -63,8 +63,7 @@ def main(cfg: Config) -> dict[str, Any]:
         if cfg.compare:
             results[name] |= compared(logs, cfg, name)
         print(name, results[name], flush=True)
-        text = json.dumps(results, indent=1)
-        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))  # noqa: B023
+        write_text(path, json.dumps(results, indent=1))
     return results
 
 
@@ -73,8 +72,8 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
     folder = cfg.out / name
     if not (folder / "compare.json").is_file():
         real, simulated = (log.split_runs(cfg.cut) for log in logs)
-        found = dj.compare(CAR, real, simulated)
-        found.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
+        comparison = dj.compare(CAR, real, simulated)
+        comparison.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
 

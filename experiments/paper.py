@@ -1,14 +1,14 @@
 """Tables and figures of the paper's comparison: `python -m experiments.paper` (`--help`: options)."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 import driftjax as dj
-from driftjax.core.config import to_dict
 from driftjax.studies.paper.config import PaperConfig
-from driftjax.studies.paper.run import run_comparison
+from driftjax.studies.paper.run import open_or_create, run_comparison
 from driftjax.studies.paper.table import paper_page
 
 
@@ -16,13 +16,13 @@ def compare(
     options: Annotated[PaperConfig, tyro.conf.arg(name="")], out: Path = Path("runs/paper"), workers: int = 0
 ) -> None:
     """Drive the runs that the folder `out` lacks, with `workers` processes, and print the tables."""
-    there, config = (out / "config.yaml").is_file(), to_dict(options)
-    folder = dj.RunFolder.open(out) if there else dj.RunFolder.create(out, config, "paper")
-    if folder.config != config:
-        raise SystemExit(f"{out}: holds a comparison with other options; give another --out.")
+    folder = open_or_create(options, out)
     report = lambda text, done, total: print(f"{done}/{total} {text}", flush=True)
     print(paper_page(run_comparison(options, folder, report, workers)), end="")
 
 
 if __name__ == "__main__":
-    tyro.cli(compare, prog="python -m experiments.paper")
+    try:
+        tyro.cli(compare, prog="python -m experiments.paper")
+    except dj.BadInput as error:
+        sys.exit(f"paper: {error}")

@@ -10,21 +10,12 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-import numpy as np
 import tyro
-from matplotlib.figure import Figure
 
 import driftjax as dj
-from driftjax.core import write_atomically
-from driftjax.parallel import num_workers
-from driftjax.report import write_diagnosis
-from driftjax.report.style import COMPARED
-from driftjax.studies.closed_loop import add_closed_loop, load_case
-from driftjax.vehicle import write_vehicle
+from driftjax.studies.closed_loop import add_closed_loop, load_case, spare_workers
+from driftjax.studies.model_errors import plot_model_errors
+from driftjax.studies.text_file import write_text
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
 LAGS = ("steer_lag", "drive_lag")
@@ -116,9 +107,8 @@ def main(cfg: Config) -> dict[str, Any]:
         if not cfg.only or question.name in cfg.only:
             results[question.name] = diagnose_question(question, cfg)
             print(format_result(question, results[question.name]), flush=True)
-    text = json.dumps(results, indent=1)
-    write_atomically(cfg.out / "real_logs.json", lambda path: path.write_text(text, encoding="utf-8"))
-    plot_errors(results).savefig(cfg.out / "real_logs.png", dpi=130)
+    write_text(cfg.out / "real_logs.json", json.dumps(results, indent=1))
+    plot_model_errors({name: one["gain"] for name, one in results.items()}).savefig(cfg.out / "real_logs.png", dpi=130)
     return results
 
 
@@ -142,7 +132,7 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     path, course = cfg.data / question.log, load_case(plant, car) if plant else None
     log, config = dj.read_log(path, question.columns, runs=question.runs, cut=question.cut), dj.DiagnoseConfig()
     print(f"\ndiagnosing {question.name}: {path}", flush=True)
-    diagnosis = dj.diagnose(car, log, config, workers=min(num_workers(2), 1))
+    diagnosis = dj.diagnose(car, log, config, workers=spare_workers())
     options = {"vehicle": dataclasses.asdict(car), "logs": [str(path)], "columns": question.columns,
                "runs": list(question.runs), "cut": question.cut, "options": dataclasses.asdict(config),
                "closed_loop": course.name if course else None}  # fmt: skip
@@ -151,7 +141,7 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     print(diagnosis.sentence, flush=True)
     if course and diagnosis.evidence:
         add_closed_loop(folder, course, diagnosis)
-    print(f"report: {write_diagnosis(folder)}", flush=True)
+    print(f"report: {dj.write_diagnosis(folder)}", flush=True)
 
 
 def plant_file(question: Question, cfg: Config) -> Path | None:
@@ -184,7 +174,7 @@ def nominal_car(question: Question, cfg: Config) -> dj.VehicleConfig:
         return car
     effects = tuple(one for one in car.effects if one.effect not in question.forgotten)
     path = cfg.out / f"{question.name}_nominal.yaml"
-    write_vehicle(path, dataclasses.replace(car, effects=effects, covariance=()))
+    dj.write_vehicle(path, dataclasses.replace(car, effects=effects, covariance=()))
     return dj.load_vehicle(path)
 
 
@@ -230,32 +220,6 @@ def format_result(question: Question, result: dict[str, Any]) -> str:
         lines.append(f"  laps completed on the car of {question.plant}: {', '.join(laps)}; lateral error changes by "
                      f"{apart['mean']:.3f} [{apart['ci95'][0]:.3f}, {apart['ci95'][1]:.3f}] m")  # fmt: skip
     return "\n".join(lines)
-
-
-def plot_errors(results: dict[str, Any]) -> Figure:
-    """Plot the errors of every model on held-out runs, 2 sqrt(L/g) ahead, over those of the nominal car."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 4.2), layout="constrained", sharey=True)
-    for axis, (channel, words) in zip(axes, {"V": "speed", "beta": "sideslip", "r": "yaw rate"}.items(), strict=True):
-        for place, one in enumerate(results.values()):
-            gain = one["gain"]
-            if gain["skill_horizon_s"] is None:
-                continue
-            at = gain["horizons_s"].index(gain["skill_horizon_s"])
-            models = [name for name in COMPARED if name in gain["rmse"]]
-            for k, name in enumerate(models):
-                ratio = gain["rmse"][name][channel][at] / gain["rmse"]["nominal"][channel][at]
-                axis.bar(place + 0.16 * (k - (len(models) - 1) / 2), ratio, 0.15, color=COMPARED[name][0],
-                         label=COMPARED[name][1] if place == 0 else None)  # fmt: skip
-        axis.set_xticks(np.arange(len(results)), [name.replace("_", "\n") for name in results], fontsize=8)
-        axis.set_yscale("log")
-        axis.set_yticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
-        axis.set_yticks([], minor=True)
-        axis.set_title(words)
-        axis.axhline(1, color="0.6", lw=0.8)
-    axes[0].set_ylabel("error after 2 sqrt(L/g) on held-out runs,\nover that of the nominal car [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
-    return figure
 
 
 if __name__ == "__main__":

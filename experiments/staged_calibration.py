@@ -15,16 +15,17 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.core import write_atomically
-from driftjax.diagnosis.calibrate import STAGED_EFFECTS, Calibration
-from driftjax.diagnosis.gain import DECISIVE
-from driftjax.vehicle.effect import effects_by_name
+from driftjax.studies.text_file import write_text
 
 MANOEUVRES = ("coast_down", "throttle_steps", "laps", "step_steer", "slalom", "drift") * 2
 HIDDEN = {"friction": (-0.2, 0.15), "steer_gain": (-0.1, 0.1), "steer_offset": (-0.02, 0.02),
           "drive_gain": (-0.25, 0.25), "rolling_resistance": (0.0, 0.02)}  # ranges  # fmt: skip
-FITTED = (*STAGED_EFFECTS, "gyro_bias", "sideslip_bias")
-CATALOGUE = effects_by_name((*FITTED, "drive_split", "brake_split"))  # what else a car has: smaller programs
+EFFECTS = (
+    "drive_gain", "drive_lag", "rolling_resistance", "aero_drag", "steer_offset", "steer_gain", "steer_lag",
+    "stiffness_front", "stiffness_rear", "friction", "tyre_shape", "combined_slip",
+)  # those of `calibrate` by stages, where none are named  # fmt: skip
+FITTED = (*EFFECTS, "gyro_bias", "sideslip_bias")
+CATALOGUE = dj.effects_by_name((*FITTED, "drive_split", "brake_split"))  # what else a car has: smaller programs
 RATE = 25.0  # of simulated logs [Hz]
 BESIDE = ("sliding_friction.k=0.15", "load_transfer_long.h=0.5")  # hidden and not fitted, on the car of 2.6 m
 
@@ -37,7 +38,7 @@ class Recording(NamedTuple):
     vehicle: str
     runs: tuple[str, ...] = ()
     cut: float | None = None
-    effects: tuple[str, ...] = STAGED_EFFECTS
+    effects: tuple[str, ...] = EFFECTS
 
 
 RECORDINGS = {
@@ -75,8 +76,7 @@ def main(cfg: Config) -> dict[str, Any]:
     if cfg.data is not None:
         for name in cfg.only or RECORDINGS:
             results[name] = recorded(name, cfg.data)
-    text = json.dumps(results, indent=1)
-    write_atomically(cfg.out / "staged_calibration.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(cfg.out / "staged_calibration.json", json.dumps(results, indent=1))
     return results
 
 
@@ -97,25 +97,25 @@ def simulated(name: str, wrong: bool, seed: int) -> dict[str, Any]:
     beside = [one.replace("h=0.5", f"h={0.19 * (car.a + car.b):.3g}") for one in BESIDE] if wrong else []
     campaign = dj.Campaign(MANOEUVRES, duration=8.0, rate=RATE, seed=seed)
     runs, _ = dj.record_runs(car, dj.effect_strengths(car, strengths + beside), campaign)
-    return both(f"{name}, {'wrong' if wrong else 'right'} model, {seed}", car, dj.Log(runs), STAGED_EFFECTS, truth)
+    return both(f"{name}, {'wrong' if wrong else 'right'} model, {seed}", car, dj.Log(runs), EFFECTS, truth)
 
 
 def both(
     name: str, car: dj.VehicleConfig, log: dj.Log, effects: tuple[str, ...], truth: dict[str, float]
 ) -> dict[str, Any]:
     """Calibrate `car` at once and by stages; print and return what comes out."""
-    found = {}
+    summaries = {}
     for way in ("at once", "staged"):
         begin = time.perf_counter()
         calibration = dj.calibrate(car, log, effects, staged=way == "staged", catalogue=CATALOGUE)
-        found[way] = summary(calibration, truth) | {"time_s": time.perf_counter() - begin}
-        print(f"\n{name}, {way}: {found[way]['time_s']:.0f} s, error over that of the nominal car "
-              f"{found[way]['ratio']}, truth in {found[way]['inside']} of {found[way]['known']}\n{calibration}",
+        now = summaries[way] = summary(calibration, truth) | {"time_s": time.perf_counter() - begin}
+        print(f"\n{name}, {way}: {now['time_s']:.0f} s, error over that of the nominal car "
+              f"{now['ratio']}, truth in {now['inside']} of {now['known']}\n{calibration}",
               flush=True)  # fmt: skip
-    return found
+    return summaries
 
 
-def summary(calibration: Calibration, truth: dict[str, float]) -> dict[str, Any]:
+def summary(calibration: dj.Calibration, truth: dict[str, float]) -> dict[str, Any]:
     """Return estimates, errors on held-out runs, and the errors of estimates whose `truth` is known; 0 if not there."""
     parameters = [one._asdict() for one in calibration.parameters]
     off = {
@@ -130,8 +130,14 @@ def summary(calibration: Calibration, truth: dict[str, float]) -> dict[str, Any]
         "known": len(off),
         "inside": sum(abs(value) <= 1 for value in off.values()),
         "ratio": None if gain is None else gain.ratios["fitted"].round(4).tolist(),
-        "rms": None if gain is None else {key: one.rms[DECISIVE].tolist() for key, one in gain.errors.items()},
+        "rms": None if gain is None else rms_ahead(calibration.content()["gain"], tuple(gain.errors)),
     }
+
+
+def rms_ahead(gain: dict[str, Any], models: tuple[str, ...]) -> dict[str, list[float]]:
+    """Return the RMS errors of V, beta and r of each of `models` at the horizon that decides, 2 sqrt(L/g)."""
+    at = gain["horizons_s"].index(gain["skill_horizon_s"])
+    return {name: [gain["rmse"][name][channel][at] for channel in ("V", "beta", "r")] for name in models}
 
 
 if __name__ == "__main__":

@@ -42,8 +42,8 @@ def known_primitives():
     rates = lambda x, y: [jnp.where(y > 0, jnp.sin(x) * y, jnp.tanh(x) / y), jnp.sqrt(x**2 + y**2), jnp.arctan2(y, x)]
     _, J = jacobian(rates, X, X + 1.0)
     exact = jax.vmap(jax.jacfwd(lambda z: jnp.stack(rates(*z))))(jnp.stack([X, X + 1.0], axis=1))
-    found = np.array([[np.zeros(len(X)) if entry is None else entry for entry in row] for row in J])
-    np.testing.assert_allclose(found, np.moveaxis(exact, 0, -1), rtol=1e-12, atol=1e-14)
+    values = np.array([[np.zeros(len(X)) if entry is None else entry for entry in row] for row in J])
+    np.testing.assert_allclose(values, np.moveaxis(exact, 0, -1), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("canary", [primitives, opened_calls, known_primitives], ids=lambda one: one.__name__)

@@ -29,8 +29,8 @@ def broken(path: Path, text: str) -> list[str]:
 
 
 def test_links_resolve():
-    found = {path.name: broken(path, path.read_text(encoding="utf-8")) for path in PAGES}
-    assert {name: links for name, links in found.items() if links} == {}
+    broken_links = {path.name: broken(path, path.read_text(encoding="utf-8")) for path in PAGES}
+    assert {name: links for name, links in broken_links.items() if links} == {}
 
 
 def test_a_link_to_nowhere_is_noticed():

@@ -29,7 +29,7 @@ STEPS = {"noise and naming": 72, "differences": 8, "gap": 20, "done": 0}
 class Compare:
     """Name what differs between two logs of like manoeuvres, and the gap that it makes: compare.json, report.html.
 
-    Such as a real car and any simulator of it, a wet and a dry road, before and after a repair.
+    For example of a real car and a simulator of it, on a wet and a dry road, before and after a repair.
     """
 
     a: tyro.conf.Positional[Path]
@@ -72,14 +72,14 @@ def run(argv: list[str]) -> int:
         print_notes(f"{name}: {note}" for name, log in (("A", log_a), ("B", log_b)) for note in log.notes)
         with progress() as report:
             step = by_steps(report, STEPS)
-            found = compare(vehicle, log_a, log_b, flags.options, report=step)
-            found.save(folder.path)
+            comparison = compare(vehicle, log_a, log_b, flags.options, report=step)
+            comparison.save(folder.path)
             step("done")
-        print(f"\n{found.verdict}: {found.sentence}\n")
+        print(f"\n{comparison.verdict}: {comparison.sentence}\n")
         if tables := comparison_text(folder.read_json("compare")):
             print(tables)
         print(f"report: {write_comparison(folder)}")
-        print(f"next: {NEXT[found.verdict].format(path=shlex.quote(str(folder.path)))}")
+        print(f"next: {NEXT[comparison.verdict].format(path=shlex.quote(str(folder.path)))}")
         return 0
 
     return run_in(folder, work)

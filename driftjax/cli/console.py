@@ -78,7 +78,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def by_steps(report: Report, steps: Mapping[str, int]) -> Callable[[str], None]:
-    """Return a report of texts `STEP` or `STEP: details`; `steps` has their usual shares of the time [%], in order."""
+    """Return a progress report for texts `STEP` or `STEP: details`; `steps` has their usual shares of the time [%]."""
     *before, total = accumulate(steps.values(), initial=0)
     done = dict(zip(steps, before, strict=True))
     return lambda text: report(text, done[text.partition(":")[0]], total)
@@ -93,7 +93,7 @@ class TimeLeft:
         self.changed, self.each = 0.0, 0.0  # when the last part was done, and time of one part so far [s]
 
     def count(self, done: float) -> None:
-        """Note that `done` parts are done; those of the first call were done before and have no part in the rate."""
+        """Record that `done` parts are finished; those of the first call do not count in the rate."""
         now = time.monotonic()
         if self.begin is None:
             self.begin, self.first = now, done

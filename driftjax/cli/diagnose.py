@@ -12,10 +12,9 @@ from driftjax.core import require
 from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
-from driftjax.parallel import num_workers
 from driftjax.report import closed_loop_table, error_share_table, gain_table, parity_statement, write_diagnosis
 from driftjax.store import RunFolder
-from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case
+from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case, spare_workers
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done": 0}
@@ -23,7 +22,7 @@ STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done"
 
 @dataclasses.dataclass(frozen=True)
 class Diagnose:
-    """Show and name what a simulation gets wrong, from measured logs: diagnosis.json, extended.yaml, report.html."""
+    """Show and name the errors of a simulation from measured logs: diagnosis.json, extended.yaml, report.html."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
     """CSV, Parquet or MATLAB files in the log format (t, V, beta, r, delta, Fxr and, where known, run, psi, s); with
@@ -67,7 +66,7 @@ def run(argv: list[str]) -> int:
     options |= {"options": dataclasses.asdict(flags.options), "closed_loop": case.name if case else None}
     folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
-    workers = min(num_workers(2), 1) if flags.workers is None else flags.workers
+    workers = spare_workers() if flags.workers is None else flags.workers
 
     def task() -> int:
         diagnosis, last = work(vehicle, log, flags.options, folder, case, workers), folder

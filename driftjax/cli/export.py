@@ -52,9 +52,9 @@ def run(argv: list[str]) -> int:
 
     def work() -> int:
         print_notes(log.notes if log else ())
-        found = export_car(vehicle, flags.to, folder.path, log=log, top_speed=flags.top_speed, dt=flags.dt)
-        write_json(folder.path / "export.json", found.to_json())
-        print(found)
+        export = export_car(vehicle, flags.to, folder.path, log=log, top_speed=flags.top_speed, dt=flags.dt)
+        write_json(folder.path / "export.json", export.to_json())
+        print(export)
         return 0
 
     return run_in(folder, work)

@@ -40,6 +40,6 @@ def _paper(folder: RunFolder) -> int:
     from driftjax.studies.paper.run import rebuild
     from driftjax.studies.paper.table import paper_page
 
-    found = rebuild(from_dict(PaperConfig, folder.config, str(folder.path / "config.yaml")), folder)
-    print(paper_page(found), end="")
+    results = rebuild(from_dict(PaperConfig, folder.config, str(folder.path / "config.yaml")), folder)
+    print(paper_page(results), end="")
     return 0

@@ -1,8 +1,9 @@
 """Sine, cosine and arc tangent without branches, which XLA's CPU compiler turns into vector instructions.
 
-Of its own it calls the C library once per lane, for `jnp.arctan2` in float32 too. Here each function is an argument
-reduction and a polynomial where there are many numbers; where there are few, which gains nothing and is more to
-compile, and off a CPU, it is XLA's own. How many there are is known once all batches are: each is a primitive.
+By default the compiler calls the C library once per number, for `jnp.arctan2` in float32 too. Here each function is a
+reduction of the argument and a polynomial where there are many numbers. Where there are few, which would gain nothing
+and be more to compile, and on other devices than CPUs, it is XLA's own function. Their number is known once all batches
+are: each function is a primitive.
 
 float32 and float64 keep their type. Errors stay below 2.5 units in the last place, 4 next to far zeros, for sine and
 cosine up to an argument of 1e4 (float32) or 1e6 (float64); beyond, they grow as if the argument had been rounded once

@@ -104,7 +104,7 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
     """
     penalty_of = lambda effects: penalty * len(parameters_of(model, effects))
     penalised = lambda one: one.gain - penalty_of(one.effects)
-    found: list[EffectSet] = []
+    sets: list[EffectSet] = []
     beam = [EffectSet((), np.zeros(len(model.g)), 0.0)]
     for size in range(1, most + 1):
         promised: dict[tuple[int, ...], float] = {}
@@ -120,5 +120,5 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
                 break
             if (one := minimise_over(model, grown)) is not None:
                 beam.append(one)
-        found += sorted(beam, key=lambda one: -penalised(one))[:width]
-    return sorted(found, key=lambda one: -penalised(one))
+        sets += sorted(beam, key=lambda one: -penalised(one))[:width]
+    return sorted(sets, key=lambda one: -penalised(one))

@@ -87,28 +87,30 @@ def summarise_forces(residual: ResidualForces, seed: int) -> ForceSummary:
     return ForceSummary(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
 
 
-def best_variable(found: ForceSummary, force: int) -> str | None:
+def best_variable(summary: ForceSummary, force: int) -> str | None:
     """Return the variable that explains most of a force; None where chance would explain as much."""
-    if not found.variables:
+    if not summary.variables:
         return None
-    name = max(found.variables, key=lambda one: found.variables[one].explained[force])
-    return name if found.variables[name].explained[force] > 0 else None
+    name = max(summary.variables, key=lambda one: summary.variables[one].explained[force])
+    return name if summary.variables[name].explained[force] > 0 else None
 
 
-def describe_worst(found: ForceSummary, vehicle: VehicleConfig) -> str:
+def describe_worst(summary: ForceSummary, vehicle: VehicleConfig) -> str:
     """Describe the largest residual force in one sentence: its size and the variable that explains most of it."""
     size = force_limits(vehicle)
-    systematic = np.max([one.systematic for one in found.variables.values()], axis=0) if found.variables else found.rms
-    clear = found.p_value < LEVEL
-    force = int(np.argmax((systematic if clear else found.rms) / size))
-    amount = f"{found.rms[force]:.3g} N RMS ({100 * found.rms[force] / size[force]:.2g} % of mu Fz)"
+    systematic = (
+        np.max([one.systematic for one in summary.variables.values()], axis=0) if summary.variables else summary.rms
+    )
+    clear = summary.p_value < LEVEL
+    force = int(np.argmax((systematic if clear else summary.rms) / size))
+    amount = f"{summary.rms[force]:.3g} N RMS ({100 * summary.rms[force] / size[force]:.2g} % of mu Fz)"
     if not clear:
-        text = f"No residual force goes with anything looked at (p = {found.p_value:.2f}); the largest is "
+        text = f"No residual force goes with anything looked at (p = {summary.p_value:.2f}); the largest is "
         return text + f"{DESCRIPTIONS[FORCES[force]]}, {amount}."
     name = DESCRIPTIONS[FORCES[force]]
     text = f"{name[0].upper()}{name[1:]} is off most: {amount}"
-    by = best_variable(found, force)
+    by = best_variable(summary, force)
     if by is None:
         return text + ", wherever and however the car drives."
-    share = f"{100 * found.variables[by].explained[force]:.0f} % of its variance (p = {found.p_value:.3f})"
+    share = f"{100 * summary.variables[by].explained[force]:.0f} % of its variance (p = {summary.p_value:.3f})"
     return text + f"; it goes with {DESCRIPTIONS[by]} most, which explains {share}."

@@ -67,12 +67,12 @@ class FittedParameter(NamedTuple):
         """Return the remarks on its identifiability for the table."""
         if self.dead:
             return "dead: these data say nothing of it"
-        found = ["at its bound: these data ask for more"] if self.at_bound else []
-        found += ["flat: the interval is wider than the typical size"] if self.flat else []
-        found += [f"trades off with {', '.join(self.trades_off_with)}"] if self.trades_off_with else []
+        remarks = ["at its bound: these data ask for more"] if self.at_bound else []
+        remarks += ["flat: the interval is wider than the typical size"] if self.flat else []
+        remarks += [f"trades off with {', '.join(self.trades_off_with)}"] if self.trades_off_with else []
         if abs(self.moved) > DISAGREES:
-            found.append(f"harder stretches disagree: they moved it by {self.moved:+.1f} standard deviations")
-        return "; ".join(found)
+            remarks.append(f"harder stretches disagree: they moved it by {self.moved:+.1f} standard deviations")
+        return "; ".join(remarks)
 
 
 @dataclass(frozen=True)

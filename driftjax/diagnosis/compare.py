@@ -154,16 +154,16 @@ def compare(
             return LogComparison(vehicle, logs, config, Judgement(Verdict.DATA_INSUFFICIENT, text))
     effects = default_catalogue(*(one.effect for one in vehicle.effects)) if effects is None else effects
     report("noise and naming: compile, or load from the cache")
-    problems, found = _name_both(vehicle, logs, config, effects, report)
+    problems, selections = _name_both(vehicle, logs, config, effects, report)
     report("differences")
-    pair, selected = find_differences(problems, found, config)
+    pair, selected = find_differences(problems, selections, config)
     report("gap")
     gap = measure_gap(pair, 0, selected, config.seed), measure_gap(pair, 1, selected, config.seed)
     contrast, sizes = fit_together(pair, selected)
     differences = _differences(pair, contrast, selected, sizes, config.seed)
     overlap = overlaps(log_a.runs, log_b.runs)
     judgement = judge(pair, differences, gap, overlap, config, min(durations))
-    names = [tuple(pair.problems[0].effects[i].name for i in one.selected) for one in found]
+    names = [tuple(pair.problems[0].effects[i].name for i in one.selected) for one in selections]
     return LogComparison(vehicle, logs, config, judgement, differences, (names[0], names[1]), gap, overlap)
 
 
@@ -194,10 +194,10 @@ def _name_both(
         return name_effects(problem, config.seed, config.most, words)
 
     with ThreadPoolExecutor(2) as threads:
-        (near_a, found_a), (near_b, found_b) = threads.map(name, (0, 1))
+        (near_a, named_a), (near_b, named_b) = threads.map(name, (0, 1))
     noise = larger_noise(near_a.noise, near_b.noise)
-    alike = lambda near, found: with_noise(near, found.fit.theta, noise)
-    return (alike(near_a, found_a), alike(near_b, found_b)), (found_a, found_b)
+    alike = lambda near, selection: with_noise(near, selection.fit.theta, noise)
+    return (alike(near_a, named_a), alike(near_b, named_b)), (named_a, named_b)
 
 
 def larger_noise(first: Noise, second: Noise) -> Noise:
@@ -208,11 +208,11 @@ def larger_noise(first: Noise, second: Noise) -> Noise:
 
 
 def find_differences(
-    problems: tuple[Problem, Problem], found: tuple[Selection, Selection], config: CompareConfig
+    problems: tuple[Problem, Problem], selections: tuple[Selection, Selection], config: CompareConfig
 ) -> tuple[Pair, tuple[int, ...]]:
     """Fit both logs with the effects named in either, and return the effects whose sizes differ."""
-    effects = tuple(sorted({*found[0].selected, *found[1].selected}))
-    pair, selected = fit_pair(problems, effects, (found[0].fit.theta, found[1].fit.theta)), ()
+    effects = tuple(sorted({*selections[0].selected, *selections[1].selected}))
+    pair, selected = fit_pair(problems, effects, (selections[0].fit.theta, selections[1].fit.theta)), ()
     for _ in range(ROUNDS):
         selected = search_differences(pair.contrast, config.seed, config.most)
         if set(selected) <= set(pair.effects):

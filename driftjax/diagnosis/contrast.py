@@ -177,14 +177,14 @@ def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed:
     """
     psi, own = best_parameters(contrast.cost, selected), contrast.cost.columns[member]
     rest = tuple(i for i in selected if i != member)
-    found = difference_scores(contrast, psi, rest, seed)
-    P = partial_out(found.H, parameters_of(contrast.cost, rest))
-    effective, known = found.blocks @ P[:, own], P[:, own].T @ found.H @ P[:, own]
+    result = difference_scores(contrast, psi, rest, seed)
+    P = partial_out(result.H, parameters_of(contrast.cost, rest))
+    effective, known = result.blocks @ P[:, own], P[:, own].T @ result.H @ P[:, own]
     U = known @ psi[own]
     size = float(np.abs(U / np.sqrt(np.maximum((effective**2).sum(axis=0), np.diag(known)))).max())
     if len(own) > 1:
         size = max(size, float(joint_score(effective, U[None])[0]))
-    return float((1 + np.sum(found.null_max >= size)) / (len(found.null_max) + 1))
+    return float((1 + np.sum(result.null_max >= size)) / (len(result.null_max) + 1))
 
 
 def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -194,14 +194,14 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
     run (at `run_level`): the wider one counts.
     """
     psi, columns = best_parameters(contrast.cost, selected), parameters_of(contrast.cost, selected)
-    found = difference_scores(contrast, psi, selected, 0)
-    width = half_widths_from(found.H, found.blocks, columns)
+    result = difference_scores(contrast, psi, selected, 0)
+    width = half_widths_from(result.H, result.blocks, columns)
     runs = [np.unique(one.run, return_inverse=True)[1] for one in (contrast.first, contrast.second)]
     num = [run.max() + 1 for run in runs]
     if min(num) >= MIN_RUNS:
-        sums = np.zeros((sum(num), found.blocks.shape[1]))
-        np.add.at(sums, np.concatenate([runs[0], runs[1] + num[0]]), found.blocks)
-        spread = np.sqrt(np.diag(covariance(found.H, sums, columns)))
+        sums = np.zeros((sum(num), result.blocks.shape[1]))
+        np.add.at(sums, np.concatenate([runs[0], runs[1] + num[0]]), result.blocks)
+        spread = np.sqrt(np.diag(covariance(result.H, sums, columns)))
         width = np.maximum(width, student.ppf(1 - run_level / 2, max(sum(num) - len(columns) - 1, 1)) * spread)
     return psi[columns], width
 
@@ -284,9 +284,9 @@ def _together(contrast: Contrast, columns: np.ndarray, own: np.ndarray) -> tuple
     K = len(contrast.start)
     free, start = np.concatenate([columns, K + own]), np.concatenate([contrast.start, np.zeros(K)])
     right = right - H @ start
-    found = start.copy()
-    found[free] += np.linalg.solve(H[np.ix_(free, free)] + np.eye(len(free)) / PRIOR**2, right[free])
-    return found[:K], found[K:]
+    solution = start.copy()
+    solution[free] += np.linalg.solve(H[np.ix_(free, free)] + np.eye(len(free)) / PRIOR**2, right[free])
+    return solution[:K], solution[K:]
 
 
 def _standard_errors(

@@ -190,11 +190,11 @@ def diagnose(
         measure = processes.submit(measure_gain, initial, names, config)
         measured = threads.submit(measure)  # without a worker the thread computes, else it waits
         compiled = threads.submit(compile_programs, initial)
-        found = _name_causes(initial, config, report)
+        named = _name_causes(initial, config, report)
         report("gain")
         gain = measured.result()
         compiled.result()  # raises what went wrong there
-    return _conclude(vehicle, log, config, duration, found, gain)
+    return _conclude(vehicle, log, config, duration, named, gain)
 
 
 class _Named(NamedTuple):

@@ -62,11 +62,15 @@ class Findings(NamedTuple):
 
 
 def describe_errors(
-    vehicle: VehicleConfig, problem: Problem, runs: Sequence[Run], found: Selection, comparison: Comparison, seed: int
+    vehicle: VehicleConfig, problem: Problem, runs: Sequence[Run], selection: Selection, comparison: Comparison,
+    seed: int,
 ) -> Findings:  # fmt: skip
     """Compute the errors of the nominal and the extended car on all `runs`, those of `problem`."""
-    zero, base = found.nominal.theta, found.base
-    along = {"nominal": observer_path(base, zero), "extended": (found.linearisation.path, found.linearisation.steps)}
+    zero, base = selection.nominal.theta, selection.base
+    along = {
+        "nominal": observer_path(base, zero),
+        "extended": (selection.linearisation.path, selection.linearisation.steps),
+    }
     noise = nominal_noise(base, *along["nominal"])
     residual = {
         name: summarise_forces(residual_forces(vehicle, problem, *path, noise, runs), seed)
@@ -74,14 +78,14 @@ def describe_errors(
     }
     whiteness = {
         "nominal": autocorrelation(base, along["nominal"][0]),
-        "extended": autocorrelation(problem, found.linearisation.path),
+        "extended": autocorrelation(problem, selection.linearisation.path),
     }
     measured = np.isfinite(comparison.predictions["nominal"].error)
     return Findings(
         force_limits(vehicle), noise, open_loop_errors(base, zero), comparison,
         root_mean_square(np.where(measured, comparison.least, np.nan), (0, 1)),
         tuple(run.name for run in runs), residual,
-        parity(vehicle, runs, problem.noise.total), found.nominal_scores,
+        parity(vehicle, runs, problem.noise.total), selection.nominal_scores,
         whiteness, describe_worst(residual["nominal"], vehicle),
     )  # fmt: skip
 
@@ -131,10 +135,10 @@ def _force_json(findings: Findings, force: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _parity_json(found: Parity) -> dict[str, Any]:
+def _parity_json(result: Parity) -> dict[str, Any]:
     columns = ("mean", "z", "rms", "floor", "excess")
     rates = {
-        name: {key: float(getattr(found, key)[i]) for key in columns} | {"unit": unit}
+        name: {key: float(getattr(result, key)[i]) for key in columns} | {"unit": unit}
         for i, (name, unit) in enumerate(zip(RATES, ("m/s^2", "rad/s"), strict=True))
     }
-    return rates | {"windows": found.num, "statement": found.statement}
+    return rates | {"windows": result.num, "statement": result.statement}

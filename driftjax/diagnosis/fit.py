@@ -133,8 +133,8 @@ def initial_problem(
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
-    asked = [one.name not in without and set(one.needs) <= has and judged(one) for one in effects]
-    active = np.array([asked[i] for i, _ in parameters])
+    searched = [one.name not in without and set(one.needs) <= has and judged(one) for one in effects]
+    active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
     owner, fixed = np.array([i for i, _ in parameters]), fixed_gain(data)
     return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), fixed)

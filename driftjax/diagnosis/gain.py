@@ -221,8 +221,8 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
 
     Channels count in the mean square of `before`, alike. NaN where no run lasts that long.
     """
-    found = np.full((len(before.horizons), 3), np.nan)
-    for at in range(len(found)):
+    ratio = np.full((len(before.horizons), 3), np.nan)
+    for at in range(len(ratio)):
         old, new = before.squares[:, at], after.squares[:, at]
         there = np.isfinite(old).any(axis=0)
         old, new = old[:, there], new[:, there]
@@ -231,8 +231,8 @@ def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
             continue
         unit = old[keep].mean(axis=0)
         old, new = ((one[keep] / unit).sum(axis=1) for one in (old, new))
-        found[at] = rms_ratio(before.block[keep], old, new, seed)
-    return found
+        ratio[at] = rms_ratio(before.block[keep], old, new, seed)
+    return ratio
 
 
 def channel_ratios(before: Errors, after: Errors, seed: int = 0, at: int = DECISIVE) -> np.ndarray:
@@ -240,13 +240,13 @@ def channel_ratios(before: Errors, after: Errors, seed: int = 0, at: int = DECIS
 
     NaN where no run lasts that long.
     """
-    found = np.full((3, 3), np.nan)
+    ratio = np.full((3, 3), np.nan)
     for i in range(3):
         old, new = before.squares[:, at, i], after.squares[:, at, i]
         keep = np.isfinite(old + new)
         if keep.any():
-            found[i] = rms_ratio(before.block[keep], old[keep], new[keep], seed)
-    return found
+            ratio[i] = rms_ratio(before.block[keep], old[keep], new[keep], seed)
+    return ratio
 
 
 def rms_ratio(block: np.ndarray, old: np.ndarray, new: np.ndarray, seed: int) -> tuple[float, float, float]:

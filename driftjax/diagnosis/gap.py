@@ -111,7 +111,7 @@ class Overlap(NamedTuple):
 
 def overlaps(first: tuple[Run, ...], second: tuple[Run, ...]) -> dict[str, Overlap]:
     """Return the overlap of V, beta, r and both commands, as far as both logs have them."""
-    found = {}
+    shared = {}
     for name in CHANNELS[1:]:
         a, b = (np.concatenate([getattr(run, name) for run in runs]) for runs in (first, second))
         a, b = (one[np.isfinite(one)] for one in (a, b))
@@ -122,8 +122,8 @@ def overlaps(first: tuple[Run, ...], second: tuple[Run, ...]) -> dict[str, Overl
         edges[[0, -1]] = -np.inf, np.inf
         of_a, of_b = (np.histogram(one, edges)[0] / len(one) for one in (a, b))
         ends = lambda one: (float(np.percentile(one, 5)), float(np.percentile(one, 95)))
-        found[name] = Overlap(ends(a), ends(b), float(np.minimum(of_a, of_b).sum()))
-    return found
+        shared[name] = Overlap(ends(a), ends(b), float(np.minimum(of_a, of_b).sum()))
+    return shared
 
 
 def gap_json(gap: Gap) -> dict:

@@ -144,18 +144,18 @@ def refit_retuned(selection: Selection) -> Fit:
 
 
 def leave_one_out(
-    train: Problem, selection: Selection, test: Problem, whole: Errors, seed: int
+    train: Problem, selection: Selection, test: Problem, all_errors: Errors, seed: int
 ) -> dict[str, np.ndarray]:
-    """Return per named effect the errors on `test` without it, others refitted, over those with all (`whole`).
+    """Return per named effect the errors on `test` without it, others refitted, over those with all (`all_errors`).
 
     (3, 3): a row per channel at the decisive horizon, ratio and 95 % interval.
     """
-    model, found = quadratic_cost(train, selection.fit, selection.linearisation), {}
+    model, errors_over_all = quadratic_cost(train, selection.fit, selection.linearisation), {}
     for member in selection.selected:
         theta = train.start + best_parameters(model, tuple(i for i in selection.selected if i != member))
         less = at_horizons(test, predict(test, theta).error ** 2)
-        found[train.effects[member].name] = channel_ratios(whole, less, seed)
-    return found
+        errors_over_all[train.effects[member].name] = channel_ratios(all_errors, less, seed)
+    return errors_over_all
 
 
 def compare_models(

@@ -157,12 +157,12 @@ def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Ar
     """Return in which windows (n, 5) all is measured that each channel is compared with."""
     begin = jnp.arange(n) * W
 
-    def whole(f):
+    def complete(f):
         gaps = jnp.concatenate([jnp.zeros((1, f.shape[1])), jnp.cumsum(1 - f, axis=0)])
         lost = gaps[jnp.minimum(begin + W + 1, len(f))] - gaps[jnp.minimum(begin, len(f))]
         return jnp.where((begin + W < len(f))[:, None] & (lost == 0), 1.0, 0.0)
 
-    state, (psi, x, y, ax, ay) = whole(known), whole(motion.valid).T
+    state, (psi, x, y, ax, ay) = complete(known), complete(motion.valid).T
     moving = jnp.min(state, axis=1)
     placed = moving * psi * x * y
     return jnp.stack([state[:, 2] * psi, placed, placed, moving * ax, moving * ay], axis=1)
@@ -198,8 +198,8 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
     W, where = window_size(model, data.dt), jnp.asarray(theta)
     n = (data.size - 1) // W
     one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), padded_size(n, ROOM), data.dt)
-    found = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
-    return jax.tree.map(lambda a: a[:, :n], found)
+    by_piece = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
+    return jax.tree.map(lambda a: a[:, :n], by_piece)
 
 
 def window_ends(model: Universal, data: Pieces) -> slice:
@@ -224,10 +224,10 @@ def estimate_motion_noise(
     """
     theta, left, used = start, np.zeros(0), np.zeros(0, bool)
     for _ in range(ITERATIONS):
-        found = piece_residuals(model, data, theta)
+        residuals = piece_residuals(model, data, theta)
         J = np.where(active, np.asarray(piece_derivatives(model, data, theta)), 0.0)
-        e, own = np.asarray(found.e), np.asarray(found.own)
-        step, left, used = robust_step(e, J, own, np.asarray(found.valid) > 0, (theta - start) / PRIOR)
+        e, own = np.asarray(residuals.e), np.asarray(residuals.own)
+        step, left, used = robust_step(e, J, own, np.asarray(residuals.valid) > 0, (theta - start) / PRIOR)
         theta = np.clip(theta + step, *limits)
     noise = np.array([robust_scale(left[..., c][used[..., c]]) for c in range(len(FURTHER))])
     noise *= dependence(np.where(used, left / noise, 0.0), used, window_blocks(model, data))
@@ -310,11 +310,11 @@ def whitened_motion_derivatives(
     return _at_ends(J, model, data)
 
 
-def _whitened(found: MotionResiduals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitened(residuals: MotionResiduals, noise: MotionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residuals (P, n, 5), a basis (P, n, 5, q) of own errors, and which windows there are."""
-    there = noise.used & (np.asarray(found.valid) > 0)
-    e = np.where(there, np.asarray(found.e) / noise.sigma, 0.0)
-    return e, orthonormal(np.where(there[..., None], np.asarray(found.own) / noise.sigma[:, None], 0.0)), there
+    there = noise.used & (np.asarray(residuals.valid) > 0)
+    e = np.where(there, np.asarray(residuals.e) / noise.sigma, 0.0)
+    return e, orthonormal(np.where(there[..., None], np.asarray(residuals.own) / noise.sigma[:, None], 0.0)), there
 
 
 def _at_ends(windows: np.ndarray, model: Universal, data: Pieces) -> np.ndarray:

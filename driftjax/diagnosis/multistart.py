@@ -77,8 +77,8 @@ def search_from_late(
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     fit = refit_to_convergence(problem, best, columns)[0]
-    found = search(problem, fit, seed, delays, most, report)
-    return found._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
+    selection = search(problem, fit, seed, delays, most, report)
+    return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
 
 
 def with_nominal_noise(problem: Problem) -> Problem:

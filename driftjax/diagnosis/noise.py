@@ -40,7 +40,7 @@ NO_SLOW = 1e-3  # the least
 MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
 SLOW_CORRELATION = 0.3  # and their correlation time [s]
 LONGEST_SLOW = 1.0  # at most: what lasts longer has a cause that is to be named, such as a bias [s]
-ASKED_FOR = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
+SLOW_EVIDENCE = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
 SEARCHED = 8000  # samples that it is estimated from
 ITERATIONS = 30  # of the search, at most
 LONGEST = 1.5  # longest step of any variable
@@ -218,7 +218,7 @@ def estimate_noise(
     if slow_known or not tells[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
     slow, lower_cost = minimise(white._replace(slow=np.where(tells, start.slow, low.slow)), low, high)
-    return slow if lower_cost < cost - ASKED_FOR else white
+    return slow if lower_cost < cost - SLOW_EVIDENCE else white
 
 
 def noise_bounds(start: Noise, tells: np.ndarray, dt: float) -> tuple[Noise, Noise]:

@@ -24,16 +24,16 @@ MIN_LENGTH = 20  # samples of a run below which nothing is an outlier
 
 def outliers(y: np.ndarray) -> np.ndarray:
     """Return which samples of a channel `y` (n,), NaN where missing, are outliers."""
-    found = np.zeros(len(y), bool)
+    marked = np.zeros(len(y), bool)
     if np.isfinite(y).sum() < MIN_LENGTH:
-        return found
+        return marked
     for _ in range(PASSES):
-        clean = fill_gaps(np.where(found, np.nan, y))
-        new = _stand_alone(clean) & np.isfinite(y) & ~found
+        clean = fill_gaps(np.where(marked, np.nan, y))
+        new = _stand_alone(clean) & np.isfinite(y) & ~marked
         if not new.any():
             break
-        found |= new
-    return found
+        marked |= new
+    return marked
 
 
 def _stand_alone(y: np.ndarray) -> np.ndarray:
@@ -65,5 +65,5 @@ def find_outliers(run: Run, wheelbase: float) -> dict[str, np.ndarray]:
 
 def count_outliers(runs: tuple[Run, ...], wheelbase: float) -> dict[str, int]:
     """Return the number of outliers of each channel in `runs`."""
-    found = [find_outliers(run, wheelbase) for run in runs]
-    return {name: sum(int(one[name].sum()) for one in found) for name in MEASURED}
+    marked = [find_outliers(run, wheelbase) for run in runs]
+    return {name: sum(int(one[name].sum()) for one in marked) for name in MEASURED}

@@ -93,12 +93,12 @@ def variables(
     """Return the explanatory variables (P, T); heading and position only where every run measured them."""
     nominal, place = vehicle.build(), problem.data.padded.place
     front, rear = nominal.slip_angles(State(*np.moveaxis(x, -1, 0)), Control(*np.moveaxis(u[..., :2], -1, 0)))
-    found = {
+    values = {
         "slip_front": np.asarray(front), "slip_rear": np.asarray(rear), "drive": u[..., 1], "speed": x[..., 0],
         "time": np.asarray(place.t),
     }  # fmt: skip
     if all("psi" in run.extra for run in runs):
-        found["heading"] = np.angle(np.exp(1j * np.asarray(place.psi)))
+        values["heading"] = np.angle(np.exp(1j * np.asarray(place.psi)))
     if all("s" in run.extra for run in runs):
-        found["position"] = np.array(lap_lengths(tuple(runs)))[problem.data.run, None] * np.asarray(place.s)
-    return found
+        values["position"] = np.array(lap_lengths(tuple(runs)))[problem.data.run, None] * np.asarray(place.s)
+    return values

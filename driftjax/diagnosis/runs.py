@@ -100,9 +100,9 @@ def take(tree, which):
 def lap_lengths(runs: tuple[Run, ...]) -> list[float]:
     """Return the lap length of each run [m]: the range of `s` in a run where it restarts, else over all runs."""
     each = [fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros(1) for run in runs]
-    whole = max(s.max() for s in each) - min(s.min() for s in each)
+    total = max(s.max() for s in each) - min(s.min() for s in each)
     again = lambda s: len(s) > 1 and np.diff(s).min() < -0.5 * np.ptp(s) < 0
-    return [float(np.ptp(s) if again(s) else whole) or 1.0 for s in each]
+    return [float(np.ptp(s) if again(s) else total) or 1.0 for s in each]
 
 
 def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
@@ -117,8 +117,9 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 def piece_size(lengths: list[int]) -> int:
     """Return the samples of one piece for runs of these `lengths`: short where that leaves much less to compute."""
-    whole = lambda size: sum(-(-n // size) * size for n in lengths)
-    return SHORT_PIECE_LENGTH if whole(SHORT_PIECE_LENGTH) <= WORTHWHILE * whole(PIECE_LENGTH) else PIECE_LENGTH
+    padded_size = lambda size: sum(-(-n // size) * size for n in lengths)
+    short, long = padded_size(SHORT_PIECE_LENGTH), padded_size(PIECE_LENGTH)
+    return SHORT_PIECE_LENGTH if short <= WORTHWHILE * long else PIECE_LENGTH
 
 
 def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
@@ -232,12 +233,12 @@ def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
 
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
     """Return the gains along the path of the car `theta`, starting from `first`; `noise` as `Noise.as_vector`."""
-    found = first
+    gains = first
     for _ in range(2):
-        path = run_observer(model, data, theta, found)
+        path = run_observer(model, data, theta, gains)
         A = _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
-        found = gains_along(data, A, path.valid, noise)
-    return found
+        gains = gains_along(data, A, path.valid, noise)
+    return gains
 
 
 def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
@@ -270,9 +271,9 @@ def _each_sample(model: Universal, theta: Array, path: Path, data: Pieces) -> Sa
         parts.append(call(sample_derivatives, model, theta, samples, there, data.dt))
 
     def spread(a: np.ndarray) -> np.ndarray:
-        whole = np.zeros((lead[0] * lead[1], *a.shape[1:]))
-        whole[within] = a
-        return whole.reshape(*lead, *a.shape[1:])
+        full = np.zeros((lead[0] * lead[1], *a.shape[1:]))
+        full[within] = a
+        return full.reshape(*lead, *a.shape[1:])
 
     return jax.tree.map(spread, concatenate_trees(parts, len(within)))
 

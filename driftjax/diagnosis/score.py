@@ -153,7 +153,7 @@ def few_block_p_values(
     rare, common = own & (num < FEW), own & (num >= FEW)
     if not rare.any() or not common.any():
         return None
-    colour, found = score_dispersion(effective[:, common], known[:, common]), np.ones(len(own))
+    colour, p_values = score_dispersion(effective[:, common], known[:, common]), np.ones(len(own))
     for k in np.flatnonzero(rare):
         s, total = effective[:, k], known[:, k].sum()
         cross = sum_by_block(problem, np.einsum("ptij,pti->ptj", J[..., common], J[..., k]))
@@ -162,8 +162,8 @@ def few_block_p_values(
         acts = known[:, k] > CONDITION * total
         rest, left = variance.sum() - variance[acts], np.sign(s.sum()) * (s.sum() - s[acts])
         least = (left / np.sqrt(np.maximum(rest, np.finfo(float).tiny))).min() if acts.sum() > 1 else 0.0
-        found[k] = min(rare.sum() * (1 if one_sided[k] else 2) * student.sf(max(least, 0.0), FREEDOM), 1.0)
-    return found
+        p_values[k] = min(rare.sum() * (1 if one_sided[k] else 2) * student.sf(max(least, 0.0), FREEDOM), 1.0)
+    return p_values
 
 
 def score_dispersion(effective: np.ndarray, known: np.ndarray) -> float:
@@ -183,9 +183,9 @@ def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
     there = known > CONDITION * known.sum(axis=0)
     ratio = np.where(there, effective**2 / np.where(there, known, 1.0), np.nan)
     some = there.any(axis=1)
-    found = np.zeros(len(known))
-    found[some] = np.nanmedian(ratio[some], axis=1) / MEDIAN
-    return found
+    dispersion = np.zeros(len(known))
+    dispersion[some] = np.nanmedian(ratio[some], axis=1) / MEDIAN
+    return dispersion
 
 
 def studentised_scores(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -218,8 +218,8 @@ def pair_p_value(effective: np.ndarray, seed: int) -> float:
         axis=1, initial=0.0
     )
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
-    drawn = largest(signs @ unit)
-    return float((1 + np.sum(drawn >= largest(unit.sum(axis=0)[None])[0])) / (DRAWS + 1))
+    by_chance = largest(signs @ unit)
+    return float((1 + np.sum(by_chance >= largest(unit.sum(axis=0)[None])[0])) / (DRAWS + 1))
 
 
 def null_max_scores(
@@ -230,10 +230,10 @@ def null_max_scores(
     It is that of |T|, where `one_sided` scores count only if positive, and of the joint scores of `together`.
     """
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
-    drawn = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
-    drawn = np.where(one_sided[own], np.maximum(drawn, 0.0), np.abs(drawn))
+    by_chance = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
+    by_chance = np.where(one_sided[own], np.maximum(by_chance, 0.0), np.abs(by_chance))
     joint = [joint_score(effective[:, c], signs @ effective[:, c]) for c in together]
-    return np.sort(np.max([drawn.max(axis=1, initial=0.0), *joint], axis=0))
+    return np.sort(np.max([by_chance.max(axis=1, initial=0.0), *joint], axis=0))
 
 
 def _gain(

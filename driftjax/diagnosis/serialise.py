@@ -137,17 +137,17 @@ def extended_car(
     """
     scale, columns = np.asarray(problem.model.scale), problem.columns(selected)
     width = dict(zip(columns, half_widths(problem, last, selected), strict=True))
-    found = [
+    estimates = [
         EffectParameterValue(problem.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
         for i in sorted(selected)
         for p, k in zip(problem.effects[i].parameters, problem.columns((i,)), strict=True)
     ]
-    named = {one.effect for one in found}
+    named = {one.effect for one in estimates}
     before = [one for one in vehicle.effects if one.effect not in named]
     order = {name: i for i, name in enumerate(EFFECTS)}
-    effects = tuple(sorted([*before, *found], key=lambda one: order[one.effect]))
+    effects = tuple(sorted([*before, *estimates], key=lambda one: order[one.effect]))
     vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=estimated_noise(problem))
-    if before or not found:
+    if before or not estimates:
         return vehicle
     matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
     return dataclasses.replace(vehicle, covariance=tuple(map(tuple, matrix.tolist())))

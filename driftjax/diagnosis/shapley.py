@@ -43,7 +43,7 @@ def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dic
         for chosen in combinations(members, size):
             c = problem.columns(chosen)
             value[chosen] = np.einsum("rk,kr->r", g[:, c], np.linalg.solve(H[np.ix_(c, c)], g[:, c].T))
-    found = {}
+    shares = {}
     for i in members:
         others = tuple(j for j in members if j != i)
         gained = np.zeros(len(g))
@@ -53,5 +53,5 @@ def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dic
                 grown = tuple(j for j in members if j == i or j in chosen)
                 gained += weight * (value[grown] - value[chosen])
         share = gained / value[members]
-        found[i] = ErrorShare(float(share[0]), tuple(np.percentile(share[1:], [2.5, 97.5]).tolist()))
-    return found
+        shares[i] = ErrorShare(float(share[0]), tuple(np.percentile(share[1:], [2.5, 97.5]).tolist()))
+    return shares

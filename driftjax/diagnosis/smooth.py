@@ -95,5 +95,5 @@ def smooth_disturbances(
         F, P = model.F[:, k], went.filtered_covariance[:, k]
         back = np.linalg.solve(went.covariance[:, k + 1], F @ P).swapaxes(1, 2)
         w.append(went.filtered[:, k] + np.einsum("pij,pj->pi", back, w[-1] - went.predicted[:, k + 1]))
-    found = np.stack(w[::-1], axis=1)
-    return np.asarray(path.z)[..., :3] + found[..., :3], found[..., 3:6]
+    offset = np.stack(w[::-1], axis=1)
+    return np.asarray(path.z)[..., :3] + offset[..., :3], offset[..., 3:6]

@@ -1,6 +1,6 @@
 """Find the stretches of a log that decide different parameters: coasting, straight, cornering with grip, the limit.
 
-They are found from what the nominal car's observer predicts for a sample from those before it, and from the commands.
+They follow from what the nominal car's observer predicts for a sample from those before it, and from the commands.
 Which samples count is thus known before they are measured, and their innovations make a partial likelihood (Cox 1975).
 """
 

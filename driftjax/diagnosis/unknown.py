@@ -123,7 +123,7 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
     """
     remaining = generic_terms(problem, selection.linearisation, selection.scores, selection.selected, seed)
     base = selection.base
-    whole = (
+    of_nominal = (
         generic_terms(base, linearise(base, selection.nominal), selection.nominal_scores, (), seed)
         if selection.selected
         else remaining
@@ -133,11 +133,12 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
     if selection.selected:
         fall = max(selection.nominal.cost - evaluate_fit(base, selection.fit.theta).cost, 0.0)
     if len(selection.selected) > 1:
-        most, alone = best_term(problem, whole)
+        most, alone = best_term(problem, of_nominal)
         earned = fall - PARAMETER_PENALTY * len(base.columns(selection.selected))
         simpler = alone if most - PARAMETER_PENALTY >= earned else None
     share = gain / (gain + fall) if gain + fall else 0.0
-    return Unexplained(remaining.p_value, gain, share, rank_variables(remaining), term, simpler, rank_variables(whole))
+    ranked = rank_variables(remaining), rank_variables(of_nominal)
+    return Unexplained(remaining.p_value, gain, share, ranked[0], term, simpler, ranked[1])
 
 
 def generic_terms(

@@ -74,17 +74,17 @@ def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | i
 
 def _follow(
     part: Callable[[Array], tuple[Model, AnyCar]],
-    whole: tuple[Model, AnyCar],
+    last_part: tuple[Model, AnyCar],
     fixed: Fixed,
     first: Equilibrium,
     branch: Array | int,
 ) -> Equilibrium:
-    """Continue `first` through `part(eta)`, a model and the car that judges it, to `whole` at eta = 1."""
+    """Continue `first` through `part(eta)`, a model and the car that judges it, to `last_part` at eta = 1."""
 
     def stage(last: Equilibrium, eta: Array):
         new = solve_equilibrium(*part(eta), fixed, (last.x, last.u), branch=branch)
         new = eqx.tree_at(lambda e: e.eta, new, eta)
-        new = eqx.tree_at(lambda e: e.result, new, _unless_jumped(last, new, fixed, whole[1]))
+        new = eqx.tree_at(lambda e: e.result, new, _unless_jumped(last, new, fixed, last_part[1]))
         running = last.result == RESULTS.successful
         keep = lambda p, q: jnp.where(running, p, q)
         held = jax.tree.map(keep, new, last)
@@ -95,7 +95,7 @@ def _follow(
     etas = jnp.linspace(0.0, 1.0, NUM_STAGES + 1)[1:]
     followed, _ = jax.lax.scan(stage, jax.lax.stop_gradient(first), etas)
     # Once more at eta = 1, outside the scan and from the root itself, for the implicit gradient.
-    last = solve_equilibrium(*whole, fixed, (followed.x, followed.u), branch=branch)
+    last = solve_equilibrium(*last_part, fixed, (followed.x, followed.u), branch=branch)
     done = followed.result == RESULTS.successful
     return jax.tree.map(lambda p, q: jnp.where(done, p, q), last, jax.lax.stop_gradient(followed))
 

@@ -35,7 +35,7 @@ def scan_roots(f: Callable[[Array], Array], lower: float, upper: float, size: in
     grid = jnp.linspace(lower, upper, GRID + 1)
     positive = jax.vmap(f)(grid) > 0
     (cell,) = jnp.nonzero(positive[1:] != positive[:-1], size=size, fill_value=GRID)
-    found = cell < GRID
+    bracketed = cell < GRID
     left, right, sign = grid[cell], grid[jnp.minimum(cell + 1, GRID)], positive[cell]
 
     def halve(_, ends):
@@ -45,7 +45,7 @@ def scan_roots(f: Callable[[Array], Array], lower: float, upper: float, size: in
         return jnp.where(keep, middle, left), jnp.where(keep, right, middle)
 
     left, right = jax.lax.fori_loop(0, 48, halve, (left, right))
-    return jnp.where(found, 0.5 * (left + right), 0.0), found
+    return jnp.where(bracketed, 0.5 * (left + right), 0.0), bracketed
 
 
 def front_steer(nominal: SingleTrack, beta: Array, curvature: Array, ay: Array) -> tuple[Array, Array]:
@@ -73,11 +73,11 @@ def decoupled_roots(nominal: SingleTrack, V: Array, r: Array) -> Roots:
 
     betas, beta_found = scan_roots(rear, -0.5 * jnp.pi, 0.5 * jnp.pi, NUM_BETA)
     deltas, delta_found = jax.vmap(lambda beta: front_steer(nominal, beta, curvature, V * r * jnp.cos(beta)))(betas)
-    found = (beta_found[:, None] & delta_found).ravel()
+    exists = (beta_found[:, None] & delta_found).ravel()
     one = jnp.ones(NUM_BETA * NUM_DELTA)
     x = State(V * one, jnp.repeat(betas, NUM_DELTA), r * one)
     u = _complete(nominal, x, deltas.ravel())
-    return Roots(x, u, jnp.where(found, classify(nominal, x, u), -1), found)
+    return Roots(x, u, jnp.where(exists, classify(nominal, x, u), -1), exists)
 
 
 def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
@@ -90,12 +90,12 @@ def drift_roots(nominal: SingleTrack, beta: Array, R: Array) -> Roots:
     ay = G * nominal.tyre.lateral(alpha_r, nominal.Fzr) / nominal.Fzr
     square = ay * R / jnp.cos(beta)
     V = jnp.sqrt(jnp.where(square > 0, square, 1.0))
-    deltas, found = front_steer(nominal, beta, curvature, ay)
-    found = found & (square > 0)
+    deltas, exists = front_steer(nominal, beta, curvature, ay)
+    exists = exists & (square > 0)
     one = jnp.ones(NUM_DELTA)
     x = State(V * one, beta * one, V * curvature * one)
     u = _complete(nominal, x, deltas)
-    return Roots(x, u, jnp.where(found, classify(nominal, x, u), -1), found)
+    return Roots(x, u, jnp.where(exists, classify(nominal, x, u), -1), exists)
 
 
 def preference(x: State, u: Control) -> Array:

@@ -126,12 +126,12 @@ def solve_equilibrium(
 
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-12)
     args = (model, nominal, fixed)
-    found = optx.root_find(residual, solver, jax.lax.stop_gradient(unknowns), args, max_steps=100, throw=False)
-    x, u = point(found.value)
-    worst = jnp.max(jnp.abs(residual(found.value, args)))
+    solution = optx.root_find(residual, solver, jax.lax.stop_gradient(unknowns), args, max_steps=100, throw=False)
+    x, u = point(solution.value)
+    worst = jnp.max(jnp.abs(residual(solution.value, args)))
     kind = classify(nominal, x, u)
     result = _judge(worst, (kind == branch) | (jnp.asarray(branch) == ANY))
-    out = Equilibrium(x, u, worst, kind, found.stats["num_steps"], jnp.ones_like(worst), result)
+    out = Equilibrium(x, u, worst, kind, solution.stats["num_steps"], jnp.ones_like(worst), result)
     return result.error_if(out, result != RESULTS.successful) if throw else out
 
 

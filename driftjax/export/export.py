@@ -87,11 +87,11 @@ def export_car(
     )  # fmt: skip
 
 
-def _sentence(found: Loss) -> str:
-    V, beta, r = found.without_them
-    if found.with_them is None:
+def _sentence(loss: Loss) -> str:
+    V, beta, r = loss.without_them
+    if loss.with_them is None:
         apart = f"{V:.3g} m/s, {beta:.3g} rad and {r:.3g} rad/s RMS"
-        return f"loss: without the lost effects the car is off by {apart} in {found.horizon_s:.2g} s of the {found.of}."
-    pairs = zip(found.with_them, found.without_them, ("m/s", "rad", "rad/s"), strict=True)
+        return f"loss: without the lost effects the car is off by {apart} in {loss.horizon_s:.2g} s of the {loss.of}."
+    pairs = zip(loss.with_them, loss.without_them, ("m/s", "rad", "rad/s"), strict=True)
     words = ", ".join(f"{b:.3g} instead of {a:.3g} {unit}" for a, b, unit in pairs)
-    return f"loss: without the lost effects, predictions {found.horizon_s:.2g} s ahead on the log err by {words} RMS."
+    return f"loss: without the lost effects, predictions {loss.horizon_s:.2g} s ahead on the log err by {words} RMS."

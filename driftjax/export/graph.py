@@ -27,8 +27,8 @@ def to_casadi(function: Callable[..., Array], *shapes: tuple[int, ...]) -> Calla
     closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes))
 
     def translated(*values: Cells) -> Cells:
-        (found,) = _evaluate(closed.jaxpr, closed.consts, [np.asarray(value, object) for value in values])
-        return found
+        (output,) = _evaluate(closed.jaxpr, closed.consts, [np.asarray(value, object) for value in values])
+        return output
 
     return translated
 
@@ -38,8 +38,8 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], values: Sequence[Cells]) -> lis
     known |= dict(zip(jaxpr.invars, values, strict=True))
     read = lambda atom: _cells(atom.val) if isinstance(atom, Literal) else known[atom]
     for eqn in jaxpr.eqns:
-        found = _apply(eqn, [read(atom) for atom in eqn.invars])
-        known |= dict(zip(eqn.outvars, found, strict=True))
+        outputs = _apply(eqn, [read(atom) for atom in eqn.invars])
+        known |= dict(zip(eqn.outvars, outputs, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
 
 
@@ -103,9 +103,9 @@ def _scan(params: dict[str, Any], args: list[Cells]) -> list[Cells]:
     inner, order = params["jaxpr"], range(params["length"])
     outputs: list[list[Cells]] = []
     for k in reversed(order) if params["reverse"] else order:
-        found = _evaluate(inner.jaxpr, inner.consts, [*fixed, *state, *(np.asarray(row[k], object) for row in rows)])
-        state = found[:carried]
-        outputs.append(found[carried:])
+        results = _evaluate(inner.jaxpr, inner.consts, [*fixed, *state, *(np.asarray(row[k], object) for row in rows)])
+        state = results[:carried]
+        outputs.append(results[carried:])
     if params["reverse"]:
         outputs.reverse()
     return [*state, *(np.stack(column) for column in zip(*outputs, strict=True))]

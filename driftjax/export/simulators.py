@@ -32,8 +32,8 @@ def side_force_under_drive(ellipse: float, C: float, B: float) -> tuple[float, f
         x = q[0] * kappa
         return np.cos(q[1] * np.arctan(x - q[2] * (x - np.arctan(x)))) - left
 
-    found = least_squares(off, [B, 1.0, 0.0], bounds=([0, 0, -10], [20 * B, 2, 1])).x
-    return float(found[0]), float(found[1]), float(found[2])
+    fit = least_squares(off, [B, 1.0, 0.0], bounds=([0, 0, -10], [20 * B, 2, 1])).x
+    return float(fit[0]), float(fit[1]), float(fit[2])
 
 
 def write_commonroad(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:

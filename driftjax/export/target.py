@@ -58,9 +58,9 @@ class ReducedCar(NamedTuple):
         """Return the `Car` of floats, with the effects of the station `car` and the gains of friction."""
         car = _in_floats(base_car(self.vehicle.build()))
         for name, effect in EFFECTS.items():
-            found = tuple(one.value for one in self.vehicle.effects if one.effect == name)
-            if found and (effect.station == "car" or name in GRIP):
-                car = effect.apply(car, found)
+            values = tuple(one.value for one in self.vehicle.effects if one.effect == name)
+            if values and (effect.station == "car" or name in GRIP):
+                car = effect.apply(car, values)
         return _in_floats(car)
 
     @property
@@ -99,8 +99,8 @@ def car_with(vehicle: VehicleConfig, names: tuple[str, ...]) -> Universal:
     """Return the universal car with the named effects at the values that `vehicle` has; neutral where it has none."""
     effects, values = effects_by_name(names), {one.name: one.value for one in vehicle.effects}
     model = universal_car(vehicle, effects)
-    found = [values.get(f"{effect.name}.{p.name}", 0.0) for effect in effects for p in effect.parameters]
-    return model.with_parameters(jnp.asarray(found) / model.scale)
+    parameters = [values.get(f"{effect.name}.{p.name}", 0.0) for effect in effects for p in effect.parameters]
+    return model.with_parameters(jnp.asarray(parameters) / model.scale)
 
 
 def write_text(path: Path, text: str) -> str:

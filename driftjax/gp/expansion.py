@@ -63,8 +63,10 @@ def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Se
     back = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:-1], *shape)
     along = lambda a: jnp.moveaxis(a, 0, -1).reshape(*a.shape[1:], *[1] * (len(shape) - 1), batch)
     sums = vmap_batch(functools.partial(_sums, kernel))
-    found = [jax.tree.map(back, sums(Z, centre, inverse[:, k], amounts[:, k], points)) for k in range(inverse.shape[1])]
-    value, S, R = (jnp.stack(parts) for parts in zip(*found, strict=True))
+    sums_of_outputs = [
+        jax.tree.map(back, sums(Z, centre, inverse[:, k], amounts[:, k], points)) for k in range(inverse.shape[1])
+    ]
+    value, S, R = (jnp.stack(parts) for parts in zip(*sums_of_outputs, strict=True))
     over = [along(inverse[:, :, i]) for i in range(nf)]
     b = [(zi - along(centre[:, i])) * w for i, (zi, w) in enumerate(zip(z, over, strict=True))]
     gradient = [2 * w * (bi * S[:, 0] - S[:, 1 + i]) for i, (bi, w) in enumerate(zip(b, over, strict=True))]

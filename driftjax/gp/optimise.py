@@ -47,17 +47,17 @@ def _error(x: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     return jnp.max(jnp.abs(x - jnp.clip(x - gradient, lower, upper)))
 
 
-def _next(s: _State, found: tuple[Array, Array, Array], lower: Array, upper: Array) -> _State:
+def _next(s: _State, evaluated: tuple[Array, Array, Array], lower: Array, upper: Array) -> _State:
     """Return the next solver state: accept the trial point if its value is lower, and choose the next trial point."""
     first = s.num_steps < 0
-    finite = jnp.all(jnp.array([jnp.all(jnp.isfinite(part)) for part in found]))
-    better = first | (finite & (found[0] < s.value))
-    share = (s.value - found[0]) / s.promised
+    finite = jnp.all(jnp.array([jnp.all(jnp.isfinite(part)) for part in evaluated]))
+    better = first | (finite & (evaluated[0] < s.value))
+    share = (s.value - evaluated[0]) / s.promised
     change = jnp.where(share > 0.75, FALL, jnp.where(share < 0.25, GROW, 1.0))
     change = jnp.where(first, 1.0, jnp.where(better, change, FAIL))
     damping = jnp.maximum(change * s.damping, FEEBLEST)
     keep = lambda new, old: jnp.where(better, new, old)
-    x, value, gradient, curvature = map(keep, (s.trial, *found), (s.x, s.value, s.gradient, s.curvature))
+    x, value, gradient, curvature = map(keep, (s.trial, *evaluated), (s.x, s.value, s.gradient, s.curvature))
     low, high = jnp.maximum(lower - x, -REACH), jnp.minimum(upper - x, REACH)
     step, promised = _step(gradient, curvature + damping * jnp.eye(x.size, dtype=x.dtype), low, high)
     trial = jnp.clip(x + step, lower, upper)

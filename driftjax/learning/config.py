@@ -36,7 +36,7 @@ class GPConfig:
     bounded: bool = True
     """Fade the mean out far from data and bound it by twice the largest target; else the bare mean is used."""
     orthogonal: bool = True
-    """Of an extended car: whether the GP leaves to the named effects what a change of their parameters could do."""
+    """Extended cars only: keep the GP orthogonal to the rates that a change of the named effects' parameters causes."""
 
     def __post_init__(self) -> None:
         require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
@@ -67,7 +67,7 @@ class ExploreConfig:
     laps: int = 6
     """Most laps of exploration, fewer where no entry has a candidate left; an entry without one repeats its best."""
     gamma_share: float = 0.08
-    """Most that the widest bound on gamma may be, as a share of the planned cornering speed [-]."""
+    """Upper limit of the widest bound on gamma, as a share of the planned cornering speed [-]."""
     speeds: Literal["sets", "random", "uniform", "planned"] = "sets"
     """Candidates: from the V-sets; drawn at random or evenly spaced within the widest bound, nearest first; or the
     planned speed again and again. The last three are there to compare with."""
@@ -141,10 +141,10 @@ class LearnConfig:
     path: Weights = Weights((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
     paper: Weights = Weights()
     lqr_price: float = 1000.0
-    """How many times more than in the MPC input changes weigh in the LQR, which knows no limits."""
+    """Weight on input changes in the LQR over that in the MPC: the LQR knows no limits."""
     entry_error: float = 10.0
-    """How many times more than in the MPC the lateral error weighs where the corner is planned on the corrected car:
-    what cannot be had at once then gives way in speed, not in path."""
+    """Weight on the lateral error where the corner is planned on the corrected car, over that in the MPC: where path
+    and speed cannot both be kept, the plan changes the speed."""
     switch: SwitchConfig = SwitchConfig(lead=15.0, trail=6.0)
     pursuit: PursuitConfig = field(default_factory=PursuitConfig)
     lap: LapConfig = field(default_factory=LapConfig)
@@ -188,6 +188,6 @@ def _shipped(car: str) -> LearnConfig:
 def files_of(config: LearnConfig) -> dict[str, Path]:
     """Return the files that the options name, and the distribution of the car's plants unless plants are given."""
     named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
-    found = {kind: find_config(kind, name) for kind, name in named.items()}
+    files = {kind: find_config(kind, name) for kind, name in named.items()}
     given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {"plant": f"{config.car}_distribution"}
-    return found | {key: find_config("plant", name) for key, name in given.items()}
+    return files | {key: find_config("plant", name) for key, name in given.items()}

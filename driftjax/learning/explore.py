@@ -48,8 +48,8 @@ class Drifts(eqx.Module):
     def __call__(self, V: Array, residual: Residual) -> tuple[Array, Array]:
         """Return the GP input z (5,) of the drift at speed `V`, and whether it exists."""
         fixed, guess = SlipSpeed(self.beta, V), (self.x_eq, self.u_eq)
-        found = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
-        return features(found.x, found.u), found.result == RESULTS.successful
+        equilibrium = continuation(self.nominal, residual, fixed, guess, branch=self.branch)
+        return features(equilibrium.x, equilibrium.u), equilibrium.result == RESULTS.successful
 
 
 def drifts(scenario: Scenario) -> Drifts:
@@ -87,7 +87,7 @@ def offset(scenario: Scenario, sets: Candidates, index: Array) -> Array:
     minus a learning gain times its measured error e. The gain of candidate k of K is k/K, at any kind of speeds; e is
     limited to the error that the largest allowed gamma could remove in a steady turn by gamma = r_b e. The speed curve
     alone is not enough: where the planned speed is curved, as in a corner with braking, its smoothness weight outweighs
-    r_b e. Without `correction` the target stays.
+    r_b e. Without `correction` the target does not change.
     """
     config, corner = scenario.config.explore, scenario.corner
     if not config.correction:
@@ -109,8 +109,8 @@ def remaining(
 ) -> Candidates:
     """Return the candidates after the laps in `trace`, which drove `index` (batch,) with the offset `aimed`.
 
-    An entry that improved (`better`) gets new candidates around this lap, the others keep those that remain; so at any
-    kind of speeds. `number` is that of the stage.
+    An entry that improved (`better`) gets new candidates around this lap; the others keep those that remain. This holds
+    for every kind of speeds. `number` is that of the stage.
     """
     visited = sets.visited | jax.nn.one_hot(index, sets.visited.shape[1], dtype=bool)
     left = eqx.tree_at(lambda c: c.visited, sets, visited)

@@ -121,8 +121,8 @@ def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
 
 def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     """Return the mean of `after` - `before` over pairs with its 95 % interval by Student's t; none for one pair."""
-    found = interval(np.asarray(after, float) - np.asarray(before, float))
-    return {"mean": found["mean"], "ci95": found["ci95"], "pairs": found["plants"]}
+    change = interval(np.asarray(after, float) - np.asarray(before, float))
+    return {"mean": change["mean"], "ci95": change["ci95"], "pairs": change["plants"]}
 
 
 def _half_width(values: np.ndarray) -> float:

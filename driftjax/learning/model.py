@@ -60,16 +60,16 @@ def update_model(
     # an extra column that the selection of rows ignores
     inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
     kept = inputs, columns[:, :-1], valid
-    found = fit(
+    fitted = fit(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
         basis=None if known_basis is None else known_basis(kept[0]), key=key,
     )  # fmt: skip
-    trust_factor = trust_factors(found.gp, Z, Y, mask, order, config, known_basis)
+    trust_factor = trust_factors(fitted.gp, Z, Y, mask, order, config, known_basis)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, model_state.residual.lags)
     residual = Residual(
-        found.gp, jnp.where(enough & jnp.isfinite(trust_factor), trust_factor, 0.0), lags, config.bounded
+        fitted.gp, jnp.where(enough & jnp.isfinite(trust_factor), trust_factor, 0.0), lags, config.bounded
     )
     return ModelState(*kept, columns[:, -1], residual)
 

@@ -131,18 +131,18 @@ def entry_table(
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
         allowed = Options(options.tolerance, options.barrier, steps)
-        found = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
-        whole = jnp.maximum(found.plan.kkt, found.plan.violation)
-        error = jnp.where(share < 1, jnp.inf, whole)  # a partial model gives a guess, never a solution
-        new = Attempt(found.X, found.U, error, share, last.num_steps + found.plan.num_steps)
+        solution = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
+        kkt = jnp.maximum(solution.plan.kkt, solution.plan.violation)
+        error = jnp.where(share < 1, jnp.inf, kkt)  # a partial model gives a guess, never a solution
+        new = Attempt(solution.X, solution.U, error, share, last.num_steps + solution.plan.num_steps)
         return where_tree(steps > 0, new, last), None
 
     first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
-    found, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
-    good = found.error < ENTRY_ERROR
-    new = _onto(table, s, found.X, found.U)
+    best, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
+    good = best.error < ENTRY_ERROR
+    new = _onto(table, s, best.X, best.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
-    return Planned(new, good, found.error, found.num_steps)
+    return Planned(new, good, best.error, best.num_steps)
 
 
 def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:

@@ -48,11 +48,11 @@ def _figures(data: xr.Dataset) -> dict[str, Any]:
     names = code_names(data)
     counts = {names[int(code)]: int((codes == code).sum()) for code in np.unique(codes)}
     figure = lambda name: interval(np.array(list(_per_plant(data, name).values())))
-    found = {}
+    references = {}
     if "reference_found" in data:
         held = np.asarray(data["reference_found"].values)
-        found = {"references_found": [int(held.sum()), len(held)]}
-    return found | {
+        references = {"references_found": [int(held.sum()), len(held)]}
+    return references | {
         "lateral_error": figure("lateral_error") | {"per_plant": _per_plant(data, "lateral_error")},
         "lateral_error_measured": figure("lateral_error_measured"),
         "velocity_rmse": figure("velocity_rmse"),
@@ -73,7 +73,7 @@ def _lap(stages: dict[str, xr.Dataset], stage: str, controller: str) -> dict[str
 def _summary(stages: dict[str, xr.Dataset], controller: str, car: str) -> dict[str, Any]:
     nominal, gpr, explored = (_lap(stages, name, controller) for name in ("nominal", "gpr-best", "explore-best"))
     paper = PUBLISHED_REDUCTIONS.get(car, (None, None, None))
-    error = lambda found: None if found is None else float(found["lateral_error"].mean())
+    error = lambda figures: None if figures is None else float(figures["lateral_error"].mean())
     out: dict[str, Any] = {"nominal": error(nominal), "gpr": error(gpr), "explored": error(explored)}
     pairs = {
         "reduction_gpr": (nominal, gpr, "lateral_error", paper[0]),

@@ -85,11 +85,11 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
         before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
         for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
-    found = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
-    folder.write_json("results", found)
+    summary = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
+    folder.write_json("results", summary)
     folder.write_laps()
     report("done", len(names) + 1, len(names) + 1)
-    return found
+    return summary
 
 
 def drive_stages(

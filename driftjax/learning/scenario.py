@@ -137,7 +137,7 @@ def build_scenario(
 def lay_out(
     config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
 ) -> tuple[tuple[BatchEntry, ...], AnyPlant, Array]:
-    """Return the batch with plants and noise keys: every controller, plant and seed; all `on` one plant where given.
+    """Return all batch entries (controller, plant, seed), their plants and noise keys; `on` gives one plant for all.
 
     `lap` is the length of the track [m].
     """

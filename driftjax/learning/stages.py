@@ -131,8 +131,8 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if name == "gpr-best":
         known, _ = _layers(scenario, progress.model_state.residual)
         on_path = jnp.zeros_like(progress.candidates.aimed)
-        found = candidates(scenario, stage.laps.trace, known, on_path, number)
-        progress = eqx.tree_at(lambda p: p.candidates, progress, found)
+        new_candidates = candidates(scenario, stage.laps.trace, known, on_path, number)
+        progress = eqx.tree_at(lambda p: p.candidates, progress, new_candidates)
     return progress, _data(scenario, stage, "mpc", best.residual, progress.candidates)
 
 
@@ -141,13 +141,13 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
 
     None where every entry has driven all its sets, unless the number of laps is fixed.
     """
-    found = progress.candidates
+    proposed = progress.candidates
     known, residual = _layers(scenario, progress.model_state.residual)
-    chosen, V_ep, left = choose(scenario, found, known)
+    chosen, V_ep, left = choose(scenario, proposed, known)
     if not bool(jnp.any(left)) and not scenario.config.explore.fixed_laps:
         return None
-    aimed = jnp.where(left[:, None], offset(scenario, found, chosen), found.aimed)
-    planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, found.s, aimed))
+    aimed = jnp.where(left[:, None], offset(scenario, proposed, chosen), proposed.aimed)
+    planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, proposed.s, aimed))
     # an entry that has driven all its sets repeats its best
     best = progress.best.table, progress.best.residual
     table, used = eqx.filter_jit(where_tree)(left, (planned.table, residual), best)
@@ -156,9 +156,9 @@ def _explore(scenario: Scenario, progress: Progress, number: int):
     progress = update_progress(scenario, progress, stage, used, number)
     better = progress.best.error < before
     known, _ = _layers(scenario, progress.model_state.residual)
-    rest = remaining(scenario, found, chosen, aimed, better, stage.laps.trace, known, number)
+    rest = remaining(scenario, proposed, chosen, aimed, better, stage.laps.trace, known, number)
     progress = eqx.tree_at(lambda p: (p.candidates, p.explored), progress, (rest, jnp.asarray(True)))
-    return progress, _data(scenario, stage, "mpc", used, found, planned)
+    return progress, _data(scenario, stage, "mpc", used, proposed, planned)
 
 
 def _data(
@@ -166,7 +166,7 @@ def _data(
     stage: StageResult,
     kind: str,
     residual: Residual | None = None,
-    found: Candidates | None = None,
+    proposed: Candidates | None = None,
     planned: Planned | None = None,
 ):
     values = stage_values(scenario, stage, kind)
@@ -182,10 +182,10 @@ def _data(
         }
         values |= {"feature": np.array(FEATURES, object), "output": np.array(OUTPUTS, object)}
         values["input"] = np.array(INPUTS, object)
-    if found is not None:
-        widest = found.widest[:, None]
-        values |= {f"vset_{name}": getattr(found, name) for name in ("s", "origin", "target", "V", "V_ep")}
-        values |= {"vset_lower": found.origin - widest, "vset_upper": found.origin + widest}
+    if proposed is not None:
+        widest = proposed.widest[:, None]
+        values |= {f"vset_{name}": getattr(proposed, name) for name in ("s", "origin", "target", "V", "V_ep")}
+        values |= {"vset_lower": proposed.origin - widest, "vset_upper": proposed.origin + widest}
     if kind == "pursuit":  # it does not depend on the controller: one block of entries suffices
         num = scenario.batch_size // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}

@@ -135,9 +135,9 @@ def _steps(
     nominal, residual: Residual, fixed: SlipRadius, guess, branch: Array, table: ReferenceTable, V_shift: Array
 ) -> Planned:  # fmt: skip
     def one(d: Residual, shift: Array) -> Planned:
-        found = continuation(nominal, d, fixed, guess, branch=branch)
+        equilibrium = continuation(nominal, d, fixed, guess, branch=branch)
         # r_b and beta_eq stay where V is explored: the same corner at another speed (Wu et al. 2025, Sec. IV-C)
-        step = step_table(table, found.x._replace(V=found.x.V + shift), found.u)
-        return Planned(step, found.result == RESULTS.successful, found.residual, found.num_steps)
+        step = step_table(table, equilibrium.x._replace(V=equilibrium.x.V + shift), equilibrium.u)
+        return Planned(step, equilibrium.result == RESULTS.successful, equilibrium.residual, equilibrium.num_steps)
 
     return vmap_batch(one)(residual, V_shift)

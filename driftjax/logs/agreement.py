@@ -80,8 +80,8 @@ def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agre
     checks = [check for check in CHECKS if set(check.needs) <= has]
     checks += [] if wheelbase is None else [steering_check(wheelbase)]
     smoothed = [smooth_channels(run) for run in runs]
-    found = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
-    return [one for one in found if one is not None]
+    evaluated = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
+    return [one for one in evaluated if one is not None]
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
@@ -100,8 +100,8 @@ def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[
     num = max(2 * round(window / dt / 2) + 1, 5)
     if len(y) < num:
         return np.full(len(y), np.nan), np.full(len(y), np.nan)
-    keep, whole = near_measurements(y, num // 2), fill_gaps(y)
-    of = lambda order: np.where(keep, np.asarray(savgol_filter(whole, num, 2, order, dt)), np.nan)
+    keep, filled = near_measurements(y, num // 2), fill_gaps(y)
+    of = lambda order: np.where(keep, np.asarray(savgol_filter(filled, num, 2, order, dt)), np.nan)
     return of(0), of(1)
 
 

@@ -19,8 +19,8 @@ def main(path: str, most_memory: int) -> None:
         arrays[f"name{k}"] = np.array([name, ChannelMetadata.from_channel_table(table).units])
         arrays[f"t{k}"] = table.column("timecodes").to_numpy() / 1000
         arrays[f"y{k}"] = np.asarray(table.column(name).to_numpy(), float)
-    np.savez(whole := io.BytesIO(), **arrays)  # type: ignore[arg-type]
-    stdout.buffer.write(whole.getvalue())
+    np.savez(buffer := io.BytesIO(), **arrays)  # type: ignore[arg-type]
+    stdout.buffer.write(buffer.getvalue())
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Read CarMaker results (.erg): records of one time base, described by a text file beside it (.erg.info).
 
-The library cmerg is not used: version 0.4 fails where a quantity has a factor, and returns wrong numbers without a word
-where no blank line parts the quantities.
+The library cmerg is not used: version 0.4 fails where a quantity has a factor, and returns wrong numbers without an
+error where no blank line separates the quantities.
 """
 
 from pathlib import Path
@@ -63,15 +63,15 @@ def _info(path: Path) -> dict[str, str]:
 
 def _quantities(path: Path, info: dict[str, str]) -> list[tuple[str, str]]:
     """Return name and type of the quantities of a record, in order."""
-    found, wrong = [], f"{info_path(path)}: "
-    while (name := info.get(f"File.At.{len(found) + 1}.Name")) is not None:
-        kind = info.get(f"File.At.{len(found) + 1}.Type", "")
+    quantities, wrong = [], f"{info_path(path)}: "
+    while (name := info.get(f"File.At.{len(quantities) + 1}.Name")) is not None:
+        kind = info.get(f"File.At.{len(quantities) + 1}.Type", "")
         if kind not in TYPES:
             raise BadInput(f"{wrong}quantity '{name}' has the type '{kind}', which is none of CarMaker's; mend it.")
-        found.append((name, TYPES[kind]))
-    if not found:
+        quantities.append((name, TYPES[kind]))
+    if not quantities:
         raise BadInput(f"{wrong}describes no quantity (File.At.1.Name); give the file that CarMaker wrote.")
-    return found
+    return quantities
 
 
 def _record(path: Path, info: dict[str, str], quantities: list[tuple[str, str]]) -> np.dtype:

@@ -17,7 +17,7 @@ SLOW = 0.1  # share of a run's top speed below which its angles of motion are no
 
 
 def check_time(run: RawRun, rate: float | None) -> float:
-    """Return the sample time [s] of a run of two rows or more: of uneven steps that which they are resampled to.
+    """Return the sample time [s] of a run of two rows or more; for uneven steps, the one they are resampled to.
 
     Raises `BadInput` if time does not increase, or if the steps are uneven and no `rate` [Hz], or too high a one, says
     what to resample them to.

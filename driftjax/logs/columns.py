@@ -151,7 +151,7 @@ class ColumnMap:
     rate: float | None = None
     """Sample rate to thin the log to, or to resample uneven time steps to [Hz]; left out: that of the log."""
     base: str | None = None
-    """Of a recording: the channel whose time stamps all get; left out: the fastest measured."""
+    """In a recording: the channel whose time stamps all others are put on; left out: the fastest measured one."""
     stamps: Stamps = "header"
     """Time stamps of messages: of their headers, where they have them, or of their receipt."""
 
@@ -240,10 +240,10 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
 
 
 def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    found = values.get(key) or {}
-    if not isinstance(found, dict):
-        raise BadInput(f"{path}: key '{key}' is {found!r}; it needs 'column: ...' lines.")
-    return found
+    mapping = values.get(key) or {}
+    if not isinstance(mapping, dict):
+        raise BadInput(f"{path}: key '{key}' is {mapping!r}; it needs 'column: ...' lines.")
+    return mapping
 
 
 def _plain(value: float | str) -> float | str:

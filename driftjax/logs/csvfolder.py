@@ -54,17 +54,19 @@ def _columns(table: Table) -> dict[str, str]:
     """Return the unit of every column that begins with a number, and of the headings of quaternions."""
     units = dict(zip(table.names, table.units or ("",) * len(table.names), strict=True))
     times = _time_columns(table)
-    found = {name: unit for name, unit in units.items() if name and name not in times and _has_numbers(table, name)}
-    return found | {f"{before}.yaw": "rad" for before, parts in _vectors(found).items() if set(parts) == set("xyzw")}
+    numeric = {name: unit for name, unit in units.items() if name and name not in times and _has_numbers(table, name)}
+    return numeric | {
+        f"{before}.yaw": "rad" for before, parts in _vectors(numeric).items() if set(parts) == set("xyzw")
+    }
 
 
 def _vectors(names: Iterable[str]) -> dict[str, dict[str, str]]:
     """Return the columns of each vector or quaternion, by its name and x, y, z or w."""
-    found = defaultdict[str, dict[str, str]](dict)
+    vectors = defaultdict[str, dict[str, str]](dict)
     for name in names:
         if match := re.fullmatch(r"(.+)[._/]([xyzw])", name):
-            found[match[1]][match[2]] = name
-    return found
+            vectors[match[1]][match[2]] = name
+    return vectors
 
 
 def _has_numbers(table: Table, name: str) -> bool:
@@ -86,8 +88,8 @@ def _nanoseconds(table: Table) -> np.ndarray:
     if not times:
         raise BadInput(f"{table.path}: has no column of time; call one 'time', or two 'sec' and 'nanosec'.")
     units = [1e9, 1.0] if len(times) == 2 else [1e9 * next(iter(units_of_time(times[0])), 1.0)]
-    whole = [np.round(values * unit).astype(np.int64) for values, unit in zip(times, units, strict=True)]
-    return np.sum(whole, axis=0)
+    parts = [np.round(values * unit).astype(np.int64) for values, unit in zip(times, units, strict=True)]
+    return np.sum(parts, axis=0)
 
 
 def _time_columns(table: Table) -> tuple[str, ...]:
@@ -98,10 +100,10 @@ def _time_columns(table: Table) -> tuple[str, ...]:
     return tuple(by_letters[one] for one in TIMES if one in by_letters)[:1]
 
 
-def _are_stamp(whole: str, rest: str) -> bool:
+def _are_stamp(seconds: str, rest: str) -> bool:
     """Return whether two columns are the seconds and nanoseconds of one time stamp."""
-    before, same = (name[: len(name) - len(_last_word(name))] for name in (whole, rest))
-    return before == same and _last_word(whole) in WHOLE and _last_word(rest) in REST
+    before, same = (name[: len(name) - len(_last_word(name))] for name in (seconds, rest))
+    return before == same and _last_word(seconds) in WHOLE and _last_word(rest) in REST
 
 
 def _last_word(name: str) -> str:

@@ -23,14 +23,14 @@ def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.nd
     Column k of a matrix is `name.k`, entry k of a cell or of an array of structs too, counted from 0. The length is
     that of the vector called `time`, or where there is none the one that most vectors have.
     """
-    found: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     with library_errors(path, KIND, REMEDY):
         for name, value in _version_5(content) if _is_version_5(content) else _version_7_3(content):
-            found |= _columns(name, value)
-    if not found:
+            columns |= _columns(name, value)
+    if not columns:
         raise BadInput(f"{path}: holds no numeric vector; save structs and arrays, not objects such as timetables.")
-    size = len(found[time]) if time in found else Counter(map(len, found.values())).most_common(1)[0][0]
-    return {name: values for name, values in found.items() if len(values) == size}
+    size = len(columns[time]) if time in columns else Counter(map(len, columns.values())).most_common(1)[0][0]
+    return {name: values for name, values in columns.items() if len(values) == size}
 
 
 def _is_version_5(content: bytes) -> bool:

@@ -22,7 +22,7 @@ def mdf_channels(path: Path) -> dict[str, str]:
     with _opened(path) as mdf:
         places = {name: _values(mdf, places) for name, places in mdf.channels_db.items()}
         with library_errors(path, KIND, REMEDY):
-            return {name: mdf.get_channel_unit(name, *found[0]) or "" for name, found in places.items() if found}
+            return {name: mdf.get_channel_unit(name, *located[0]) or "" for name, located in places.items() if located}
 
 
 def mdf_series(path: Path, names: Iterable[str]) -> dict[str, Series]:

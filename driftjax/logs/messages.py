@@ -84,15 +84,15 @@ def number_columns(topic: str, content: Any) -> list[str]:
 
 
 def _place(path: Path, name: str, topics: Collection[str]) -> ColumnPath:
-    found = [topic for topic in topics if name.startswith(f"{topic}.")]
+    matches = [topic for topic in topics if name.startswith(f"{topic}.")]
     if not topics:
         raise BadInput(f"{path}: holds no messages; record it again.")
-    if not found:
+    if not matches:
         raise BadInput(
             f"{path}: column '{name}' names no topic there and a field of it; "
             f"write topic.field with a topic such as {similar_names(name, topics)}."
         )
-    topic = max(found, key=len)
+    topic = max(matches, key=len)
     rest = name[len(topic) :]
     if not re.fullmatch(r"(\.[^.\[\]]+|\[\d+\])+", rest):
         raise BadInput(f"{path}: column '{name}' is no topic.field; write it as in '{topic}.field.list[0]'.")

@@ -43,15 +43,15 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
         notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
     if len(long) > 1:
         notes.append(f"{raw.where}: was cut at gaps into {len(long)} parts.")
-    found = [_even(stretch, dt, every) for stretch in long]
+    segments = [_even(stretch, dt, every) for stretch in long]
     if every > dt:
         notes.append(f"{raw.where}: its uneven time steps, {every:.3g} s or less, were resampled to {1 / dt:.4g} Hz.")
     else:
         _note_repairs(raw, long, dt, notes)
     if factor == 1:
-        return found
+        return segments
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
-    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in found]
+    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in segments]
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:
@@ -101,12 +101,12 @@ def _even(run: RawRun, dt: float, every: float) -> Segment:
 
 def _note_repairs(raw: RawRun, stretches: list[RawRun], dt: float, notes: list[str]) -> None:
     steps = np.concatenate([np.diff(stretch.values["t"]) for stretch in stretches] or [[]]) / dt
-    whole = np.maximum(np.round(steps), 1)
-    if lost := int(np.sum(whole - 1)):
+    multiples = np.maximum(np.round(steps), 1)
+    if lost := int(np.sum(multiples - 1)):
         notes.append(
             f"{raw.where}: samples are lost; measured values count as missing there, commands are held: {lost}."
         )
-    if (uneven := np.abs(steps - whole) > sampling.UNIFORM).any():
+    if (uneven := np.abs(steps - multiples) > sampling.UNIFORM).any():
         notes.append(
             f"{raw.where}: {uneven.sum()} of {steps.size} time steps differ from {dt:.4g} s; "
             "the run was resampled evenly."

@@ -72,16 +72,16 @@ def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list
     if wrong := [channel.name for channel in columns.columns if channel.column == TIME and channel.name != "t"]:
         raise BadInput(f"{path}: the column map says that {wrong[0]} is '{TIME}', the time stamps; only t can be that.")
     roles = _roles(columns)
-    found = _series(path, kind, roles, columns.stamps, notes)
-    for name, series in found.items():
+    series_of = _series(path, kind, roles, columns.stamps, notes)
+    for name, series in series_of.items():
         check_series(path, name, series, fewest=1 if roles[name] == "state" else 2)
-    base = _base(found, roles, columns)
-    if len({series.source for series in found.values()}) > 1:
-        rate = 1 / sampling.sample_time(found[base].t)
-        notes.append(f"{path}: all columns were put on the time stamps of '{found[base].source}', {rate:.4g} Hz.")
-    t = found[base].t
+    base = _base(series_of, roles, columns)
+    if len({series.source for series in series_of.values()}) > 1:
+        rate = 1 / sampling.sample_time(series_of[base].t)
+        notes.append(f"{path}: all columns were put on the time stamps of '{series_of[base].source}', {rate:.4g} Hz.")
+    t = series_of[base].t
     turning = {channel.column: channel.factor for channel in columns.columns if channel.name == "psi"}
-    values = {name: _at(t, series, roles[name], turning.get(name)) for name, series in found.items()}
+    values = {name: _at(t, series, roles[name], turning.get(name)) for name, series in series_of.items()}
     return Table(path, (TIME, *values), (t, *values.values()), np.arange(1, len(t) + 1))
 
 
@@ -106,10 +106,10 @@ def all_series(path: Path, kind: str, stamps: Stamps) -> dict[str, tuple[str, Se
     if kind in CHANNELS:
         units, read = CHANNELS[kind][0](path), CHANNELS[kind][1]
         try:
-            found = read(path, list(units))
+            series_of = read(path, list(units))
         except BadInput:  # one of them holds text, say
-            found = {name: series for name in units for series in _if_readable(read, path, name)}
-        return {name: (units[name], series) for name, series in found.items()}
+            series_of = {name: series for name in units for series in _if_readable(read, path, name)}
+        return {name: (units[name], series) for name, series in series_of.items()}
     topics, first = _names(path, kind), dict[str, Message]()
     for message in _messages(path, kind, topics, []):
         first.setdefault(message.topic, message)
@@ -140,12 +140,12 @@ def _roles(columns: ColumnMap) -> dict[str, str]:
     return {name: role for name, role in roles.items() if name != TIME}
 
 
-def _base(found: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -> str:
+def _base(series_of: dict[str, Series], roles: dict[str, str], columns: ColumnMap) -> str:
     """Return the column of the time base: the map's base, else the fastest measured, the first of equals."""
     if columns.base is not None:
         return next(channel.column for channel in columns.columns if channel.name == columns.base)
     measured = [name for name, role in roles.items() if role == "measured"]
-    steps = {name: sampling.sample_time(found[name].t) for name in measured}
+    steps = {name: sampling.sample_time(series_of[name].t) for name in measured}
     return next(name for name in measured if steps[name] <= (1 + sampling.UNIFORM) * min(steps.values()))
 
 

@@ -57,8 +57,8 @@ def pick_channels(path: Path, names: Iterable[str], channels: Sequence[tuple[str
             )
         if there.count(name) > 1:
             raise BadInput(f"{path}: channel '{name}' is there {there.count(name)} times; rename one in the logger.")
-    found = dict(channels)
-    return {name: found[name] for name in names}
+    by_name = dict(channels)
+    return {name: by_name[name] for name in names}
 
 
 def similar_names(name: str, there: Iterable[str]) -> str:

@@ -22,9 +22,9 @@ def header_stamp(content: Any) -> int | None:
     """Return the time stamp in `header.stamp` or `timestamp` of a message [ns], None if there is none."""
     stamp = get_field(get_field(content, "header"), "stamp")
     stamp = get_field(content, "timestamp") if stamp is ABSENT else stamp
-    whole, rest = ([get_field(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
-    whole, rest = (next(filter(is_scalar, found), None) for found in (whole, rest))
-    return None if whole is None or rest is None else int(whole) * 10**9 + int(rest)
+    seconds, rest = ([get_field(stamp, name) for name in names] for names in (SECONDS, NANOSECONDS))
+    seconds, rest = (next(filter(is_scalar, scalars), None) for scalars in (seconds, rest))
+    return None if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
 
 
 def message_times(

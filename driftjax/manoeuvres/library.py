@@ -57,8 +57,8 @@ def drift(vehicle: VehicleConfig, rng: np.random.Generator, t: np.ndarray, excit
     beta, R = -turn * rng.uniform(0.38, 0.5), turn * unit.length * rng.uniform(3.5, 9.0)
     Q = jnp.array([(10 / unit.speed) ** 2, 10.0**2, (5 * unit.time) ** 2])
     R_u = jnp.array([10.0**2, (5 / unit.weight) ** 2])
-    x, u, K, found = call(_hold, nominal, jnp.array([beta, R]), Q, R_u, jnp.asarray(t[1] - t[0]))
-    if not found:
+    x, u, K, converged = call(_hold, nominal, jnp.array([beta, R]), Q, R_u, jnp.asarray(t[1] - t[0]))
+    if not converged:
         raise NoDrift(f"vehicle {vehicle.name}: it has no drift equilibrium; give 'combined_slip' or another tyre.")
     wiggle = np.zeros((len(t), 2))
     if excited:

@@ -52,8 +52,8 @@ def compile_ahead(function: Callable[..., PyTree], *args: Any) -> PyTree:
     return _filled(skeleton, [jnp.zeros(out.shape, out.dtype) for out in run.out_info])
 
 
-def _filled(skeleton: PyTree, found: list) -> PyTree:
-    return jax.tree.map(lambda leaf: found[leaf.index] if isinstance(leaf, _Place) else leaf, skeleton)
+def _filled(skeleton: PyTree, arrays: list) -> PyTree:
+    return jax.tree.map(lambda leaf: arrays[leaf.index] if isinstance(leaf, _Place) else leaf, skeleton)
 
 
 def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, list, PyTree]:
@@ -141,8 +141,10 @@ def _path(plain: "_Plain", arrays: list, around: tuple) -> Path | None:
     # a value that prints as an address is another in each process; a GPU needs calls that cannot be exported
     if cache is None or " at 0x" in text or jax.default_backend() != "cpu":
         return None
-    found = {getattr(value, "__module__", None) or "builtins" for value in (*_nodes(plain.structure), *plain.static)}
-    others = sorted(name for name in found if name.split(".")[0] not in sys.stdlib_module_names)
+    of_values = {
+        getattr(value, "__module__", None) or "builtins" for value in (*_nodes(plain.structure), *plain.static)
+    }
+    others = sorted(name for name in of_values if name.split(".")[0] not in sys.stdlib_module_names)
     modules = (module, *others)
     try:
         source = source_hash(*modules)
@@ -179,12 +181,12 @@ class _Plain:
         given = iter(arrays)
         leaves = [next(given) if is_array else leaf for leaf, is_array in zip(self.static, self.traced, strict=True)]
         out, structure = jax.tree.flatten(self.function(*jax.tree.unflatten(self.structure, leaves)))
-        found = [leaf for leaf in out if eqx.is_array(leaf)]
-        places = iter(range(len(found)))
+        arrays_out = [leaf for leaf in out if eqx.is_array(leaf)]
+        places = iter(range(len(arrays_out)))
         self.skeleton = jax.tree.unflatten(
             structure, [_Place(next(places)) if eqx.is_array(leaf) else leaf for leaf in out]
         )
-        return found
+        return arrays_out
 
 
 # The `_Plain` keeps the function and its static values alive: no other object can take an address that a key contains.

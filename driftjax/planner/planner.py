@@ -88,12 +88,12 @@ def solve_from(ocp: MinimumTime, x0: Array, stage: Stage, X: Array, options: Opt
     return solve_with_filter(ocp, x0, stage, X, U, options)
 
 
-def _fastest(found: list[Solution]) -> Solution:
+def _fastest(solutions: list[Solution]) -> Solution:
     """Select the cheapest converged solution; if none converged, the one with the least violation."""
-    good = [one for one in found if one.result == RESULTS.successful]
+    good = [one for one in solutions if one.result == RESULTS.successful]
     if good:
         return min(good, key=lambda one: float(one.cost))
-    return min(found, key=lambda one: float(jnp.where(jnp.isfinite(one.violation), one.violation, jnp.inf)))
+    return min(solutions, key=lambda one: float(jnp.where(jnp.isfinite(one.violation), one.violation, jnp.inf)))
 
 
 def _finish(ocp: MinimumTime, track: Track, stage: Stage, s: Array, best: Solution, label_beta: Array, cut) -> Plan:

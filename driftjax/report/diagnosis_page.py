@@ -173,7 +173,7 @@ def _parameter_rows(cause: dict[str, Any], key: str) -> list[list[str | Cell]]:
 
 
 def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
-    """Return a named effect: what it is, its parameters, how sure it is, and what looks like it."""
+    """Return the section of a named effect: description, parameters, probability, and confusable effects."""
     name, key = cause["effect"], f"diagnosis.json: causes[{place}]"
     known = EFFECTS.get(name)
     parts = [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}.")] if known else []
@@ -212,7 +212,7 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
 
 
 def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[str]:
-    """Yield what the data say against the model: runs, residual forces, errors over the horizon, scores."""
+    """Yield the evidence against the nominal model: runs, residual forces, errors over the horizon, scores."""
     yield section(
         "Measured against predicted", [stage_for("player", "Player of measured runs and predictions")], "runs"
     )

@@ -55,7 +55,7 @@ def shown_vehicle(run: RunFolder) -> VehicleConfig:
 def lap_drives(run: RunFolder, plan: xr.Dataset) -> list[CarDrive]:
     """Return the laps of all finished stages; those to show before all others come first."""
     stages = {name: run.read_stage(name) for name in run.finished()}
-    found: list[tuple[tuple[bool, int, int], CarDrive]] = []
+    ranked: list[tuple[tuple[bool, int, int], CarDrive]] = []
     for number, (name, data) in enumerate(stages.items()):
         for controller in dict.fromkeys(data["controller"].values.tolist()):
             lanes = np.flatnonzero(data["controller"].values == controller).tolist()
@@ -63,8 +63,8 @@ def lap_drives(run: RunFolder, plan: xr.Dataset) -> list[CarDrive]:
             for place, (lane, lap) in enumerate(zip(lanes, read_laps(data, controller), strict=True)):
                 source = f"stages/{number:02d}_{name}.nc, lane {lane}"
                 drive = CarDrive(lap_group(lap, data), words, stage_kind(name), source, *_lap(lap, data, lane, plan))
-                found.append(((name not in FIRST, place, number), drive))
-    return [drive for _, drive in sorted(found, key=lambda one: one[0]) if len(drive.pieces[0]["t"]) > 1]
+                ranked.append(((name not in FIRST, place, number), drive))
+    return [drive for _, drive in sorted(ranked, key=lambda one: one[0]) if len(drive.pieces[0]["t"]) > 1]
 
 
 def run_drives(run: RunFolder) -> tuple[list[CarDrive], xr.Dataset | None]:
@@ -135,7 +135,7 @@ def diagnosis_drives(data: xr.Dataset) -> list[CarDrive]:
 
     Poses are integrated from V, beta and r: from 0 for a run, from the run's own pose for a prediction.
     """
-    found = []
+    drives = []
     for panel, group in enumerate(map(str, data["panel"].values)):
         one = data.isel(panel=panel)
         measured = _measured(one)
@@ -143,13 +143,13 @@ def diagnosis_drives(data: xr.Dataset) -> list[CarDrive]:
             continue
         thin = {name: a[:: max(len(a) // POINTS, 1)] for name, a in measured.items()}
         source = f"diagnosis.nc, panel {panel}"
-        found.append(CarDrive(group, "measured", "measured", f"{source}: measured", "", [thin]))
+        drives.append(CarDrive(group, "measured", "measured", f"{source}: measured", "", [thin]))
         for model in drawn_models(data):
             pieces = list(_predictions(one.sel(model=model), measured))
             kind, words = "extended" if model == "extended" else "nominal", f"predicted, {COMPARED[model][1]}"
             if pieces:
-                found.append(CarDrive(group, words, kind, f"{source}: predicted, {model}", "", pieces))
-    return found
+                drives.append(CarDrive(group, words, kind, f"{source}: predicted, {model}", "", pieces))
+    return drives
 
 
 def _measured(one: xr.Dataset) -> dict[str, np.ndarray]:

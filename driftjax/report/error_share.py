@@ -11,7 +11,7 @@ from driftjax.report.table import aligned, with_interval
 
 
 def error_share_table(content: dict[str, Any]) -> str:
-    """Format family, probability and share of every cause, and what the error grows by without it; empty without any.
+    """Format family, probability and share of every cause, and the growth of the error without it; empty without any.
 
     `content` is that of diagnosis.json, also an older one.
     """
@@ -34,7 +34,7 @@ def error_share_table(content: dict[str, Any]) -> str:
 
 
 def waterfall(content: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Return how the named effects take the excess error of the nominal car down: name, before, after [%].
+    """Return the steps of the waterfall of the excess error, one per named effect: name, before, after [%].
 
     Each takes its share of what all of them explain of the excess squared error at the decisive horizon.
     Empty where nothing is named or explained.
@@ -43,8 +43,8 @@ def waterfall(content: dict[str, Any]) -> list[tuple[str, float, float]]:
     explained = content.get("explained")
     if not causes or not explained or explained["share"] is None:
         return []
-    whole = max(explained["share"], 0.0)
-    level = 100 * np.cumsum([1.0, *(-whole * cause["share"] for cause in causes)])
+    explained_share = max(explained["share"], 0.0)
+    level = 100 * np.cumsum([1.0, *(-explained_share * cause["share"] for cause in causes)])
     steps = zip((cause["effect"] for cause in causes), level[:-1].tolist(), level[1:].tolist(), strict=True)
     return [("nominal car", 0.0, 100.0), *steps, ("left", 0.0, float(level[-1]))]
 

@@ -137,8 +137,8 @@ def state_class(get: Callable[[str], Any], names: Sequence[str]) -> Any:
         message.field.add(name=name, number=number, type=1, label=1)  # an optional double
     pool = get("google.protobuf.descriptor_pool").DescriptorPool()
     pool.Add(file)
-    found = pool.FindMessageTypeByName("driftjax.State")
-    return get("google.protobuf.message_factory").GetMessageClass(found)
+    descriptor = pool.FindMessageTypeByName("driftjax.State")
+    return get("google.protobuf.message_factory").GetMessageClass(descriptor)
 
 
 def write_mcap(path: Path, vehicle: VehicleConfig, drives: Sequence[CarDrive], plan: xr.Dataset | None) -> Counter[str]:

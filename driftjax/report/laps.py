@@ -33,7 +33,7 @@ class Lap:
 
 def read_laps(data: xr.Dataset, controller: str) -> list[Lap]:
     """Return the laps of one controller in a stage, in the order of plants and seeds."""
-    names, found = code_names(data), []
+    names, laps = code_names(data), []
     series = [str(name) for name in data.data_vars if data[name].dims == ("lane", "step")]
     for lane in np.flatnonzero(data["controller"].values == controller):
         one = data.isel(lane=int(lane))
@@ -41,12 +41,12 @@ def read_laps(data: xr.Dataset, controller: str) -> list[Lap]:
         values = {name: one[name].values[alive] for name in series}
         code = names.get(int(one["code"]), "UNKNOWN")
         numbers = bool(one["completed"]), float(one["lateral_error"]), float(one["velocity_rmse"])
-        found.append(Lap(str(one["plant"].values), int(one["seed"]), code, *numbers, values))
-    return found
+        laps.append(Lap(str(one["plant"].values), int(one["seed"]), code, *numbers, values))
+    return laps
 
 
 def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
-    """Return the mean of `curve(lap, s)` over the completed laps, or over all if none is; NaN where no lap got."""
+    """Return the mean of `curve(lap, s)` over the completed laps, or over all if none is; NaN beyond their ends."""
     chosen = [lap for lap in laps if lap.completed] or laps
     rows = np.stack([curve(lap, s) for lap in chosen])
     count = np.isfinite(rows).sum(axis=0)
@@ -56,8 +56,8 @@ def mean_curve(laps: list[Lap], s: np.ndarray, curve) -> np.ndarray:
 def stages_by_kind(run: RunFolder) -> dict[str, list[str]]:
     """Return the finished stages of each kind that the paper compares: nominal, gpr, explored."""
     kinds = {"nominal": "nominal", "gpr": "gpr-", "explored": "explore-"}
-    found = {kind: [name for name in run.finished() if name.startswith(prefix)] for kind, prefix in kinds.items()}
-    return {kind: names for kind, names in found.items() if names}
+    stages = {kind: [name for name in run.finished() if name.startswith(prefix)] for kind, prefix in kinds.items()}
+    return {kind: names for kind, names in stages.items() if names}
 
 
 def _badness(lap: Lap) -> tuple[bool, float]:

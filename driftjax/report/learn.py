@@ -44,20 +44,20 @@ def learn_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
     yield "plan_states", plot_states(plan)
     vehicle = shown_vehicle(run)
     for controller in drift_controllers(run):
-        drawn = {
+        figures = {
             "lateral_error": plot_lateral_error(run, plan, controller),
             "posture": plot_posture(run, plan, controller, vehicle),
             "velocity": plot_velocity(run, plan, controller),
             "speed_sets": plot_speed_sets(run, controller),
             "gp_data": plot_gp_data(run, controller),
         }
-        yield from ((f"{name}_{controller}", figure) for name, figure in drawn.items() if figure is not None)
+        yield from ((f"{name}_{controller}", figure) for name, figure in figures.items() if figure is not None)
 
 
 def write_report(run: RunFolder) -> Path:
     """Write figures/*.png and .pdf, table.txt and report.html from the folder alone; returns the page's path.
 
-    A run that stopped early is shown as far as it got.
+    A run that was stopped is shown up to its last stage.
     """
     pictures = [save(figure, run.path / "figures", name) for name, figure in learn_figures(run)]
     words = results_table(run.read_json("results")) if run.has("results.json") else f"finished so far: {run.finished()}"

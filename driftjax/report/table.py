@@ -49,8 +49,8 @@ def result_row(stage: str, controller: str, cell: dict[str, Any]) -> tuple[str, 
     done, of = cell.get("completed") or (0, 0)
     codes = {code: count for code, count in (cell.get("codes") or {}).items() if code != "COMPLETED" and count}
     failed = [f"{count} {code.lower().replace('_', ' ')}" for code, count in codes.items()]
-    found, asked = cell.get("references_found") or (0, 0)
-    failed += [f"{asked - found} references not found"] if found < asked else []
+    converged, tried = cell.get("references_found") or (0, 0)
+    failed += [f"{tried - converged} references not found"] if converged < tried else []
     failures = ", ".join(failed) or "none"
     share = (cell.get("drift_share") or {}).get("mean")
     errors = format_interval(cell.get("lateral_error")), format_interval(cell.get("velocity_rmse"))

@@ -47,13 +47,13 @@ def tuning_summary(results: dict[str, Any]) -> str:
 
 def sentences(results: dict[str, Any]) -> list[str]:
     """Return sentences on the winner of each comparison and on failed laps."""
-    held, tuned, drawn = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
+    held, tuned, random = results["held_out"], results["settings"]["tuned"], results["settings"]["random"]
     return [
         f"Against the default, tuning by gradients {_verdict(held, 'tuned - default')}.",
         f"Against random search, tuning by gradients {_verdict(held, 'tuned - random')}.",
         f"Time: {tuned['seconds']:.0f} s by gradients ({tuned['slopes']} of them, {tuned['slope_seconds']:.0f} s), "
-        f"{drawn['seconds']:.0f} s by random search, compiling included.",
-        f"Laps that failed: {tuned['failed_laps']} and {drawn['failed_laps']}; "
+        f"{random['seconds']:.0f} s by random search, compiling included.",
+        f"Laps that failed: {tuned['failed_laps']} and {random['failed_laps']}; "
         f"laps without derivatives, left out of a gradient: {tuned['laps_without_slope']}.",
     ]
 

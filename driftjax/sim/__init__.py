@@ -1,5 +1,6 @@
 """Simulate closed-loop laps and open-loop runs of the plant, with sensors and noise."""
 
+from driftjax.sim.drive_laps import drive_laps as drive_laps
 from driftjax.sim.lap import LapCode as LapCode
 from driftjax.sim.lap import LapConfig as LapConfig
 from driftjax.sim.lap import Laps as Laps

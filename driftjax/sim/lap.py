@@ -127,7 +127,7 @@ def _judge(plant: AnyPlant, state: Any, command: Control, path: Track, s: Array,
 
 
 def _at_start(plants: AnyPlant, paths: Track, speed: Array, memory: Any) -> _Carry:
-    """Return a batch of cars that roll along their paths' first points."""
+    """Return the initial states: every car rolls at `speed` [m/s] along the start of its path."""
     x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
     state = vmap_batch(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
     zero = jnp.zeros_like(speed)
@@ -135,7 +135,7 @@ def _at_start(plants: AnyPlant, paths: Track, speed: Array, memory: Any) -> _Car
 
 
 def _sense(sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, key: Array):
-    """Return the motion of one batch entry, and what its sensors say of it; its last arc length was `s`."""
+    """Return the true motion and the measurements of one batch entry; `s` [m] is its last arc length."""
     motion = plant.motion(state, command)
     m = measure(plant.sensor_reading(state, motion), sensors, key=key)
     s, e = path.project(m.x, m.y, s)
@@ -143,7 +143,7 @@ def _sense(sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control,
 
 
 def _scan_laps(step: Callable[[_Carry, Array], tuple[_Carry, Trace]], carry: _Carry, num: int) -> tuple[_Carry, Trace]:
-    """Take `num` steps, of which those after the end of the last lap cost nothing and leave zeros."""
+    """Scan over `num` steps; those after the end of the last lap are skipped and their rows are zeros."""
     steps = jnp.arange(num)
     shapes = jax.eval_shape(lambda c: step(c, steps[0])[1], carry)
     blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
@@ -180,8 +180,8 @@ def drive(
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
         key = vmap_batch(lambda one: jax.random.fold_in(one, k))(keys)
-        found: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
-        motion, sensed = found
+        readings: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
+        motion, sensed = readings
         command, memory, decision = policy(sensed, carry.memory, alive)
         advance = vmap_batch(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
         after = advance(plants, carry.plant, command)

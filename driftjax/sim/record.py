@@ -75,7 +75,7 @@ class _Now(NamedTuple):
 
 
 def road_acceleration(plant: Universal, x: State, u: Control, place: Place) -> tuple[Array, Array]:
-    """Return the pull of a road that is not level on the car, forwards and to the left [m/s^2].
+    """Return the acceleration by gravity on a sloped or banked road, forwards and to the left [m/s^2].
 
     The road effects are those force effects that appear in kinematic parity.
     """

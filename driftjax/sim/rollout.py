@@ -72,7 +72,7 @@ def move(
 
 
 def sensor_reading(model: Universal, x: Float[Array, "3"], rates: Float[Array, "3 3"], dt: Array) -> Float[Array, "3"]:
-    """Return the noise-free sensor reading of `x`, whole steps of the delay aside, from the `rates` of the last step.
+    """Return the noise-free sensor reading of `x`, delayed by less than a step, from the `rates` of the last step.
 
     Within that step the state follows the cubic through its ends with the rates there.
     """

@@ -91,8 +91,8 @@ def substep(model: Universal, z: Dual, inputs: Dual, place: Place, dt: Array, pu
         k, end, known = carry
         first, into, weight = row
         y = jax.tree.map(lambda a, b: a + into * dt * b, start, k)
-        found = through(lambda v, theta: rates(v, theta, into, first), join(began, known, y), model.theta)
-        dx, ay = _rows(found, slice(3)), _rows(found, slice(3, 4))
+        derivative = through(lambda v, theta: rates(v, theta, into, first), join(began, known, y), model.theta)
+        dx, ay = _rows(derivative, slice(3)), _rows(derivative, slice(3, 4))
         moving = through(slip, join(began, known, dx), model.theta)
         k, known = either(first, k, dx), either(first, join(moving, ay), known)
         return (k, jax.tree.map(lambda a, b: a + weight * dt * b, end, k), known), None

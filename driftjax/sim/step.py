@@ -156,7 +156,8 @@ def evaluate(
 ) -> Float[Array, "4"]:
     """Return the rates of V, beta and r, `push` added, and the lateral acceleration at a fraction `share` of a step.
 
-    The `first` time, at the start, what the lags during the step depend on is not known yet: those then follow from it.
+    At the `first` evaluation, at the start of the step, the quantities that the lags depend on are not known yet; they
+    follow from its result.
     """
     x = State(y[0], y[1], y[2])
     offsets = first_offsets(model, at_start, dt), lag_offsets(model, at_start, x, share, dt)
@@ -199,10 +200,10 @@ def lagged_step(
     def on(carry, row):
         k, end, known = carry
         first, into, weight = row
-        found = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
-        moving = first_slip_rate(model, begun(known), found[:3], dt)
-        k = jnp.where(first, k, found[:3])
-        known = jnp.where(first, jnp.concatenate([moving, found[3:]]), known)
+        derivative = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
+        moving = first_slip_rate(model, begun(known), derivative[:3], dt)
+        k = jnp.where(first, k, derivative[:3])
+        known = jnp.where(first, jnp.concatenate([moving, derivative[3:]]), known)
         return (k, end + weight * dt * k, known), k
 
     (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), evaluations(method, start.dtype))

@@ -34,7 +34,7 @@ class Travel(NamedTuple):
 
 
 def delay_buffer(model: Universal, x: State, h: float) -> Float[Array, "n 3"]:
-    """Return the initial delay buffer of a car long in the state `x`, for steps of `h` [s] or longer."""
+    """Return the initial delay buffer of a car that has long been in the state `x`, for steps of at least `h` [s]."""
     late = any(effect.sensor_delay for effect in model.effects)
     return jnp.tile(jnp.stack(x), (math.ceil(MAX_DELAY / h) + 2 if late else 0, 1))
 
@@ -43,8 +43,8 @@ def sensor_reading(model: Universal, now: Travel) -> State:
     """Return the noise-free sensor reading at this instant, linear between past steps."""
     if not len(now.past):
         return model.sense(now.x, now.rate)
-    whole, model = model.split_delays(now.step)
-    row, channel = jnp.minimum(whole.astype(int), len(now.past) - 2), jnp.arange(3)
+    steps, model = model.split_delays(now.step)
+    row, channel = jnp.minimum(steps.astype(int), len(now.past) - 2), jnp.arange(3)
     x, before = now.past[row, channel], now.past[row + 1, channel]
     return model.sense(State(*x), State(*((x - before) / now.step)))
 
@@ -55,7 +55,8 @@ def travel(
 ) -> Travel:  # fmt: skip
     """Advance one step `h` [s] under constant `command`, with `push` added to the rates; `lap` is a lap's length [m].
 
-    Tyre heat follows the sliding work of the `nominal` car. Heun's method: not the one by which models predict.
+    Tyre heat follows the sliding work of the `nominal` car. The integrator is Heun's method, another one than that of
+    the models that predict.
     """
     memory, u = model.apply_actuators(now.memory, command, now.x.V, h)
     x, lagged, *_ = lagged_step(model, now.x, now.lagged, constant_hold(u), now.place, h, push, HEUN)

@@ -94,7 +94,7 @@ def plants_of(vehicles: Sequence[VehicleConfig], lap: float, step: float) -> Uni
     each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
 
     def one(vehicle: VehicleConfig) -> UniversalPlant:
-        values = {(found.effect, found.parameter): found.value for found in vehicle.effects}
+        values = {(given.effect, given.parameter): given.value for given in vehicle.effects}
         scale = np.array([p.scale(vehicle) for _, p in each])
         theta = np.array([values.get((name, p.name), 0.0) for name, p in each]) / scale
         return UniversalPlant(vehicle.build(), names, jnp.asarray(scale), jnp.asarray(theta), lap, step)

@@ -93,8 +93,8 @@ class RunFolder:
         return bool(self.finished()) or any((self.path / "trials").glob("*.parquet"))
 
     def _stage(self, name: str) -> Path:
-        found = self.finished()
-        number = found.index(name) if name in found else len(found)
+        names = self.finished()
+        number = names.index(name) if name in names else len(names)
         return self.path / "stages" / f"{number:02d}_{name}"
 
     def write_stage(self, name: str, data: xr.Dataset, state: bytes) -> None:

@@ -15,8 +15,8 @@ PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 def versions() -> dict[str, str | None]:
     """Return the versions of packages and Python, machine, device, commit and time."""
-    found: dict[str, str | None] = {"driftjax": __version__} | {name: package_version(name) for name in PACKAGES}
-    return found | {
+    packages: dict[str, str | None] = {"driftjax": __version__} | {name: package_version(name) for name in PACKAGES}
+    return packages | {
         "python": platform.python_version(),
         "platform": platform.platform(),
         "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",

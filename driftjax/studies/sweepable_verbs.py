@@ -109,8 +109,8 @@ def paper_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterat
     run = RunFolder.open(folder) if there else RunFolder.create(folder, config, "paper")
     results = run_comparison(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
     rows: list[Row] = []
-    for car, found in results["cars"].items():
-        for controller, methods in found["methods"].items():
+    for car, result in results["cars"].items():
+        for controller, methods in result["methods"].items():
             for stage, figures in methods.items():
                 means = {name: figures[name]["mean"] for name in PAPER_FIGURES}
                 rows.append({"car": car, "controller": controller, "stage": stage} | means)

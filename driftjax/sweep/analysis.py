@@ -34,18 +34,18 @@ class Analysis:
     def labels(self) -> dict[str, list[str]]:
         """Return the labels of a field's values 0, 1, ... where they are no numbers."""
         words = {name: _words(values) for name, values in self.config.varied.items()}
-        return {name: list(map(str, found)) for name, found in words.items() if found}
+        return {name: list(map(str, options)) for name, options in words.items() if options}
 
     @property
     def front(self) -> np.ndarray:
         """Return the indices of the trials that no other beats in both figures."""
         both = np.flatnonzero(np.isfinite(self.second))
-        least, found = np.inf, []
+        least, best = np.inf, []
         for i in both[np.lexsort((self.second[both], self.objective[both]))]:
             if self.second[i] < least:
                 least = self.second[i]
-                found.append(i)
-        return np.array(found, int)
+                best.append(i)
+        return np.array(best, int)
 
 
 def _words(values: Field) -> tuple:
@@ -121,15 +121,15 @@ def sensitivity(analysis: Analysis, seed: int = 0) -> Shares | None:
         return None
     resampled = np.random.default_rng(seed).integers(0, len(y), (RESAMPLES, len(y)))
     shares = lambda group: np.array([explained_share(y[pick], group[pick]) for pick in (np.arange(len(y)), *resampled)])
-    found = {name: shares(group) for name, group in groups.items()}  # the estimate, then those of resampled trials
+    estimates = {name: shares(group) for name, group in groups.items()}  # the estimate, then those of resampled trials
     num = max(2, min(BINS, int((len(y) / CELL) ** 0.5)))
     coarse = {name: groups_of(analysis.values[name], num) for name in groups}
     alone = {name: shares(group) for name, group in coarse.items()}
     for a, b in combinations(groups, 2):
-        found[f"{a} with {b}"] = shares(num * coarse[a] + coarse[b]) - alone[a] - alone[b]
-    spread = {name: np.nanpercentile(values[1:] - values[0], [2.5, 97.5]) for name, values in found.items()}
+        estimates[f"{a} with {b}"] = shares(num * coarse[a] + coarse[b]) - alone[a] - alone[b]
+    spread = {name: np.nanpercentile(values[1:] - values[0], [2.5, 97.5]) for name, values in estimates.items()}
     return {name: (float(values[0]), float(values[0] - spread[name][1]), float(values[0] - spread[name][0]))
-            for name, values in found.items()}  # fmt: skip
+            for name, values in estimates.items()}  # fmt: skip
 
 
 def to_json(analysis: Analysis, shares: Shares | None) -> dict[str, Any]:

@@ -26,8 +26,8 @@ class Range:
         require(all(map(math.isfinite, (self.low, self.high))), "keys 'low' and 'high' must be finite numbers.")
         require(self.low < self.high, f"key 'low' is {self.low}, 'high' {self.high}; it must be below it.")
         require(self.low > 0 or not self.log, f"key 'low' is {self.low}; with 'log' it must be positive.")
-        whole = self.low.is_integer() and self.high.is_integer()
-        require(whole or not self.integer, "keys 'low' and 'high' must be whole numbers with 'integer'.")
+        integers = self.low.is_integer() and self.high.is_integer()
+        require(integers or not self.integer, "keys 'low' and 'high' must be whole numbers with 'integer'.")
 
     def value_at(self, u: float) -> float | int:
         """Return the value at the fraction `u` in [0, 1) of the range."""

@@ -27,8 +27,8 @@ def write_figures(analysis: Analysis, shares: Shares | None, folder: Path) -> li
 
 
 def _log(analysis: Analysis, name: str) -> bool:
-    found = analysis.config.varied[name]
-    return isinstance(found, Range) and found.log
+    options = analysis.config.varied[name]
+    return isinstance(options, Range) and options.log
 
 
 def _label(analysis: Analysis, name: str, axis: Axes, which: str = "x") -> None:

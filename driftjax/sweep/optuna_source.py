@@ -113,7 +113,7 @@ SEEDED = ("TPESampler", "RandomSampler", "CmaEsSampler", "NSGAIISampler", "NSGAI
 
 
 def _named(module: Any, kind: str, name: str) -> Any:
-    known = [found for found in module.__all__ if found.endswith(kind[:-1].capitalize())]
+    known = [known_name for known_name in module.__all__ if known_name.endswith(kind[:-1].capitalize())]
     if name not in known:
         raise BadInput(f"key '{kind[:-1]}' is '{name}'; choose one of {', '.join(known)}.")
     return getattr(module, name)
@@ -129,7 +129,7 @@ def _trial(study: Any, url: str, number: int) -> Any:
 
 
 def make_watch(url: str, trial: Trial, config: SweepConfig) -> Watch:
-    """Make the callback, in the process that runs `trial`, that reports each step and asks whether to prune."""
+    """Make the callback that reports each step and asks whether to prune, in the process that runs `trial`."""
     import optuna
 
     study = optuna.load_study(study_name=NAME, storage=url, pruner=_named(optuna.pruners, "pruners", config.pruner)())

@@ -71,13 +71,13 @@ def find_laps(root: Path, condition: str, limit: int) -> tuple[list[str], list[t
     """Return column names, rows of the laps that meet the SQL `condition`, best first, and their number."""
     database = open_laps(root)
     try:
-        found = database.sql(f"select * from laps where {condition}")
-        known = found.columns
+        laps = database.sql(f"select * from laps where {condition}")
+        known = laps.columns
         columns = [name for name in SHOWN if name in known]
         columns += [name for name in known if name not in SHOWN and f'"{name}"' in condition]
         quoted = ", ".join(f'"{name}"' for name in columns)
         order = ' order by "lateral_error" nulls last' if "lateral_error" in known else ""
-        num = len(found)
+        num = len(laps)
         rows = database.execute(f"select {quoted} from laps where {condition}{order} limit {limit}").fetchall()
     except duckdb.Error as error:
         names = ", ".join(column for column in LAP_COLUMNS)
@@ -92,9 +92,9 @@ def read_run(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         run = RunFolder.open(name)
         return flatten_config(run.config), _means(list(_rows(run)))
     database = open_laps(root)
-    found = database.execute("select * from laps where trial is not null and starts_with(trial, ?)", [name])
-    columns = [column[0] for column in found.description or ()]
-    rows = [dict(zip(columns, row, strict=True)) for row in found.fetchall()]
+    selected = database.execute("select * from laps where trial is not null and starts_with(trial, ?)", [name])
+    columns = [column[0] for column in selected.description or ()]
+    rows = [dict(zip(columns, row, strict=True)) for row in selected.fetchall()]
     trials = {row["trial"] for row in rows}
     if len(trials) != 1:
         many = f"{len(trials)} trials begin so" if trials else "is neither a run folder nor a trial"
@@ -104,13 +104,13 @@ def read_run(root: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Return the mean of each figure over the laps of a stage and controller that have it."""
-    found: dict[str, list[float]] = {}
+    values_of: dict[str, list[float]] = {}
     for row in rows:
         whose = ", ".join(filter(None, (row.get("stage"), row.get("controller"))))
         for figure in (name for name, kind in LAP_COLUMNS.items() if kind in (float, bool)):
             if row.get(figure) is not None:
-                found.setdefault(f"{whose}: {figure}", []).append(float(row[figure]))
-    return {name: sum(values) / len(values) for name, values in found.items()}
+                values_of.setdefault(f"{whose}: {figure}", []).append(float(row[figure]))
+    return {name: sum(values) / len(values) for name, values in values_of.items()}
 
 
 def differences(a: dict[str, Any], b: dict[str, Any]) -> list[tuple[str, Any, Any]]:

@@ -60,14 +60,14 @@ class Store:
         damaged = []
         for path in self.parts():
             try:
-                found = pq.read_table(path, columns=["trial"]).column("trial").to_pylist()
+                trials = pq.read_table(path, columns=["trial"]).column("trial").to_pylist()
             except (pa.ArrowException, OSError):
                 aside = self.path / DAMAGED / path.name
                 aside.parent.mkdir(exist_ok=True)
                 os.replace(path, aside)
                 damaged.append(aside)
                 continue
-            ids |= set(found)
+            ids |= set(trials)
         return ids, damaged
 
     def add(self, outcomes: list[Outcome]) -> Path:

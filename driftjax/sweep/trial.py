@@ -60,11 +60,11 @@ class Outcome:
 
 def make_trial(work: Work, config: SweepConfig, number: int, point: Point) -> Trial:
     """Make the trial of a combination of values; raises `BadInput` where the verb cannot take it."""
-    whole = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
+    options = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
     for name, value in point.items():
-        set_option(whole, name, value)
-    whole = work.complete(whole)
-    return Trial(_id(work, config.verb, whole), number, point, whole)
+        set_option(options, name, value)
+    options = work.complete(options)
+    return Trial(_id(work, config.verb, options), number, point, options)
 
 
 def _id(work: Work, verb: str, config: dict[str, Any]) -> str:

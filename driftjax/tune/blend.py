@@ -14,10 +14,10 @@ def blended(
 ) -> tuple[Control, DriverState, Decision]:
     """Apply `decide` to the batch, with the drift controller blended in along `width` [m] about its lead.
 
-    The command changes from pure pursuit to the drift MPC along a cubic in s. With the hard switch a lap is constant in
-    the lead between two control steps and jumps there, so that it has no useful derivative; this one has, and tends to
-    the hard switch as the width goes to 0. The switch back after the corner stays hard: it lies after the evaluated
-    section.
+    The command changes from pure pursuit to the drift MPC along a cubic in s. With the hard switch a lap is a step
+    function of the lead, which jumps at control steps, and has no useful derivative. The smooth switch has one, and
+    tends to the hard switch as the width goes to 0. The switch back after the corner stays hard: it lies after the
+    evaluated section.
     """
     over_batch = eqx.filter_vmap
     early = eqx.tree_at(lambda d: d.lead, drivers, drivers.lead + width / 2)

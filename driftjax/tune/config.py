@@ -47,10 +47,10 @@ class TuneConfig:
     lead: float = 2.0
     """Box of both searches: the switching lead within this factor of where it starts [-]."""
     blend: float = 3.0
-    """Stretch over which the switch is smooth where gradients are taken; laps that are judged switch at once [m]."""
+    """Distance over which the switch is smooth in laps that are differentiated; evaluated laps switch at once [m]."""
     scales: Scales = field(default_factory=Scales)
     learn: LearnConfig = field(default_factory=LearnConfig)
-    """Car, track and controller as in `driftjax learn`: nominal laps; what concerns learning is without effect."""
+    """Car, track and controller as in `driftjax learn`: nominal laps; options of learning have no effect."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "training")
@@ -72,5 +72,5 @@ def complete_tune_config(options: dict[str, Any], where: str, car: str | None = 
     """Complete `options` of `tune` by the shipped ones of `car`, else of the car that they name; `where` names them."""
     learn = options.get("learn") or {}
     require(isinstance(learn, dict), f"{where}: key 'learn' is {learn!r}; it needs keys of its own.")
-    whole = complete_learn_config(learn | ({"car": car} if car else {}), f"{where}: key 'learn'")
-    return from_dict(TuneConfig, options | {"learn": to_dict(whole)}, where)
+    completed = complete_learn_config(learn | ({"car": car} if car else {}), f"{where}: key 'learn'")
+    return from_dict(TuneConfig, options | {"learn": to_dict(completed)}, where)

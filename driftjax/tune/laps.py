@@ -75,8 +75,8 @@ class LapEvaluator:
         """Return the derivatives at `p` of the laps of the plants `which` with the smooth switch."""
         learn = self.scenario.config
         shared = (self.scenario.sensors, learn.lap, learn.mpc.dt, self.config.scales, self.config.blend)
-        found = self.scenario.executor.map(gradients_batch, self.batch(p, which), *shared)
-        return jax.tree.map(np.asarray, found)
+        gradients = self.scenario.executor.map(gradients_batch, self.batch(p, which), *shared)
+        return jax.tree.map(np.asarray, gradients)
 
 
 @eqx.filter_jit  # once for all points that are tried

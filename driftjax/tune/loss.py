@@ -66,8 +66,8 @@ def gradients_batch(
         memory = eqx.filter_vmap(lambda d: d.start())(now)
         policy = lambda sensed, memory, alive: blended(now, sensed, memory, alive, jnp.asarray(width))
         laps = drive(plants, now.path, speed, policy, memory, sensors, lap, dt=dt, keys=keys)
-        found = jax.vmap(lambda t, table: lap_errors(t, table, scales))(laps.trace, now.table)
-        flat = found.reshape(found.shape[0], -1)
+        of_laps = jax.vmap(lambda t, table: lap_errors(t, table, scales))(laps.trace, now.table)
+        flat = of_laps.reshape(of_laps.shape[0], -1)
         return flat, (flat, laps.code)
 
     J, (flat, code) = jax.jacfwd(errors, has_aux=True)(jnp.zeros(len(NAMES)))

@@ -28,10 +28,10 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
     with process_executor(num_workers) as executor:
         evaluator = LapEvaluator(config, build_scenario(learn, executor))
-        found = run_searches(evaluator, report)
+        searches = run_searches(evaluator, report)
         report("laps of held-out plants", 3, 4)
-        points = np.stack([found[kind]["p"] for kind in KINDS])
-        results = results_content(evaluator, found, evaluator.drive(points, slice(config.training, num)))
+        points = np.stack([searches[kind]["p"] for kind in KINDS])
+        results = results_content(evaluator, searches, evaluator.drive(points, slice(config.training, num)))
     folder.write_json("results", results)
     report("done", 4, 4)
     return results
@@ -49,24 +49,24 @@ def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str,
 
     def slope(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         begun = time.monotonic()
-        found = evaluator.gradients(p, training)
-        notes["laps_without_slope"] += int(np.sum(~found.valid))
+        laps = evaluator.gradients(p, training)
+        notes["laps_without_slope"] += int(np.sum(~laps.valid))
         notes["slopes"] += 1
         notes["slope_seconds"] += time.monotonic() - begun
-        return np.asarray(found.gradient).mean(axis=0), np.asarray(found.gauss).mean(axis=0)
+        return np.asarray(laps.gradient).mean(axis=0), np.asarray(laps.gauss).mean(axis=0)
 
     def timed(search: Callable[[], Search]) -> dict[str, Any]:
         notes.update(dict.fromkeys(notes, 0))
         begun = time.monotonic()
-        found = search()
-        return found._asdict() | {"seconds": time.monotonic() - begun} | notes
+        result = search()
+        return result._asdict() | {"seconds": time.monotonic() - begun} | notes
 
     report("gradients through laps", 1, 4)
     tuned = timed(lambda: descend(evaluate, slope, box, config.budget))
     report("random search", 2, 4)
-    drawn = timed(lambda: random_search(evaluate, box, config.budget, config.learn.seed))
+    random = timed(lambda: random_search(evaluate, box, config.budget, config.learn.seed))
     first = {"p": np.zeros(len(box)), "loss": tuned["history"][0][1], "cost": 0}
-    return {"default": first, "tuned": tuned, "random": drawn}
+    return {"default": first, "tuned": tuned, "random": random}
 
 
 def results_content(evaluator: LapEvaluator, searches: dict[str, dict[str, Any]], driven: LapResults) -> dict[str, Any]:

@@ -56,10 +56,10 @@ def read_tir(path: str | Path) -> TyreFile:
         if text.startswith("["):
             section = text.partition("]")[0][1:].strip().upper()
         elif "=" in text and text[0] not in "$!":
-            found = LINE.fullmatch(line)
-            if found is None:
+            match = LINE.fullmatch(line)
+            if match is None:
                 raise BadInput(f"{path}, line {number}: is no 'KEY = value'; correct it.")
-            _take(f"{path}, line {number}", section, found[2].upper(), found[4].strip(), values, words)
+            _take(f"{path}, line {number}", section, match[2].upper(), match[4].strip(), values, words)
     for key, known in UNITS.items():
         unit = words.get(f"UNITS.{key}", known[0]).lower()
         if unit not in known:
@@ -120,14 +120,14 @@ def write_tir(path: str | Path, file: TyreFile) -> None:
     left = dict(file.values)
     lines = []
     for line in file.lines:
-        found = LINE.fullmatch(line)
-        key = found[2].upper() if found and line.strip()[0] not in "$!" else ""
-        if found is None or key not in left or found[4].startswith("'"):
+        match = LINE.fullmatch(line)
+        key = match[2].upper() if match and line.strip()[0] not in "$!" else ""
+        if match is None or key not in left or match[4].startswith("'"):
             lines.append(line)
             continue
         value = left.pop(key)
-        same = found[4].strip() and float(found[4]) == value
-        lines.append(line if same else f"{found[1]}{found[2]}{found[3]}{value!r} {found[6] or ''}".rstrip())
+        same = match[4].strip() and float(match[4]) == value
+        lines.append(line if same else f"{match[1]}{match[2]}{match[3]}{value!r} {match[6] or ''}".rstrip())
     if left:
         lines += ["[ADDED_COEFFICIENTS]", *(f"{key:<25}= {value!r}" for key, value in left.items())]
     text = "\n".join(lines).rstrip("\n") + "\n"

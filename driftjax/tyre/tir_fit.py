@@ -45,18 +45,18 @@ def fit_tir(file: TyreFile, data: Mapping[str, np.ndarray], names: Sequence[str]
     scale = np.maximum(np.abs(start), STEP)
 
     def off(q: np.ndarray) -> np.ndarray:
-        found = np.asarray(call(_outputs, jnp.asarray(scale * q), tyre, inputs, tuple(names)))
-        return (((found - measured) / unit[:, None])[keep]) / np.sqrt(keep.sum())
+        predicted = np.asarray(call(_outputs, jnp.asarray(scale * q), tyre, inputs, tuple(names)))
+        return (((predicted - measured) / unit[:, None])[keep]) / np.sqrt(keep.sum())
 
     def slopes(q: np.ndarray) -> np.ndarray:
-        found = np.asarray(call(_slopes, jnp.asarray(scale * q), tyre, inputs, tuple(names)))
-        return ((found / unit[:, None, None])[keep] * scale) / np.sqrt(keep.sum())
+        J = np.asarray(call(_slopes, jnp.asarray(scale * q), tyre, inputs, tuple(names)))
+        return ((J / unit[:, None, None])[keep] * scale) / np.sqrt(keep.sum())
 
     options: dict[str, Any] = {"jac": slopes, "xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12}
-    found = least_squares(off, start / scale, **options)
-    if not np.isfinite(found.x).all():
+    fit = least_squares(off, start / scale, **options)
+    if not np.isfinite(fit.x).all():
         raise BadInput("fit: the search left the finite numbers; fit fewer coefficients at a time.")
-    return file.replaced(dict(zip(names, (scale * found.x).tolist(), strict=True)))
+    return file.replaced(dict(zip(names, (scale * fit.x).tolist(), strict=True)))
 
 
 def _outputs(q: Array, tyre: MagicFormula2012, inputs: Array, names: tuple[str, ...]) -> Array:

@@ -81,8 +81,8 @@ def nominal_tyre(file: TyreFile, Fz: float) -> tuple[float, float, float]:
     x, y = alpha[fitted], force[fitted]
     start = [y.max(), y[0] / x[0] / (1.3 * y.max()), 1.3]
     off = lambda q: q[0] * np.sin(q[2] * np.arctan(q[1] * x)) - y
-    found = least_squares(off, start, bounds=([1e-3, 1e-2, 1.001], [10.0, 1e3, 1.999]), x_scale=start).x
-    misfit = float(np.sqrt(np.mean(off(found) ** 2)) / y.max())
+    fit = least_squares(off, start, bounds=([1e-3, 1e-2, 1.001], [10.0, 1e3, 1.999]), x_scale=start).x
+    misfit = float(np.sqrt(np.mean(off(fit) ** 2)) / y.max())
     if misfit > WORST:
         raise BadInput(f"{file.name}: its side force is {misfit:.0%} off any mu, B and C; give these by hand.")
-    return float(found[0]), float(found[1]), float(found[2])
+    return float(fit[0]), float(fit[1]), float(fit[2])

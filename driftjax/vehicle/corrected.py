@@ -12,7 +12,7 @@ from driftjax.gp import GP
 
 
 class Residual(eqx.Module):
-    """ResidualDerivatives residual of a car: lags of its actuators, and the residual rate d(z) at the actuator outputs.
+    """Learnt residual of a car: lags of its actuators, and the residual rate d(z) at the actuator outputs.
 
     The residual is a GP that fades to zero far from its data.
     """

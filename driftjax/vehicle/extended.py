@@ -114,8 +114,8 @@ def build_car(vehicle: VehicleConfig) -> AnyCar:
 
 def actuator_lags(vehicle: VehicleConfig) -> Float[Array, "2"]:
     """Return the identified time constants of steering and drive [s], 0 if none was named."""
-    found = {one.effect: one.value for one in vehicle.effects}
-    return jnp.asarray([found.get(name, 0.0) for name in LAGS])
+    values = {one.effect: one.value for one in vehicle.effects}
+    return jnp.asarray([values.get(name, 0.0) for name in LAGS])
 
 
 def exclusion_reason(effect: Effect) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import yaml
 
 from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
 from driftjax.tyre import nominal_tyre, read_tir
-from driftjax.vehicle.effect import Parameter, effects_by_name
+from driftjax.vehicle.effect import EFFECTS, Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
 from driftjax.vehicle.single_track import G
 
@@ -45,12 +46,12 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     vehicle = from_dict(VehicleConfig, nominal, str(path))
     where = f"{path}: key 'effects'"
     effects = _mapping({} if effects is None else effects, where)
-    found = _found(effects, vehicle, where)
-    there = [one.parameter in effects[one.effect] for one in found]
-    matrix = () if covariance is None else _covariance(covariance, found, there, f"{path}: key 'covariance'")
+    estimates = _effect_parameters(effects, vehicle, where)
+    given = [one.parameter in effects[one.effect] for one in estimates]
+    matrix = () if covariance is None else _covariance(covariance, estimates, given, f"{path}: key 'covariance'")
     at = f"{path}: key 'noise'"
     estimated_noise = None if noise is None else from_dict(EstimatedNoise, _mapping(noise, at), at)
-    vehicle = dataclasses.replace(vehicle, effects=found, covariance=matrix, noise=estimated_noise)
+    vehicle = dataclasses.replace(vehicle, effects=estimates, covariance=matrix, noise=estimated_noise)
     return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
@@ -91,13 +92,25 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
     return value
 
 
-def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:
+def with_effects(vehicle: VehicleConfig, effects: Mapping[str, Mapping[str, float]]) -> VehicleConfig:
+    """Return `vehicle` with these effects (effect -> parameter -> value, SI) beside its own, whose values they replace.
+
+    The covariance of its effects is dropped. Raises `BadInput` for unknown names and for values out of bounds.
+    """
+    given = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
+    own = [one for one in vehicle.effects if one.effect not in effects]
+    order = list(EFFECTS)
+    parameters = sorted((*own, *given), key=lambda one: order.index(one.effect))
+    return dataclasses.replace(vehicle, effects=tuple(parameters), covariance=())
+
+
+def _effect_parameters(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple[EffectParameterValue, ...]:
     """Return every parameter of the effects `written`, in the catalogue's order."""
     try:
         effects = effects_by_name(tuple(map(str, written)))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
-    found = []
+    estimates = []
     for effect in effects:
         values, names = _mapping(written[effect.name], f"{where}: {effect.name}"), [p.name for p in effect.parameters]
         for name in values:
@@ -107,8 +120,8 @@ def _found(written: dict[str, Any], vehicle: VehicleConfig, where: str) -> tuple
             if p.name not in values and not p.optional:
                 raise BadInput(f"{where}: {effect.name} lacks '{p.name}'; add it, 0 is neutral.")
             value = _value(values.get(p.name, 0.0), p, vehicle, f"{where}: {effect.name}.{p.name}")
-            found.append(EffectParameterValue(effect.name, p.name, *value))
-    return tuple(found)
+            estimates.append(EffectParameterValue(effect.name, p.name, *value))
+    return tuple(estimates)
 
 
 def _value(written: Any, parameter: Parameter, vehicle: VehicleConfig, where: str) -> tuple[float, float | None]:
@@ -131,10 +144,11 @@ def _number(written: Any, where: str) -> float:
 
 
 def _covariance(
-    written: Any, found: tuple[EffectParameterValue, ...], there: list[bool], where: str
+    written: Any, estimates: tuple[EffectParameterValue, ...], given: list[bool], where: str
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the matrix of the parameters `found`, checked against those that are `there` in the file; 0 of others."""
-    parts, names = _mapping(written, where), [one.name for one, is_there in zip(found, there, strict=True) if is_there]
+    """Check the covariance of the parameters `given` in the file; return it with zeros for all other `estimates`."""
+    parts = _mapping(written, where)
+    names = [one.name for one, is_given in zip(estimates, given, strict=True) if is_given]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
     rows = parts["matrix"]
@@ -148,6 +162,6 @@ def _covariance(
             size = spread[i] * spread[j]
             if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
                 raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
-    whole = np.zeros((len(found), len(found)))
-    whole[np.ix_(there, there)] = matrix
-    return tuple(map(tuple, whole.tolist()))
+    full = np.zeros((len(estimates), len(estimates)))
+    full[np.ix_(given, given)] = matrix
+    return tuple(map(tuple, full.tolist()))

@@ -68,7 +68,7 @@ class PlantConfig:
     relaxation_long: float
     """Longitudinal relaxation length [m]."""
     carcass_time: float
-    """Damping over stiffness of the tyre carcass [s]; quietens the wheels near standstill."""
+    """Damping over stiffness of the tyre carcass [s]; damps the oscillation of the wheels near standstill."""
     wheel_radius: float
     """Rolling radius [m]."""
     wheel_inertia: float

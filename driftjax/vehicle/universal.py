@@ -37,12 +37,12 @@ class Universal(eqx.Module):
 
     def values(self, station: Station | None = None) -> dict[str, tuple[Array, ...]]:
         """Return the parameters of each effect, or of those of one station, SI."""
-        found, at, physical = {}, 0, self.theta * self.scale
+        values, at, physical = {}, 0, self.theta * self.scale
         for effect in self.effects:
             if station in (None, effect.station):
-                found[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
+                values[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
             at += len(effect.parameters)
-        return found
+        return values
 
     def with_parameters(self, theta: Float[Array, " K"]) -> "Universal":
         """Return the same car with other parameters, in typical sizes."""

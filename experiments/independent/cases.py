@@ -1,21 +1,21 @@
 """Cases of the study: which car, what is hidden in it, how it is driven and measured, all drawn from one seed."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 import driftjax as dj
-from driftjax.vehicle.effect import EFFECTS, Parameter
-from driftjax.vehicle.effect.families import FAMILY_OF
 from experiments.independent.car import PARAMETERS, Car, Size
 from experiments.independent.driver import CAMPAIGN, Limits
 from experiments.independent.record import STEP, Sensors, record
+from experiments.independent.score import family_of
 
 COUNTS = (1, 2, 4, 1, 3, 0, 2, 5, 1, 6)  # effects hidden in one case after another, so that every prefix is a sample
 CARS = ("sedan", "rc")
 TRACK = 0.85  # distance of left and right wheels over the width of the car [-]
 RUN = 10.0  # length of a run [s]
-OF_SENSORS = tuple(name for name in PARAMETERS if FAMILY_OF[name] in ("sensor", "time base"))
+OF_SENSORS = tuple(name for name in PARAMETERS if family_of(name) in ("sensor", "time base"))
 STRONGER = {"power_limit": 2.5}  # a limit that is sharp, not soft, acts from a smaller power on
 LARGEST = 3.9  # typical sizes
 
@@ -48,9 +48,10 @@ def size_of(vehicle: dj.VehicleConfig) -> Size:
     return Size(v.m, v.Iz, v.a, v.b, v.mu, v.B, v.C, TRACK * v.width)
 
 
-def hidden_parameters(name: str) -> list[Parameter]:
+def hidden_parameters(name: str) -> list[Any]:
     """Return the parameters of the effect `name` that the plant hides; others of the catalogue follow from these."""
-    return [p for p in EFFECTS[name].parameters if p.name in PARAMETERS[name]]
+    (effect,) = dj.effects_by_name((name,))
+    return [p for p in effect.parameters if p.name in PARAMETERS[name]]
 
 
 def draw_effect(name: str, vehicle: dj.VehicleConfig, rng: np.random.Generator) -> dict[str, float]:

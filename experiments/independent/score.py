@@ -5,13 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from driftjax.vehicle.effect.families import FAMILY_OF
+import driftjax as dj
 
 LARGEST_SET = 3  # effects that a reported set may hold to count as an answer
 OTHERWISE_DEFINED = ("power_limit", "side_wind")  # whose parameters the plant defines otherwise than the catalogue
 OF_SENSORS = ("sensor", "time base")
 BODY = ("track_width",)  # what `body` brings along: not looked for, and not false where it is named
 Result = dict[str, Any]
+
+
+def family_of(name: str) -> str:
+    """Return the part of the car or of the measurement that the effect `name` belongs to."""
+    (effect,) = dj.effects_by_name((name,))
+    return effect.family
 
 
 def effects_of_body(body: float) -> tuple[str, ...]:
@@ -26,37 +32,37 @@ def reported_set(cause: dict[str, Any]) -> list[str]:
 
 def match(causes: list[dict[str, Any]], hidden: list[str]) -> dict[str, str]:
     """Return named effect -> hidden effect: itself, or one not yet found in its set of at most `LARGEST_SET`."""
-    found = {cause["effect"]: cause["effect"] for cause in causes if cause["effect"] in hidden}
+    matches = {cause["effect"]: cause["effect"] for cause in causes if cause["effect"] in hidden}
     for cause in causes:
         members = reported_set(cause)
-        free = [name for name in members if name in hidden and name not in found.values()]
-        if cause["effect"] not in found and len(members) <= LARGEST_SET and free:
-            found[cause["effect"]] = free[0]
-    return found
+        free = [name for name in members if name in hidden and name not in matches.values()]
+        if cause["effect"] not in matches and len(members) <= LARGEST_SET and free:
+            matches[cause["effect"]] = free[0]
+    return matches
 
 
 def score(result: Result) -> Result:
     """Return what is right in one result."""
     truth, causes = result["case"]["hidden"], result["causes"]
     hidden, named = list(truth), [cause["effect"] for cause in causes]
-    found = match(causes, hidden)
-    families = {FAMILY_OF[name] for name in [*named, *found.values()]}
-    wanted = {FAMILY_OF[name] for name in hidden}
+    matches = match(causes, hidden)
+    families = {family_of(name) for name in [*named, *matches.values()]}
+    wanted = {family_of(name) for name in hidden}
     tentative = {cause["effect"] for cause in causes if cause.get("exploratory")}
     there = effects_of_body(result["case"]["body"])
-    wrong = [name for name in named if name not in found and name not in there]
+    wrong = [name for name in named if name not in matches and name not in there]
     false = [name for name in wrong if name not in tentative]
-    physics = [name for name in named if FAMILY_OF[name] not in OF_SENSORS and name not in there]
+    physics = [name for name in named if family_of(name) not in OF_SENSORS and name not in there]
     return {
-        "first": bool(causes) and causes[0]["effect"] in found,
-        "found": sorted(found.values()),
-        "missed": sorted(set(hidden) - set(found.values())),
+        "first": bool(causes) and causes[0]["effect"] in matches,
+        "found": sorted(matches.values()),
+        "missed": sorted(set(hidden) - set(matches.values())),
         "false": false,
         "exploratory": sorted(tentative),
         "false_exploratory": [name for name in wrong if name in tentative],
         "families_found": sorted(wanted & families),
         "families_missed": sorted(wanted - families),
-        "families_false": sorted({FAMILY_OF[name] for name in false} - wanted),
+        "families_false": sorted({family_of(name) for name in false} - wanted),
         "physics": [name for name in physics if name not in tentative],
         "physics_exploratory": [name for name in physics if name in tentative],
         "covered": coverage(causes, truth),
@@ -132,10 +138,10 @@ def alarm_table(results: list[Result]) -> str:
     each = [score(one) for one in done]
     physics = sum(bool(s["physics"]) for s in each)
     hidden = sum(len(one["case"]["hidden"]) for one in done)
-    found, false = sum(len(s["found"]) for s in each), sum(bool(s["false"]) for s in each)
+    num_found, false = sum(len(s["found"]) for s in each), sum(bool(s["false"]) for s in each)
     tentative = sum(bool(s["physics_exploratory"]) for s in each)
     return (f"Of {len(done)} logs in which only sensors err {physics} name physics, {tentative} as exploratory, "
-            f"and {false} anything false; {found} of {hidden} errors of sensors were found; "
+            f"and {false} anything false; {num_found} of {hidden} errors of sensors were found; "
             f"{len(results) - len(done)} cases failed.")  # fmt: skip
 
 

@@ -54,25 +54,25 @@ def test_noise_is_as_asked_and_beside_the_truth():
 )
 def test_accelerations_tell_the_motion_but_for_the_pull_of_the_road(effects, shown):
     runs, _ = record_runs(SEDAN, effect_strengths(SEDAN, effects), SHORT)
-    found = parity(SEDAN, runs, np.array([0.05, 0.0087, 0.0087]))
-    assert found is not None and found.num == len(NAMES) * 6
+    result = parity(SEDAN, runs, np.array([0.05, 0.0087, 0.0087]))
+    assert result is not None and result.num == len(NAMES) * 6
     V, beta = np.moveaxis(signals(runs, "V", "beta"), -1, 0)
     if shown is None:
-        np.testing.assert_allclose(found.rms / found.floor, 1.0, atol=0.35)
-        assert "agree within noise" in found.statement
-        assert abs(found.mean[1]) < 0.015
+        np.testing.assert_allclose(result.rms / result.floor, 1.0, atol=0.35)
+        assert "agree within noise" in result.statement
+        assert abs(result.mean[1]) < 0.015
     else:
-        assert found.z[1] > 4 and "the road" in found.statement
-        assert found.mean[1] == pytest.approx(np.mean(shown * np.cos(beta) / V), abs=0.015)
+        assert result.z[1] > 4 and "the road" in result.statement
+        assert result.mean[1] == pytest.approx(np.mean(shown * np.cos(beta) / V), abs=0.015)
 
 
 def test_accelerations_of_a_car_faster_than_its_log_tell_its_motion_too():
     """Between two rows the RC car answers to a command and has nearly settled again."""
     rc = dataclasses.replace(load_vehicle("rc"), combined_slip=1.0)
     runs, _ = record_runs(rc, NEUTRAL, dataclasses.replace(SHORT, noise=0.0))
-    found = parity(rc, runs, np.asarray(typical_conditions(rc).sigma))
-    assert found is not None
-    assert (found.rms < np.array([0.3, 0.6]) * found.floor).all() and np.abs(found.mean).max() < 5e-3, found
+    result = parity(rc, runs, np.asarray(typical_conditions(rc).sigma))
+    assert result is not None
+    assert (result.rms < np.array([0.3, 0.6]) * result.floor).all() and np.abs(result.mean).max() < 5e-3, result
 
 
 NOISE = EstimatedNoise(PerChannel(0.02, 0.001, 0.03), PerChannel(2.0, 0.05, 0.2), 0.05)
@@ -186,8 +186,8 @@ def test_the_log_reads_back_repeats_and_hides_the_truth(capsys):
 
 def test_an_extended_car_is_simulated_with_its_effects_and_ellipse():
     nominal = {k: v for k, v in dataclasses.asdict(SEDAN).items() if k not in ("effects", "covariance", "noise")}
-    found = {"friction": {"p": 0.05}, "gyro_bias": {"p": {"value": 0.01, "ci95_half": 0.002}}}
-    Path("extended.yaml").write_text(yaml.safe_dump({"nominal": nominal, "effects": found}))
+    effects_written = {"friction": {"p": 0.05}, "gyro_bias": {"p": {"value": 0.01, "ci95_half": 0.002}}}
+    Path("extended.yaml").write_text(yaml.safe_dump({"nominal": nominal, "effects": effects_written}))
     flags = [*FLAGS, "--vehicle", "extended.yaml", "--effects", "friction.p=-0.05"]
     assert main([*flags, "--out", "e"]) == 0
     truth = yaml.safe_load(Path("e/truth.yaml").read_text())

@@ -79,7 +79,7 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
     (x, u), dt = DRIFT, 0.05
     nominal = CAR.build()
     Q, R = np.array([1.0, 700.0, 500.0]), np.array([10.0, 1e-9])
-    found = lqr(nominal, x, u, jnp.asarray(Q), jnp.asarray(R), jnp.asarray(dt))
+    gain = lqr(nominal, x, u, jnp.asarray(Q), jnp.asarray(R), jnp.asarray(dt))
 
     def step(x, u):
         return jnp.stack(rk4_step(lambda w: nominal(w, Control(u[0], u[1])), State(x[0], x[1], x[2]), dt))
@@ -88,9 +88,9 @@ def test_the_lqr_gain_is_that_of_the_discrete_riccati_equation():
     scaled = B / np.sqrt(R)  # the same problem in inputs of unit cost, well conditioned
     P = solve_discrete_are(A, scaled, np.diag(Q), np.eye(2))
     K = np.linalg.solve(np.eye(2) + scaled.T @ P @ scaled, scaled.T @ P @ A) / np.sqrt(R)[:, None]
-    np.testing.assert_allclose(found, K, rtol=1e-6)
+    np.testing.assert_allclose(gain, K, rtol=1e-6)
     assert np.max(np.abs(np.linalg.eigvals(A))) > 1  # the drift is unstable without it
-    assert np.max(np.abs(np.linalg.eigvals(A - B @ np.asarray(found)))) < 1
+    assert np.max(np.abs(np.linalg.eigvals(A - B @ np.asarray(gain)))) < 1
 
 
 limited: Any = eqx.filter_jit(within_limits)
@@ -243,5 +243,5 @@ def test_the_derivatives_of_the_problem_are_those_of_its_step():
     np.testing.assert_allclose(B, slopes(lambda w: step(x, w, p), u), atol=1e-7)
     gradient = lambda w: costate @ np.concatenate(derivatives(w)[1:], axis=1)
     bend = slopes(gradient, np.concatenate([x, u]))
-    found = jax.jit(lambda w: ocp.curvature(w[:9], w[9:], costate, p, at(w)))(np.concatenate([x, u]))
-    np.testing.assert_allclose(found, bend, rtol=1e-5, atol=1e-6)
+    second = jax.jit(lambda w: ocp.curvature(w[:9], w[9:], costate, p, at(w)))(np.concatenate([x, u]))
+    np.testing.assert_allclose(second, bend, rtol=1e-5, atol=1e-6)

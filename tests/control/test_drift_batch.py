@@ -61,7 +61,7 @@ def batched_values(batched, z, costate, p):
 @pytest.mark.parametrize("name", NAMES)
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
-    whole = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
+    ocp = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
     batched = drift_batch_ocp(CONFIG, weights, CAR, learnt)
     reached = [-0.22, 6.3] if batched.lags is not None else []
     tracked = list(X[: len(batched.Q)])
@@ -69,15 +69,15 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     acting = reached or list(U)  # a state that no lag remembers has no effect
     unscale = np.concatenate([np.ones(5), UNIT, UNIT])  # from SI to the units of the batch
     kept = [*range(len(tracked)), *((7, 8) if reached else ())]
-    to_z = np.concatenate([whole.x_scale / unscale, np.asarray(whole.u_scale) / UNIT])
+    to_z = np.concatenate([ocp.x_scale / unscale, np.asarray(ocp.u_scale) / UNIT])
 
     @jax.jit
     def value(z):
         """The whole problem in the units of the batch: next state (kept entries) and cost less that of the change."""
         full = jnp.concatenate([jnp.asarray(X), BEFORE, jnp.asarray(acting)]).at[jnp.array(kept)].set(z[:-2])
-        x, u = full * unscale / whole.x_scale, z[-2:] * UNIT / whole.u_scale
-        change = jnp.sum(whole.R * ((z[-2:] - BEFORE) * UNIT) ** 2)
-        return (whole.step(x, u, here) * to_z[:9])[jnp.array(kept)], whole.cost(x, u, here) - change
+        x, u = full * unscale / ocp.x_scale, z[-2:] * UNIT / ocp.u_scale
+        change = jnp.sum(ocp.R * ((z[-2:] - BEFORE) * UNIT) ** 2)
+        return (ocp.step(x, u, here) * to_z[:9])[jnp.array(kept)], ocp.cost(x, u, here) - change
 
     z = np.array([*tracked, *reached, *U])
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
@@ -106,8 +106,8 @@ def test_second_derivatives_become_exact_with_short_steps(name):
         slope = lambda z: pulled(batched_values(batched, z, costate, p)[0][1], costate)
         bend = np.array([slope(z + step) - slope(z - step) for step in steps]) / 2e-5
         H = batched_values(batched, z, costate, p)[3]
-        found = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
-        return np.abs(found - bend).max() / np.abs(bend).max()
+        values = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
+        return np.abs(values - bend).max() / np.abs(bend).max()
 
     assert error(0.05) < 0.2
     assert error(0.005) < error(0.02) / 10
@@ -123,17 +123,17 @@ def pulled(M, costate) -> np.ndarray:
 def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     """In a process of its own: XLA reads the flag, without which this program takes minutes to compile, only once."""
     fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
-    out = tmp_path / "found.npz"
+    out = tmp_path / "results.npz"
     code = f"import test_drift_batch; test_drift_batch.answer({str(out)!r})"
     paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
     env = os.environ | {"XLA_FLAGS": fused, "PYTHONPATH": paths, "JAX_ENABLE_X64": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    found = np.load(out)
-    assert found["num_steps"][0] == 0  # not needed
-    assert (found["kkt"][1:] <= 1e-7).all() and (found["kkt_alone"][1:] <= 1e-7).all()
-    np.testing.assert_allclose(found["U"][1:] / UNIT, found["U_alone"][1:] / UNIT, atol=1e-6)
-    np.testing.assert_allclose(found["X"][1:], found["X_alone"][1:], atol=1e-6)
+    results = np.load(out)
+    assert results["num_steps"][0] == 0  # not needed
+    assert (results["kkt"][1:] <= 1e-7).all() and (results["kkt_alone"][1:] <= 1e-7).all()
+    np.testing.assert_allclose(results["U"][1:] / UNIT, results["U_alone"][1:] / UNIT, atol=1e-6)
+    np.testing.assert_allclose(results["X"][1:], results["X_alone"][1:], atol=1e-6)
 
 
 def answer(out: str) -> None:

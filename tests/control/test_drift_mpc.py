@@ -89,8 +89,8 @@ def solved() -> MPCSolution:
     reference = Reference(*(jnp.full(N + 1, value) for value in (*X_REF, 0.0, 0.0, 0.0)))
     guess = jnp.tile(jnp.asarray(before)[:, None], (1, N, 1))
     block = lambda tree, i: jax.tree.map(lambda a: a[i : i + BATCH], tree)
-    found = [mpc.solve(block(states, i), reference, block(guess, i)) for i in range(0, NUM, BATCH)]
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
+    solutions = [mpc.solve(block(states, i), reference, block(guess, i)) for i in range(0, NUM, BATCH)]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *solutions)
 
 
 def test_every_start_converges_in_few_iterations():
@@ -115,7 +115,7 @@ def test_input_and_rate_limits_hold_to_rounding():
 
 def test_ipopt_finds_the_same_cost():
     peer = CasadiMPC("ipopt", car(), config(N), WEIGHTS, X_REF, 1e-8, compiled=False)
-    found = [peer.solve(x, before) for x, before in zip(*starts(NUM), strict=True)]
-    assert all(one.success for one in found)
-    ours, theirs = np.asarray(solved().plan.cost), np.array([one.cost for one in found])
+    peer_solutions = [peer.solve(x, before) for x, before in zip(*starts(NUM), strict=True)]
+    assert all(one.success for one in peer_solutions)
+    ours, theirs = np.asarray(solved().plan.cost), np.array([one.cost for one in peer_solutions])
     assert np.mean(np.abs(ours - theirs) <= 1e-3 * theirs) >= 0.99

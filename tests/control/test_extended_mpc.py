@@ -51,11 +51,11 @@ def test_the_mpc_converges_and_ends_in_the_steady_state_of_the_extended_car():
         X, U = jnp.tile(level, (N + 1, 1)), jnp.tile(before, (N, 1))
         return solve_mpc(problem, start, before, before, reference, X, U, Options(1e-5, 1.0, 60))
 
-    found = eqx.filter_jit(jax.vmap(one))(starts)
-    assert bool(jnp.all(found.plan.result == RESULTS.successful))
-    assert int(jnp.max(found.plan.num_steps)) <= 30
+    solutions = eqx.filter_jit(jax.vmap(one))(starts)
+    assert bool(jnp.all(solutions.plan.result == RESULTS.successful))
+    assert int(jnp.max(solutions.plan.num_steps)) <= 30
     unit = jnp.array([1.0, 1e4])  # from the steady state itself there is nothing to do
-    np.testing.assert_allclose(found.U[0] / unit, before * jnp.ones((N, 1)) / unit, atol=1e-3)
+    np.testing.assert_allclose(solutions.U[0] / unit, before * jnp.ones((N, 1)) / unit, atol=1e-3)
 
 
 @pytest.mark.slow

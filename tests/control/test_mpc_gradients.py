@@ -49,9 +49,9 @@ def solved(theta, max_steps=100) -> MPCSolution:
 
 def commands(theta, max_steps):
     """Command applied (2,) and planned inputs (N, 2), over `UNIT`; beside them the latter and whether it converged."""
-    found = solved(theta, max_steps)
-    inputs = found.U / UNIT
-    return (jnp.stack(found.u) / UNIT, inputs), (inputs, found.plan.result == RESULTS.successful)
+    solution = solved(theta, max_steps)
+    inputs = solution.U / UNIT
+    return (jnp.stack(solution.u) / UNIT, inputs), (inputs, solution.plan.result == RESULTS.successful)
 
 
 forward = eqx.filter_jit(jax.vmap(jax.jacfwd(commands, has_aux=True), in_axes=(0, None)))
@@ -66,8 +66,8 @@ def around(h: float = 1e-5):
     """Derivatives and values at each case, and at steps of `h` along the directions to both sides of it."""
     steps = h * np.concatenate([np.zeros((1, THETA)), DIRECTIONS, -DIRECTIONS])
     points = np.concatenate([theta(name) + steps for name in CASES])
-    found = jax.tree.map(np.asarray, forward(jnp.asarray(points), jnp.asarray(100)))
-    return jax.tree.map(lambda a: a.reshape(len(CASES), len(steps), *a.shape[1:]), found)
+    slopes_and_values = jax.tree.map(np.asarray, forward(jnp.asarray(points), jnp.asarray(100)))
+    return jax.tree.map(lambda a: a.reshape(len(CASES), len(steps), *a.shape[1:]), slopes_and_values)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -21,7 +21,7 @@ def valley(x, bend):
 
 
 @jax.jit
-def found(start, bend=100.0, low=LOW, high=HIGH):
+def minimum(start, bend=100.0, low=LOW, high=HIGH):
     return minimise_within(valley, start, low, high, bend, tolerance=1e-9, max_steps=100)
 
 
@@ -43,7 +43,7 @@ def test_box_constrained_least_squares_are_scipys():
 
 
 def test_the_minimum_on_a_bound_is_found_from_a_start_outside():
-    end = found(jnp.array([-1.2, 4.0]))
+    end = minimum(jnp.array([-1.2, 4.0]))
     np.testing.assert_allclose(end.x, [0.5, 0.25], atol=1e-7)
     assert end.result == RESULTS.successful and end.error <= 1e-9
     np.testing.assert_allclose(end.value, 0.25, rtol=1e-12)
@@ -52,8 +52,8 @@ def test_the_minimum_on_a_bound_is_found_from_a_start_outside():
 def test_failures_are_reported():
     few = jax.jit(lambda x: minimise_within(valley, x, LOW, HIGH, 100.0, tolerance=1e-9, max_steps=3))
     assert few(jnp.array([-1.2, 1.0])).result == RESULTS.not_converged
-    assert found(jnp.array([-1.9, 1.0])).result == RESULTS.non_finite
-    assert found(jnp.array([0.0, 1.0]), low=HIGH, high=LOW).result == RESULTS.infeasible
+    assert minimum(jnp.array([-1.9, 1.0])).result == RESULTS.non_finite
+    assert minimum(jnp.array([0.0, 1.0]), low=HIGH, high=LOW).result == RESULTS.infeasible
 
 
 def test_jaxopt_is_imported_in_one_module_and_only_when_used():

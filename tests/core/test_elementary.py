@@ -174,13 +174,13 @@ def test_types_mix_as_in_numpy_and_others_are_refused():
 def test_programs_of_many_numbers_hold_nothing_that_cannot_be_vectorised(function, batched):
     slow = ("sine", "cosine", "atan", "case", "while")
 
-    def found(num):
+    def slow_operations(num):
         both = lambda x: jax.value_and_grad(lambda x: jnp.sum(jnp.asarray(function(x))))(x)
         text = jax.jit(jax.vmap(both) if batched else both).lower(jnp.ones(num)).as_text()
         return [op for op in slow if f"stablehlo.{op}" in text or f"chlo.{op}" in text]
 
-    assert not found(elementary.MIN_VECTOR_SIZE)
-    assert found(elementary.MIN_VECTOR_SIZE - 1)  # where XLA's own are as fast and less to compile
+    assert not slow_operations(elementary.MIN_VECTOR_SIZE)
+    assert slow_operations(elementary.MIN_VECTOR_SIZE - 1)  # where XLA's own are as fast and less to compile
 
 
 def test_batches_on_any_axis_are_those_of_numpy():

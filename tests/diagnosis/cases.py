@@ -32,10 +32,10 @@ class Fixed(NamedTuple):
 
     def result(self, held_out: int = 0) -> criteria.Result:
         """What the diagnosis makes of it; its gain is measured on every `held_out`-th run."""
-        return examined(self.case(), self.runs(), held_out)
+        return diagnose_runs(self.case(), self.runs(), held_out)
 
 
-def examined(case: Case, runs: tuple[Run, ...], held_out: int = 0) -> criteria.Result:
+def diagnose_runs(case: Case, runs: tuple[Run, ...], held_out: int = 0) -> criteria.Result:
     """What the diagnosis with the small catalogue makes of `runs`."""
     return diagnose_case(case, nominal_car(case.car), runs, EFFECTS, held_out)
 
@@ -46,7 +46,7 @@ def foreign(number: int, car: str = "std", runs: int = 4) -> criteria.Result:
     return diagnose_case(case, foreign_vehicle(), foreign_runs(car, number, 1.0, runs), EFFECTS, 0)
 
 
-def whole(case: Case, attempts: int = 10) -> tuple[Run, ...]:
+def runs_without_spin(case: Case, attempts: int = 10) -> tuple[Run, ...]:
     """The runs of a drawn `case`, drawn again from its seed until the car spins in none."""
     rng = np.random.default_rng(case.seed)
     for _ in range(attempts):

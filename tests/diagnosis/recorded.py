@@ -49,9 +49,9 @@ def truth(name: str = "sedan") -> Noise:
     return Noise.from_vector(np.hstack(conditions))
 
 
-def hidden(**found: float) -> np.ndarray:
+def hidden(**values: float) -> np.ndarray:
     """Parameters with these effects at these values, in typical sizes."""
-    return np.array([found.get(name, 0.0) for name in ORDER])
+    return np.array([values.get(name, 0.0) for name in ORDER])
 
 
 @eqx.filter_jit
@@ -81,10 +81,10 @@ def recorded(
     keys = jax.random.split(jax.random.key(noise_seed), len(RICH))
     noise = truth(car)._replace(disturbance=disturbed * truth(car).disturbance)
     conditions = Conditions(*map(jnp.asarray, with_slow_errors(noise) if slow else noise))
-    found = jax.tree.map(np.asarray, _drive(catalogue(car), car, jnp.asarray(theta), manoeuvres, conditions, keys))
+    records = jax.tree.map(np.asarray, _drive(catalogue(car), car, jnp.asarray(theta), manoeuvres, conditions, keys))
     runs = []
     for i, name in enumerate(RICH):
-        one = jax.tree.map(lambda a: a[i], found)  # noqa: B023
+        one = jax.tree.map(lambda a: a[i], records)  # noqa: B023
         if not is_lost(vehicle, one):
             ax, ay = one.a.T + ACCELERATION * np.random.default_rng((noise_seed, i)).standard_normal((2, ROWS))
             extra = {"psi": one.place.psi, "s": one.place.s, "ax": ax, "ay": ay}

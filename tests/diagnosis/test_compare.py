@@ -39,19 +39,19 @@ def example(tmp_path_factory):
 
 
 def test_lower_friction_is_named_and_a_bias_that_both_logs_share_is_not(example):
-    found = json.loads((Path(example["out"]) / "compare.json").read_text())
-    assert (found["schema"], found["verdict"]) == (1, "NAMED")
-    assert [one["effect"] for one in found["differences"]] == ["friction_rear"]
-    assert "gyro_bias" in found["named"]["a"] and "gyro_bias" in found["named"]["b"]
-    row = found["differences"][0]["parameters"]["p"]
+    content = json.loads((Path(example["out"]) / "compare.json").read_text())
+    assert (content["schema"], content["verdict"]) == (1, "NAMED")
+    assert [one["effect"] for one in content["differences"]] == ["friction_rear"]
+    assert "gyro_bias" in content["named"]["a"] and "gyro_bias" in content["named"]["b"]
+    row = content["differences"][0]["parameters"]["p"]
     low, high = row["ci95"]
     assert low < TRUE < high < 0.5 * TRUE
     assert row["b"] - row["a"] == pytest.approx(row["difference"]) and 0 < row["a_error"] < -0.1 * TRUE
-    gap = found["gap"]["b"]
+    gap = content["gap"]["b"]
     at = gap["horizons_s"].index(gap["decisive_horizon_s"])
     assert gap["ratio_ci95"]["other"]["all"][at][0] > 1.3 and gap["ratio_to_own"]["corrected"]["all"][at] < 1.1
     assert gap["closed"]["value"] > 0.8 and gap["held_out"]
-    assert set(found["overlap"]) == {"V", "beta", "r", "delta", "Fxr"}
+    assert set(content["overlap"]) == {"V", "beta", "r", "delta", "Fxr"}
 
 
 def test_the_verb_prints_and_draws_what_was_found(example, monkeypatch, capsys):
@@ -75,8 +75,8 @@ def test_two_seconds_say_nothing(capsys):
     write_log(Path("a.csv"), runs())
     write_log(Path("b.csv"), runs(phase=1.0))
     assert main(["compare", "a.csv", "b.csv", "--out", "out"]) == 0
-    found = json.loads(Path("out/compare.json").read_text())
-    assert found["verdict"] == "DATA_INSUFFICIENT" and found["differences"] == [] and found["gap"] is None
+    content = json.loads(Path("out/compare.json").read_text())
+    assert content["verdict"] == "DATA_INSUFFICIENT" and content["differences"] == [] and content["gap"] is None
     assert "Log A holds 2.0 s" in capsys.readouterr().out and "2.0 s" in Path("out/report.html").read_text()
     assert main(["runs"]) == 0
 
@@ -139,13 +139,13 @@ def difference(probability: float = 1.0, at_bound: bool = False) -> Difference:
 def test_the_verdict_is_about_names_and_about_what_is_left_of_the_gap(one, force_known, closed, left, verdict):
     pair: Any = SimpleNamespace(problems=[SimpleNamespace(data=SimpleNamespace(force_known=force_known))])
     gap = gap_of(closed, left)
-    found = judge(pair, (one,), (gap, gap), {}, CompareConfig(), 30.0)
-    assert found.verdict == verdict
-    assert "The car of A predicts B with 2.00 [1.80, 2.20] times the error of B's own 1 s ahead" in found.sentence
-    assert f"close {100 * closed:.0f} %" in found.sentence and "-0.3 ± 0.03" in found.sentence
-    assert ("do not rule out mass (0.40)" in found.sentence) == (one.probability < 0.9)
-    assert ("no drive force" in found.sentence) != force_known
-    assert ("Something differs" in found.sentence) == (verdict == "UNKNOWN")
+    judgement = judge(pair, (one,), (gap, gap), {}, CompareConfig(), 30.0)
+    assert judgement.verdict == verdict
+    assert "The car of A predicts B with 2.00 [1.80, 2.20] times the error of B's own 1 s ahead" in judgement.sentence
+    assert f"close {100 * closed:.0f} %" in judgement.sentence and "-0.3 ± 0.03" in judgement.sentence
+    assert ("do not rule out mass (0.40)" in judgement.sentence) == (one.probability < 0.9)
+    assert ("no drive force" in judgement.sentence) != force_known
+    assert ("Something differs" in judgement.sentence) == (verdict == "UNKNOWN")
 
 
 def test_ranges_that_hardly_overlap_are_reported():

@@ -54,8 +54,8 @@ CHANGE = np.array([0.0, 0.0, 0.0, -0.8, 0.0, 0.0, 0.0])
 @pytest.mark.parametrize("options", [{}, {"coloured": True}, {"varies": 0.4}], ids=["white", "coloured", "by run"])
 def test_what_both_logs_share_is_no_difference(options, cases=25):
     rng = np.random.default_rng(1)
-    found = [search_differences(contrast(rng, SHARED, SHARED, **options), 0, 8) for _ in range(cases)]
-    assert np.mean([len(one) > 0 for one in found]) <= 0.12
+    searches = [search_differences(contrast(rng, SHARED, SHARED, **options), 0, 8) for _ in range(cases)]
+    assert np.mean([len(one) > 0 for one in searches]) <= 0.12
 
 
 def test_what_changed_is_named_with_its_size_and_what_is_shared_is_not(cases=15):

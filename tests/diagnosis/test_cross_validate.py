@@ -24,12 +24,12 @@ def test_fits_without_a_run_are_those_of_the_other_runs(monkeypatch):
     out, selected = left_out_blocks(problem.data, 2), (0, 2)
     assert out is not None
     fit, at = refit_to_convergence(problem, nominal, problem.columns(selected))
-    found = fits_left_out(problem, fit, at, selected, out)
+    estimates = fits_left_out(problem, fit, at, selected, out)
     y = residuals(np.zeros(K))
     for run in range(5):
         others = np.arange(5) != run
         A, b = J[0, others].ravel(), (y - 0.4 * J[2])[others].ravel()  # c is at its bound
-        np.testing.assert_allclose(found[run], [A @ b / (A @ A + 1 / PRIOR**2), 0, 0.4], atol=1e-6)
+        np.testing.assert_allclose(estimates[run], [A @ b / (A @ A + 1 / PRIOR**2), 0, 0.4], atol=1e-6)
 
 
 def test_few_runs_lose_pieces_with_a_buffer_and_a_short_log_none(monkeypatch):

@@ -15,7 +15,7 @@ def test_forces_are_those_of_friction_stiffness_and_form_together():
     model = universal_car(sedan(), effects_by_name(("friction_rear", "stiffness_rear", "tyre_curve_rear")))
     slip, p = np.linspace(0.0, 0.5, 9), np.array([0.3, -0.5, 0.8])
     thetas = np.stack([np.zeros(5), np.concatenate([[-0.1, 0.2], p]) / np.asarray(model.scale)])
-    (nominal, _), (found, J) = (call(_curve, model, jnp.asarray(theta), jnp.asarray(slip), False) for theta in thetas)
+    (nominal, _), (outputs, J) = (call(_curve, model, jnp.asarray(theta), jnp.asarray(slip), False) for theta in thetas)
     v = sedan()
     formula = v.mu * np.sin(v.C * np.arctan(v.B * slip))
     np.testing.assert_allclose(nominal[:-2], formula, atol=1e-12)
@@ -26,11 +26,11 @@ def test_forces_are_those_of_friction_stiffness_and_form_together():
     change = angle - v.C * bent
     change /= np.sqrt(1 + (change / (np.pi - v.C * bent)) ** 2)
     force = 0.9 * v.mu * np.sin(v.C * bent + change)
-    np.testing.assert_allclose(found[:-2], force, atol=1e-6)
-    np.testing.assert_allclose(found[-1], 1 - force[-1] / (0.9 * v.mu), atol=1e-6)
+    np.testing.assert_allclose(outputs[:-2], force, atol=1e-6)
+    np.testing.assert_allclose(outputs[-1], 1 - force[-1] / (0.9 * v.mu), atol=1e-6)
     small = 1e-5 * np.eye(5)
     moved = [call(_curve, model, jnp.asarray(thetas[1] + step), jnp.asarray(slip), False)[0] for step in small]
-    np.testing.assert_allclose(J.T, (np.array(moved) - found) / 1e-5, atol=1e-3)
+    np.testing.assert_allclose(J.T, (np.array(moved) - outputs) / 1e-5, atol=1e-3)
 
 
 def test_the_words_say_peak_fall_and_range_or_that_there_is_no_fall():

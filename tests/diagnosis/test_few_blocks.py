@@ -63,11 +63,11 @@ def test_chance_names_nothing_that_acts_in_few_blocks(made, lower, num=3):
 @pytest.mark.parametrize("lower", [-4.0, 0.0], ids=["free", "one-sided"])
 def test_what_acts_in_three_to_six_blocks_is_found(num, size, lower):
     rng = np.random.default_rng(num)
-    found = [scores_of(rng, num, white(rng), size, lower, selected=(0,)) for _ in range(30)]
+    results = [scores_of(rng, num, white(rng), size, lower, selected=(0,)) for _ in range(30)]
     last, columns = K - 1, np.array([K - 1])
-    assert max(abs(one.T[last]) for one in found) < np.sqrt(num) + 0.05
-    assert np.mean([one.p_value_of(last, columns) < 0.05 for one in found]) > 0.85
-    assert np.mean([one.p_value_of(RARE, np.array([RARE])) < 0.05 for one in found]) < 0.15  # not what acts there too
+    assert max(abs(one.T[last]) for one in results) < np.sqrt(num) + 0.05
+    assert np.mean([one.p_value_of(last, columns) < 0.05 for one in results]) > 0.85
+    assert np.mean([one.p_value_of(RARE, np.array([RARE])) < 0.05 for one in results]) < 0.15  # not what acts there too
 
 
 def test_the_signs_alone_decide_where_all_effects_act_in_many_blocks():
@@ -77,6 +77,6 @@ def test_the_signs_alone_decide_where_all_effects_act_in_many_blocks():
 
 def test_a_sign_that_an_effect_cannot_have_is_not_found_in_few_blocks_either():
     rng = np.random.default_rng(10)
-    found = scores_of(rng, 4, white(rng), -2.0, lower=0.0)
-    assert found.few is not None and found.few[K - 1] == 1
+    result = scores_of(rng, 4, white(rng), -2.0, lower=0.0)
+    assert result.few is not None and result.few[K - 1] == 1
     assert scores_of(rng, 4, white(rng), -2.0).p_value < 0.05

@@ -48,11 +48,11 @@ def named(car: str, seed: int, hidden: dict[str, float]) -> tuple[dict[str, Caus
     model = model.with_parameters(jnp.asarray([hidden.get(name, 0.0) for name in owner]))
     keys = jax.random.split(jax.random.key(seed), len(RICH))
     conditions = Conditions(*map(jnp.asarray, truth(car)))
-    found = jax.tree.map(np.asarray, call(drive, model, car, standard(seed, car), conditions, keys))
-    each = [jax.tree.map(lambda a: a[i], found) for i in range(len(RICH))]  # noqa: B023
-    whole = [(name, one) for name, one in zip(RICH, each, strict=True) if not is_lost(nominal_car(car), one)]
+    records = jax.tree.map(np.asarray, call(drive, model, car, standard(seed, car), conditions, keys))
+    each = [jax.tree.map(lambda a: a[i], records) for i in range(len(RICH))]  # noqa: B023
+    kept = [(name, one) for name, one in zip(RICH, each, strict=True) if not is_lost(nominal_car(car), one)]
     columns = lambda one: (*one.y.T, *one.command.T)
-    rows = [(f"{name}{i}", *columns(one)) for i, (name, one) in enumerate(whole)]
+    rows = [(f"{name}{i}", *columns(one)) for i, (name, one) in enumerate(kept)]
     runs = [Run(name, t, V, beta, r, delta, Fxr, DT, {}) for name, V, beta, r, delta, Fxr in rows]
     problem, selection = name_effects(build_problem(nominal_car(car), TYRES, tuple(runs)), seed)
     causes = find_causes(problem, selection)

@@ -48,9 +48,9 @@ def test_skill_is_one_for_a_model_at_the_noise_floor_and_zero_for_no_change():
 
 def test_skill_is_negative_where_a_model_is_worse_and_a_random_change_shows_no_gain():
     assert skill(errors(2.0), errors(3.0, seed=1), FLOOR)[0] < -0.5
-    found = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
-    assert sum(low < 0 < high for _, (low, high), *_ in found) >= 34
-    assert np.abs([value for value, *_ in found]).max() < 0.35
+    skills = [skill(errors(2.0, seed=k), errors(2.0, seed=k + 100), FLOOR) for k in range(40)]
+    assert sum(low < 0 < high for _, (low, high), *_ in skills) >= 34
+    assert np.abs([value for value, *_ in skills]).max() < 0.35
 
 
 def test_a_floor_above_what_a_model_reaches_makes_no_share_above_one():
@@ -72,8 +72,8 @@ def test_no_share_is_reported_where_noise_explains_everything():
 
 def test_errors_are_reported_over_those_of_the_nominal_car_also_where_noise_explains_everything():
     before, half = errors(5.0), errors(5.0)
-    found = ratios(before, half._replace(squares=half.squares / 4))
-    np.testing.assert_allclose(found, [[0.5, 0.5, 0.5]] * 2)
+    shares = ratios(before, half._replace(squares=half.squares / 4))
+    np.testing.assert_allclose(shares, [[0.5, 0.5, 0.5]] * 2)
     channel = before.squares * np.array([0.0, 1.0, 1.0])  # one of three is mended, whatever its unit
     np.testing.assert_allclose(ratios(before, before._replace(squares=channel))[:, 0], np.sqrt(2 / 3))
     value, low, high = ratios(errors(0.0), errors(0.0, seed=1))[1]
@@ -121,9 +121,9 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
 def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
     """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
-    whole, runs = case.result(held_out=3), case.runs()
-    assert set(whole["named"]) == set(case.truth) and whole["skill"]["extended"][1] > 0.5
-    (share,) = criteria.removed_shares([whole])
+    result, runs = case.result(held_out=3), case.runs()
+    assert set(result["named"]) == set(case.truth) and result["skill"]["extended"][1] > 0.5
+    (share,) = criteria.removed_shares([result])
     assert share > 0.8
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)

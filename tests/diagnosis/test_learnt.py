@@ -48,21 +48,21 @@ def lacking(run: Run, theta) -> np.ndarray:
 def test_an_error_of_a_sensor_is_no_rate_that_the_car_lacks():
     t = np.arange(NUM) * DT
     theta = np.array([0.0, 0.05 / 0.03])  # the speed reads 5 % too high
-    found = lacking(noise_free(theta, [10.0, 0.0, 0.0], 0.05 * np.sin(3 * t), 0 * t, DT), theta)
-    np.testing.assert_allclose(found, 0.0, atol=0.01)
+    rates = lacking(noise_free(theta, [10.0, 0.0, 0.0], 0.05 * np.sin(3 * t), 0 * t, DT), theta)
+    np.testing.assert_allclose(rates, 0.0, atol=0.01)
 
 
 @pytest.mark.parametrize("rate", [12, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (24, 100))])
 def test_a_rate_is_the_change_over_the_time_that_it_took_at_any_sample_rate(rate):
     missing = 0.4  # [m/s^2]
     run = noise_free([0.0, 0.0], [8.0, 0.0, 0.0], np.zeros(NUM), np.zeros(NUM), 1 / rate, push=(missing, 0.0, 0.0))
-    found = lacking(run, [0.0, 0.0])
-    np.testing.assert_allclose(found[:, 0], missing, rtol=0.03)
+    rates = lacking(run, [0.0, 0.0])
+    np.testing.assert_allclose(rates[:, 0], missing, rtol=0.03)
 
 
 def test_a_car_that_turns_round_lacks_no_turn():
     """Sideslip passes pi, where what is measured jumps by a turn."""
     run = noise_free([0.0, 0.0], [12.0, 2.6, -5.0], np.zeros(NUM), np.zeros(NUM), DT)
     assert np.abs(np.diff(run.beta)).max() > 6
-    found = lacking(run, [0.0, 0.0])
-    assert np.median(np.abs(found[:, 1])) < 0.1 and np.abs(found[:, 1]).max() < 20.0
+    rates = lacking(run, [0.0, 0.0])
+    assert np.median(np.abs(rates[:, 1])) < 0.1 and np.abs(rates[:, 1]).max() < 20.0

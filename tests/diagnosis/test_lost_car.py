@@ -56,8 +56,8 @@ def test_information_is_that_of_the_other_samples(monkeypatch):
     np.testing.assert_allclose(fit.information(at.J), expected)
     assert np.trace(fit.information(J)) > 1e20 * np.trace(expected)
     data.skip = 0  # it is measured, and holds the observer
-    whole = fit.linearise(problem, fit.Fit(np.zeros(K), 0.0, e))
-    assert whole.lost is None and whole.J is J
+    linearisation = fit.linearise(problem, fit.Fit(np.zeros(K), 0.0, e))
+    assert linearisation.lost is None and linearisation.J is J
 
 
 def test_a_car_that_is_lost_most_of_the_time_is_reported():

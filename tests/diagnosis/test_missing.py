@@ -79,8 +79,8 @@ def test_a_sideslip_sensor_would_add_information_and_the_sentence_says_what():
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():
     runs = without(measured(), "Fxr")
     given = np.concatenate([run.Fxr for run in measured()])
-    found = np.concatenate([force(sedan(), run, sideslip(sedan(), run)) for run in runs])
-    assert np.sqrt(np.mean((found - given) ** 2)) < 0.2 * np.sqrt(np.mean(given**2))
+    estimated = np.concatenate([force(sedan(), run, sideslip(sedan(), run)) for run in runs])
+    assert np.sqrt(np.mean((estimated - given) ** 2)) < 0.2 * np.sqrt(np.mean(given**2))
     problem = initial_problem(sedan(), EFFECTS, runs)
     judged = {effect.name for effect, active in zip(EFFECTS, problem.active, strict=True) if active}
     assert judged == {effect.name for effect in EFFECTS if not depends_on_force(effect)}
@@ -95,7 +95,7 @@ def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     given = run.Fxr
     first = force(sedan(), replace(run, Fxr=np.full(len(run.t), np.nan)), sideslip(sedan(), without((run,), "beta")[0]))
     problem = initial_problem(sedan(), EFFECTS, without((run,), "beta", "Fxr"))
-    found = np.asarray(problem.data.padded.commands)[0, :, 1][-problem.data.size :][: len(given)]
+    estimated = np.asarray(problem.data.padded.commands)[0, :, 1][-problem.data.size :][: len(given)]
     settled = slice(problem.data.skip, round(5.5 / DT))
     size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
-    assert size(found - given) < 0.8 * size(first - given)
+    assert size(estimated - given) < 0.8 * size(first - given)

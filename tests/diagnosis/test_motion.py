@@ -36,14 +36,14 @@ def motion() -> dict[str, np.ndarray]:
 def run_of(seed: int = 0, late: dict[str, float] | None = None, **error: Any) -> Run:
     """A noisy log of the motion; channels are `late` [s], and each has a pair of factor and offset in `error`."""
     truth, rng, at = motion(), np.random.default_rng(seed), np.arange(ROWS) * DT
-    found = {}
+    measured = {}
     for name, sigma in zip(("V", "beta", "r", "psi", "x", "y", "ax", "ay"), (*SIGMA, *POSE), strict=True):
         factor, offset = error.get(name, (1.0, 0.0))
         value = np.interp(at - (late or {}).get(name, 0.0), truth["t"], truth[name])
-        found[name] = factor * value + offset + sigma * rng.standard_normal(ROWS)
-    extra = {name: found[name] for name in ("psi", "x", "y", "ax", "ay")}
+        measured[name] = factor * value + offset + sigma * rng.standard_normal(ROWS)
+    extra = {name: measured[name] for name in ("psi", "x", "y", "ax", "ay")}
     still = np.zeros(ROWS)
-    return Run("slalom", at, found["V"], found["beta"], found["r"], still, still, DT, extra)
+    return Run("slalom", at, measured["V"], measured["beta"], measured["r"], still, still, DT, extra)
 
 
 def problem_of(run: Run) -> Problem:

@@ -98,11 +98,11 @@ def test_missing_samples_leave_no_trace(channels):
     part = jax.tree.map(lambda a: a[RUN : RUN + 1], gappy.padded)
     alone = gappy._replace(padded=part, run=gappy.run[RUN : RUN + 1])
     filling = observer_gains(catalogue(), alone, NEUTRAL, truth().as_vector(), fixed_gain(alone))
-    found = np.asarray(whiten(filling, run_observer(catalogue(), alone, NEUTRAL, filling).e))[0]
+    whitened = np.asarray(whiten(filling, run_observer(catalogue(), alone, NEUTRAL, filling).e))[0]
     columns = [index.index(name) for name in channels]
-    assert np.isfinite(found).all() and not found[GAP][:, columns].any()
-    np.testing.assert_allclose(found[: GAP.start], e[RUN, : GAP.start], atol=1e-6)  # the past knows no gap
-    after = found[GAP.stop : ROWS]
+    assert np.isfinite(whitened).all() and not whitened[GAP][:, columns].any()
+    np.testing.assert_allclose(whitened[: GAP.start], e[RUN, : GAP.start], atol=1e-6)  # the past knows no gap
+    after = whitened[GAP.stop : ROWS]
     assert np.abs(after).max() < 5  # no jump, as large as the gap makes it unsure
     np.testing.assert_allclose(after[150:], e[RUN, GAP.stop + 150 : ROWS], atol=0.2)
     assert np.sqrt(((after[150:] - e[RUN, GAP.stop + 150 : ROWS]) ** 2).mean()) < 0.03
@@ -113,15 +113,15 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
     data, known, _ = watched()
     theta, step = np.full(len(ORDER), 0.4), 1e-3  # no lag at its bound, but for the relaxation
     theta[ORDER.index("relaxation_length")] = relaxation
-    found = differentiate(catalogue(), data, theta, known, EVERY)
+    derivatives = differentiate(catalogue(), data, theta, known, EVERY)
     value = lambda at: np.asarray(whiten(known, run_observer(catalogue(), data, at, known).e))
-    np.testing.assert_allclose(found.e, value(theta), atol=1e-9)
+    np.testing.assert_allclose(derivatives.e, value(theta), atol=1e-9)
     off = {}
     for name in VARIED:
         change = step * hidden(**{name: 1.0})
         back = 0.0 if theta @ change == 0 else 1.0
         expected = -(value(theta + change) - value(theta - back * change)) / ((1 + back) * step)  # of the prediction
-        J = np.asarray(found.J)[..., ORDER.index(name)]
+        J = np.asarray(derivatives.J)[..., ORDER.index(name)]
         assert np.linalg.norm(expected) > 1.0, name  # it shows in the data
         off[name] = np.linalg.norm(J - expected) / np.linalg.norm(expected)
     assert max(off.values()) < 0.01, off
@@ -139,10 +139,10 @@ def test_whole_samples_of_delay_are_a_shift_of_the_data():
     delayed = [replace(run, r=np.concatenate([np.full(late, np.nan), run.r[:-late]])) for run in nominal_runs()]
     theta = np.array([0.0, 0.0, 0.0, (late + 1e-9) * DT]) / np.asarray(model.scale)
     data = pieces(sedan(), tuple(delayed))
-    found, path = run_observer(model, data, theta, known), run_observer(model, watched()[0], np.zeros(4), known)
-    np.testing.assert_array_equal(found.valid[:, : ROWS - late], path.valid[:, : ROWS - late])
-    np.testing.assert_allclose(found.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)
-    assert not found.valid[:, ROWS - late :, 2].any()
+    late_path, path = run_observer(model, data, theta, known), run_observer(model, watched()[0], np.zeros(4), known)
+    np.testing.assert_array_equal(late_path.valid[:, : ROWS - late], path.valid[:, : ROWS - late])
+    np.testing.assert_allclose(late_path.e[:, : ROWS - late], path.e[:, : ROWS - late], atol=1e-8)
+    assert not late_path.valid[:, ROWS - late :, 2].any()
 
 
 def test_derivatives_where_sensors_are_late():
@@ -163,17 +163,17 @@ def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     run = replace(nominal_runs()[0], V=V, beta=still, r=still, delta=still, Fxr=braking, extra={})
     data = pieces(sedan(), (run,))
     known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector(), fixed_gain(data))
-    found = differentiate(catalogue(), data, NEUTRAL, known, EVERY)
-    assert np.isfinite(known.L).all() and np.isfinite(found.e).all() and np.isfinite(found.J).all()
-    assert not np.asarray(found.e)[:, ROWS:].any() and not np.asarray(found.J)[:, ROWS:].any()
+    derivatives = differentiate(catalogue(), data, NEUTRAL, known, EVERY)
+    assert np.isfinite(known.L).all() and np.isfinite(derivatives.e).all() and np.isfinite(derivatives.J).all()
+    assert not np.asarray(derivatives.e)[:, ROWS:].any() and not np.asarray(derivatives.J)[:, ROWS:].any()
 
 
 def test_noise_is_found_from_the_data():
-    found = build_problem(sedan(), EFFECTS, nominal_runs()).noise
-    np.testing.assert_allclose(found.sigma, truth().sigma, rtol=0.15)
-    np.testing.assert_allclose(found.disturbance, truth().disturbance, rtol=0.5)
-    assert 0.5 < found.correlation / truth().correlation < 2
-    assert np.all(found.slow < 0.01 * truth().sigma)  # there is none
+    noise = build_problem(sedan(), EFFECTS, nominal_runs()).noise
+    np.testing.assert_allclose(noise.sigma, truth().sigma, rtol=0.15)
+    np.testing.assert_allclose(noise.disturbance, truth().disturbance, rtol=0.5)
+    assert 0.5 < noise.correlation / truth().correlation < 2
+    assert np.all(noise.slow < 0.01 * truth().sigma)  # there is none
 
 
 @pytest.mark.parametrize("car", ["sedan", "rc"])

@@ -33,56 +33,56 @@ def noisy(run: Run, seed: int) -> Run:
 
 
 def test_exact_kinematics_leave_nothing():
-    found = parity(sedan(), [exact(0), exact(1)], SIGMA)
-    assert found is not None
-    assert np.abs(found.mean).max() < 1e-4 and (found.rms < 1e-3).all()
-    assert found.num == 2 * ((NUM - 1) // round(WINDOW / DT))
+    result = parity(sedan(), [exact(0), exact(1)], SIGMA)
+    assert result is not None
+    assert np.abs(result.mean).max() < 1e-4 and (result.rms < 1e-3).all()
+    assert result.num == 2 * ((NUM - 1) // round(WINDOW / DT))
 
 
 def test_noise_alone_is_reported_as_noise():
     for seed in range(5):
-        found = parity(sedan(), [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(2)], SIGMA)
-        assert found is not None and "agree within noise" in found.statement
-        np.testing.assert_allclose(found.rms / found.floor, 1.0, atol=0.2)
-        np.testing.assert_allclose(found.excess, 1.0, atol=0.5)
+        result = parity(sedan(), [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(2)], SIGMA)
+        assert result is not None and "agree within noise" in result.statement
+        np.testing.assert_allclose(result.rms / result.floor, 1.0, atol=0.2)
+        np.testing.assert_allclose(result.excess, 1.0, atol=0.5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.05, 0.1])
 def test_noise_alone_is_noise_whatever_share_of_samples_is_missing(share):
     """Where windows are left out, a block holds the noise at the ends of several stretches."""
-    found, rng = [], np.random.default_rng(5)
+    results, rng = [], np.random.default_rng(5)
     for seed in range(6):
         runs = [noisy(exact(2 * seed + k), seed + 10 * k) for k in range(4)]
         gone = [np.isin(np.arange(NUM) // 5, np.flatnonzero(rng.random(NUM // 5) < share)) for _ in runs]
         gappy = [replace(run, V=np.where(lost, np.nan, run.V)) for run, lost in zip(runs, gone, strict=True)]
-        found.append(parity(sedan(), gappy, SIGMA))
-    assert all("agree within noise" in one.statement for one in found)
-    np.testing.assert_allclose(np.sqrt(np.mean([one.excess**2 for one in found], axis=0)), 1.0, atol=0.12)
+        results.append(parity(sedan(), gappy, SIGMA))
+    assert all("agree within noise" in one.statement for one in results)
+    np.testing.assert_allclose(np.sqrt(np.mean([one.excess**2 for one in results], axis=0)), 1.0, atol=0.12)
 
 
 @pytest.mark.parametrize("bias", [0.02, -0.02])
 def test_a_biased_gyro_shows_in_the_sideslips_rate_by_as_much(bias):
     runs = [noisy(exact(k), k) for k in range(2)]
-    found = parity(sedan(), [replace(run, r=run.r + bias) for run in runs], SIGMA)
-    assert found is not None
-    assert found.mean[1] == pytest.approx(bias, abs=0.003) and abs(found.z[1]) > 4 > abs(found.z[0])
-    assert "beta' is off by" in found.statement and "a sensor or the road" in found.statement
+    result = parity(sedan(), [replace(run, r=run.r + bias) for run in runs], SIGMA)
+    assert result is not None
+    assert result.mean[1] == pytest.approx(bias, abs=0.003) and abs(result.z[1]) > 4 > abs(result.z[0])
+    assert "beta' is off by" in result.statement and "a sensor or the road" in result.statement
 
 
 def test_an_error_without_a_mean_shows_too():
     runs = [noisy(exact(k), k) for k in range(2)]
     wave = 0.5 * np.sin(2 * np.pi * np.arange(NUM) * DT / 10)  # a slope felt while the car turns round
-    found = parity(sedan(), [replace(run, extra=run.extra | {"ay": run.extra["ay"] + wave}) for run in runs], SIGMA)
-    assert found is not None and found.excess[1] > 1.5 and "errs by" in found.statement
+    result = parity(sedan(), [replace(run, extra=run.extra | {"ay": run.extra["ay"] + wave}) for run in runs], SIGMA)
+    assert result is not None and result.excess[1] > 1.5 and "errs by" in result.statement
 
 
 def test_gaps_are_left_out_and_missing_columns_reported():
     run = noisy(exact(0), 0)
     V = run.V.copy()
     V[500:560] = np.nan
-    whole, gappy = parity(sedan(), [run], SIGMA), parity(sedan(), [replace(run, V=V)], SIGMA)
-    assert whole is not None and gappy is not None
-    assert whole.num - 4 <= gappy.num < whole.num and np.isfinite(gappy.mean).all()
+    complete, gappy = parity(sedan(), [run], SIGMA), parity(sedan(), [replace(run, V=V)], SIGMA)
+    assert complete is not None and gappy is not None
+    assert complete.num - 4 <= gappy.num < complete.num and np.isfinite(gappy.mean).all()
     assert parity(sedan(), [run, replace(run, extra={"ax": run.extra["ax"]})], SIGMA) is None
     assert parity(sedan(), [replace(run, V=np.full(NUM, np.nan))], SIGMA) is None
     assert parity(sedan(), [replace(run, V=0.1 + 0 * run.V)], SIGMA) is None  # too slow for a sideslip
@@ -90,5 +90,5 @@ def test_gaps_are_left_out_and_missing_columns_reported():
 
 @pytest.mark.parametrize(("name", "size", "is_sensor"), [("friction_rear", -2.0, False), ("gyro_bias", 2.0, True)])
 def test_recordings_tell_sensors_from_physics(name, size, is_sensor):
-    found = parity(sedan(), recorded(hidden(**{name: size}), 3, 4), truth().sigma)
-    assert found is not None and ("a sensor or the road" in found.statement) == is_sensor
+    result = parity(sedan(), recorded(hidden(**{name: size}), 3, 4), truth().sigma)
+    assert result is not None and ("a sensor or the road" in result.statement) == is_sensor

@@ -114,7 +114,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     assert np.abs(x[driven]).max() < 1 and np.abs(d[driven]).max() < 10
 
 
-def drawn(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_forces(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Forces that wander with time, two drivers that wander on their own, and blocks of 200."""
     wander = lambda: np.convolve(rng.normal(size=num + 49), np.ones(50) / 7, "valid")
     return np.stack([wander() for _ in range(3)], axis=1), np.stack([wander(), wander()]), np.arange(num) // 200
@@ -122,33 +122,33 @@ def drawn(rng, num: int = 6000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_bins_find_the_driver_and_how_much_it_explains():
     rng = np.random.default_rng(5)
-    forces, (one, two), block = drawn(rng)
+    forces, (one, two), block = draw_forces(rng)
     forces[:, 2] += 2 * one
-    found = summarise_forces(ResidualForces(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
-    assert found.p_value < 0.01 and best_variable(found, 2) == "slip_rear"
-    assert found.variables["slip_rear"].explained[2] == pytest.approx(4 / 5, abs=0.1)
-    assert found.variables["speed"].explained[2] < 0.2
-    np.testing.assert_allclose(found.rms[2], 100 * np.sqrt(5), rtol=0.15)
-    words = describe_worst(found, sedan())
+    summary = summarise_forces(ResidualForces(100 * forces, {"speed": two, "slip_rear": one}, block), 0)
+    assert summary.p_value < 0.01 and best_variable(summary, 2) == "slip_rear"
+    assert summary.variables["slip_rear"].explained[2] == pytest.approx(4 / 5, abs=0.1)
+    assert summary.variables["speed"].explained[2] < 0.2
+    np.testing.assert_allclose(summary.rms[2], 100 * np.sqrt(5), rtol=0.15)
+    words = describe_worst(summary, sedan())
     assert "rear axle" in words and "rear slip angle" in words and " N RMS" in words
 
 
 def test_forces_that_go_with_nothing_are_rarely_reported_to():
-    found = [summarise_forces(ResidualForces(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
-             ((k, drawn(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
-    assert sum(one.p_value < 0.05 for one in found) <= 6
-    assert np.mean([one.variables["a"].explained for one in found]) < 0.05
+    summaries = [summarise_forces(ResidualForces(f, {"a": d[0], "b": d[1]}, b), k) for k, (f, d, b) in
+             ((k, draw_forces(np.random.default_rng(100 + k))) for k in range(40))]  # fmt: skip
+    assert sum(one.p_value < 0.05 for one in summaries) <= 6
+    assert np.mean([one.variables["a"].explained for one in summaries]) < 0.05
 
 
 def test_a_driver_that_hardly_varies_and_bins_of_one_block_are_left_out():
     rng = np.random.default_rng(6)
-    forces, (one, _), block = drawn(rng)
+    forces, (one, _), block = draw_forces(rng)
     signs = np.ones((2, block.max() + 1))
     assert bin_forces(np.full(len(one), 3.0), forces, block, signs) is None
     once = np.where(block == 7, 50.0, one)  # one block far away
-    found = bin_forces(once, forces, block, signs)
-    assert found is not None and len(found.value) <= BINS and (np.diff(found.value) > 0).all()
-    assert np.isfinite(found.mean).all() and np.isfinite(found.error).all()
+    bins = bin_forces(once, forces, block, signs)
+    assert bins is not None and len(bins.value) <= BINS and (np.diff(bins.value) > 0).all()
+    assert np.isfinite(bins.mean).all() and np.isfinite(bins.error).all()
 
 
 @functools.cache
@@ -162,11 +162,11 @@ def left_over(name: str, size: float):
 
 
 def test_hidden_rear_friction_shows_at_the_rear_axle_and_as_disturbances():
-    found, noise, given = left_over("friction_rear", -2.0)
-    size = np.max([one.systematic for one in found.variables.values()], axis=0) / force_limits(sedan())
-    assert found.p_value < 0.05 and FORCES[int(np.argmax(size))] == "Fyr"
+    summary, noise, given = left_over("friction_rear", -2.0)
+    size = np.max([one.systematic for one in summary.variables.values()], axis=0) / force_limits(sedan())
+    assert summary.p_value < 0.05 and FORCES[int(np.argmax(size))] == "Fyr"
     assert size[2] > 2 * size[1]
-    assert "rear axle" in describe_worst(found, sedan())
+    assert "rear axle" in describe_worst(summary, sedan())
     assert (noise.disturbance > 1.2 * given.disturbance).any()
     # rear friction is short by 2 typical sizes, and with it the saturated rear force
     assert 0.3 < size[2] / (2 * EFFECTS[ORDER.index("friction_rear")].parameters[0].typical) < 1.2

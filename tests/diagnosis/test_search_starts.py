@@ -22,9 +22,9 @@ def imitated(theta: np.ndarray) -> np.ndarray:
 
 def test_a_search_leaves_a_local_optimum_at_a_bound_for_a_set_that_the_nominal_car_promises(monkeypatch):
     problem, nominal = toy_problem(monkeypatch, imitated, np.full(4, -3.0), np.array([0.8, 3.0, 3.0, 3.0]))
-    found = search(problem, nominal)
-    assert found.selected == (1, 2, 3)
-    np.testing.assert_allclose(found.fit.theta, [0, 1, 1, 1], atol=0.1)
+    selection = search(problem, nominal)
+    assert selection.selected == (1, 2, 3)
+    np.testing.assert_allclose(selection.fit.theta, [0, 1, 1, 1], atol=0.1)
 
 
 def elsewhere(theta: np.ndarray) -> np.ndarray:
@@ -37,9 +37,9 @@ def elsewhere(theta: np.ndarray) -> np.ndarray:
 
 def test_later_effects_are_named_only_where_they_predict_what_they_were_not_fitted_to(monkeypatch):
     problem, nominal = toy_problem(monkeypatch, elsewhere, np.full(5, -3.0), np.full(5, 3.0), runs=6)
-    found = search(problem, nominal)
-    assert found.selected == (0, 1, 2, 3)
-    assert found.scores.p_value < 0.05  # the test alone would go on
+    selection = search(problem, nominal)
+    assert selection.selected == (0, 1, 2, 3)
+    assert selection.scores.p_value < 0.05  # the test alone would go on
 
 
 def bound_by(share: float):
@@ -55,5 +55,5 @@ def test_an_effect_at_its_bound_stays_only_where_it_predicts_better(monkeypatch,
     upper = np.array([3.0, 0.05 if share < 0.1 else 0.5])
     problem, nominal = toy_problem(monkeypatch, bound_by(share), np.zeros(2), upper, runs=6)
     monkeypatch.setattr(select, "MIN_SIZE", 0.01)
-    found = search(problem, nominal)
-    assert found.selected == named
+    selection = search(problem, nominal)
+    assert selection.selected == named

@@ -30,19 +30,21 @@ def diagnosed(seed, **truth):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "size", "seed"), [("stiffness_front", -0.8, 1), ("steer_offset", 1.3, 2)])
 def test_a_hidden_effect_is_named_and_measured(name, size, seed):
-    problem, found = diagnosed(seed, **{name: size})
-    assert [ORDER[i] for i in found.selected] == [name]
-    columns = problem.columns(found.selected)
-    deviation = float(np.sqrt(covariance(found.scores.H, found.scores.blocks, columns)[0, 0]))
-    assert abs(found.fit.theta[columns[0]] - size) < 6 * deviation
+    problem, selection = diagnosed(seed, **{name: size})
+    assert [ORDER[i] for i in selection.selected] == [name]
+    columns = problem.columns(selection.selected)
+    deviation = float(np.sqrt(covariance(selection.scores.H, selection.scores.blocks, columns)[0, 0]))
+    assert abs(selection.fit.theta[columns[0]] - size) < 6 * deviation
     assert deviation < 0.1  # or the line above says little
-    assert found.fit.cost < found.nominal.cost - 50
-    assert found.nominal_scores.p_value < 0.05
+    assert selection.fit.cost < selection.nominal.cost - 50
+    assert selection.nominal_scores.p_value < 0.05
     H, score = (
         part[columns[0]]
-        for part in (np.diag(information(found.linearisation.J)), information_and_score(found.linearisation)[1])
+        for part in (np.diag(information(selection.linearisation.J)), information_and_score(selection.linearisation)[1])
     )
-    assert (score - found.fit.theta[columns[0]] / PRIOR**2) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
+    assert (
+        score - selection.fit.theta[columns[0]] / PRIOR**2
+    ) ** 2 / H < 2 * TOLERANCE  # its own derivatives ask no more
 
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
@@ -56,9 +58,9 @@ def test_a_search_begins_where_the_file_of_the_car_does():
     vehicle = replace(sedan(), effects=(known,))
     for truth, names in (({"drive_gain": 1.2}, []), ({"drive_gain": 1.2, "steer_lag": 1.0}, ["steer_lag"])):
         problem = build_problem(vehicle, EFFECTS, recorded(hidden(**truth), 21, 22))
-        found = search(problem, evaluate_fit(problem, problem.start))
-        assert [ORDER[i] for i in found.selected] == names
-        assert found.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
+        selection = search(problem, evaluate_fit(problem, problem.start))
+        assert [ORDER[i] for i in selection.selected] == names
+        assert selection.fit.theta[ORDER.index("drive_gain")] == pytest.approx(1.2)
     with pytest.raises(BadInput, match="lacks"):
         build_problem(
             replace(vehicle, effects=(EffectParameterValue("mass", "p", 0.1),)), EFFECTS, recorded(hidden(), 21, 23)
@@ -67,9 +69,9 @@ def test_a_search_begins_where_the_file_of_the_car_does():
 
 def test_no_more_is_named_than_requested_and_what_is_left_is_reported():
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
-    found = search(problem, evaluate_fit(problem, problem.start), most=1)
-    assert len(found.selected) == 1 and ORDER[found.selected[0]] in ("drive_gain", "steer_lag")
-    assert found.scores.p_value < 0.05
+    selection = search(problem, evaluate_fit(problem, problem.start), most=1)
+    assert len(selection.selected) == 1 and ORDER[selection.selected[0]] in ("drive_gain", "steer_lag")
+    assert selection.scores.p_value < 0.05
 
 
 def made_up(lower=FREE, blocks=BLOCKS) -> Problem:
@@ -120,10 +122,10 @@ def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
     rng, problem = np.random.default_rng(10), made_up()
     at, size = noise(rng), 0.4
     e = np.asarray(at.e) + size * np.asarray(at.J)[..., 3]
-    found = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
-    assert found.p_value < 0.005 and np.argmax(np.abs(found.T)) == 3 == np.argmax(found.gain)
+    result = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    assert result.p_value < 0.005 and np.argmax(np.abs(result.T)) == 3 == np.argmax(result.gain)
     explained = np.sum(e**2) - np.sum((e - size * np.asarray(at.J)[..., 3]) ** 2)
-    assert found.gain[3] == pytest.approx(explained, rel=0.2)
+    assert result.gain[3] == pytest.approx(explained, rel=0.2)
 
 
 def test_several_parameters_of_an_effect_are_tested_together():
@@ -132,24 +134,24 @@ def test_several_parameters_of_an_effect_are_tested_together():
     rng, J, shape = np.random.default_rng(13), np.zeros((1, BLOCKS * LENGTH, 3, SIZE)), (1, BLOCKS * LENGTH, 3)
     for k in range(4):
         J[:, k * 6 * LENGTH : (k + 1) * 6 * LENGTH, :, k] = 1.0
-    by_chance, found = [], []
+    by_chance, results = [], []
     for seed in range(100):
         e = rng.normal(size=shape)
         J[..., 4] = rng.normal(size=shape)
         by_chance.append(scores(problem, followed(e, J), np.zeros(SIZE), (), seed).p_value)
-        found.append(scores(problem, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
+        results.append(scores(problem, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
     assert np.mean(np.array(by_chance) < 0.05) < 0.12  # p < 1e-3 at a rate of 5 %
-    assert max(np.abs(one.T[:4]).max() for one in found) < np.sqrt(6) + 1e-9
-    assert np.median([one.joint[0] for one in found]) > np.sqrt(6) + 1
-    assert np.median([one.p_value for one in found]) < 0.01
+    assert max(np.abs(one.T[:4]).max() for one in results) < np.sqrt(6) + 1e-9
+    assert np.median([one.joint[0] for one in results]) > np.sqrt(6) + 1
+    assert np.median([one.p_value for one in results]) < 0.01
 
 
 def test_signs_that_an_effect_cannot_have_are_not_tested():
     rng, problem = np.random.default_rng(11), made_up(ONE_SIDED)
     at = noise(rng)
     e = np.asarray(at.e) - 0.6 * np.asarray(at.J)[..., 3]
-    found = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
-    assert found.T[3] == 0 == found.gain[3]
+    result = scores(problem, at._replace(e=e), np.zeros(SIZE), (), seed=0)
+    assert result.T[3] == 0 == result.gain[3]
     free = scores(made_up(), at._replace(e=e), np.zeros(SIZE), (), seed=0)
     assert free.T[3] < -4
 
@@ -176,10 +178,10 @@ def test_covariance_of_independent_data_is_the_inverse_information():
     at, columns = noise(rng, 300), np.array([0, 1, 2])
     J = np.asarray(at.J).reshape(-1, SIZE)[:, columns]
     expected = np.linalg.inv(J.T @ J)
-    found = covariance(*sums_by_block(problem, at.e, at.J), columns)
-    np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=0.25)
+    estimated = covariance(*sums_by_block(problem, at.e, at.J), columns)
+    np.testing.assert_allclose(np.diag(estimated), np.diag(expected), rtol=0.25)
     correlation = lambda c: c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
-    np.testing.assert_allclose(correlation(found), correlation(expected), atol=1e-9)
+    np.testing.assert_allclose(correlation(estimated), correlation(expected), atol=1e-9)
 
 
 def test_covariance_grows_where_samples_of_a_block_say_the_same():
@@ -187,8 +189,8 @@ def test_covariance_grows_where_samples_of_a_block_say_the_same():
     at = noise(rng, 300)
     e, J = (np.repeat(np.asarray(a)[:, ::LENGTH], LENGTH, axis=1) for a in (at.e, at.J))
     flat = J.reshape(-1, SIZE)[:, columns]
-    found = covariance(*sums_by_block(problem, e, J), columns)
-    np.testing.assert_allclose(np.diag(found), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)
+    estimated = covariance(*sums_by_block(problem, e, J), columns)
+    np.testing.assert_allclose(np.diag(estimated), LENGTH * np.diag(np.linalg.inv(flat.T @ flat)), rtol=0.3)
 
 
 def repeated(at: Linearisation) -> Linearisation:
@@ -225,9 +227,9 @@ def test_probabilities_are_no_surer_for_samples_that_say_the_same():
 def test_the_p_value_of_an_effect_is_its_own():
     rng, problem = np.random.default_rng(16), made_up()
     at = noise(rng)
-    found = scores(problem, at._replace(e=np.asarray(at.e) + 0.4 * np.asarray(at.J)[..., 3]), np.zeros(SIZE), (), 0)
-    assert found.p_value_of(3, np.array([3])) == found.p_value < 0.005
-    assert min(found.p_value_of(i, np.array([i])) for i in (0, 2, 4)) > 0.05
+    result = scores(problem, at._replace(e=np.asarray(at.e) + 0.4 * np.asarray(at.J)[..., 3]), np.zeros(SIZE), (), 0)
+    assert result.p_value_of(3, np.array([3])) == result.p_value < 0.005
+    assert min(result.p_value_of(i, np.array([i])) for i in (0, 2, 4)) > 0.05
 
 
 def test_effects_of_several_parameters_can_be_taken_for_others():
@@ -241,5 +243,5 @@ def test_effects_of_several_parameters_can_be_taken_for_others():
     for member, theta, expected in ((0, [1, 0, 0, 0, 0], (1,)), (1, [0, 1, 1, 0, 0], (0,)), (1, [0, 1, -1, 0, 0], ())):
         left = scores(problem, at, np.array(theta, float), (member,), 0)
         fit: Any = Fit(np.array(theta, float), 0.0, nothing)  # type: ignore[arg-type]
-        found = Selection((member,), fit, at, left, problem, fit, left)
-        assert confusable_effects(problem, found, member) == expected
+        selection = Selection((member,), fit, at, left, problem, fit, left)
+        assert confusable_effects(problem, selection, member) == expected

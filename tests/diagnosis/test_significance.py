@@ -32,10 +32,10 @@ def test_effects_beyond_the_first_are_exploratory_and_chance_is_not_supported(mo
     problem, nominal = toy_problem(monkeypatch, residuals, np.full(8, -3.0), np.full(8, 3.0), runs=RUNS)
     selection = selection_of(problem, nominal, (0, 1, 2, 3, 4, 6))
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    found = significance(problem, selection, model, dict(enumerate(SIZES)))
-    assert [i for i, one in found.items() if one.exploratory] == [4, 6]
-    assert [i for i, one in found.items() if not one.supported] == [6]
-    assert found[6].p_value > 0.05 > found[4].p_value
+    results = significance(problem, selection, model, dict(enumerate(SIZES)))
+    assert [i for i, one in results.items() if one.exploratory] == [4, 6]
+    assert [i for i, one in results.items() if not one.supported] == [6]
+    assert results[6].p_value > 0.05 > results[4].p_value
 
 
 def test_what_the_false_discovery_rate_does_not_allow_is_left_out(monkeypatch):
@@ -52,9 +52,9 @@ def test_what_the_false_discovery_rate_does_not_allow_is_left_out(monkeypatch):
 
 def test_the_false_discovery_rate_is_that_of_the_step_up_procedure():
     p = np.array([0.2, 0.001, 0.9, 0.006, 0.03])
-    whole = 1 + 1 / 2 + 1 / 3 + 1 / 4 + 1 / 5
+    harmonic = 1 + 1 / 2 + 1 / 3 + 1 / 4 + 1 / 5
     assert benjamini_yekutieli(p, 0.1).tolist() == [False, True, False, True, False]  # limits 0.0088, 0.0175, 0.026
-    assert 0.006 < 2 * 0.1 / (5 * whole) and 0.03 > 3 * 0.1 / (5 * whole)
+    assert 0.006 < 2 * 0.1 / (5 * harmonic) and 0.03 > 3 * 0.1 / (5 * harmonic)
     assert not benjamini_yekutieli(np.full(5, 0.05), 0.1).any()
     assert benjamini_yekutieli(np.array([0.02, 0.021, 0.022]), 0.1).tolist() == [True] * 3  # the last carries the first
 

@@ -39,36 +39,38 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
 
 
 def test_a_missing_drive_gain_is_reported_as_a_force_that_goes_with_the_drive():
-    problem, found = nominal_only("drive_gain", 2.5)
-    remaining = find_unexplained(problem, found, 0)
+    problem, selection = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, selection, 0)
     gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical
     assert (
         remaining.significant and "Fxr" in list(remaining.variables)[:4]
     )  # in a drift, sideslip and drive go together
     assert (remaining.term.channel, remaining.term.function, remaining.term.unit) == ("V", "Fxr/(mg)", "m/s^2")
     assert remaining.term.value == pytest.approx(gain * G, rel=0.25) and 0 < remaining.term.half_width < 0.3 * gain * G
-    decision = decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1)
+    decision = decide_verdict(problem, selection, [], remaining, 36.0, MUCH_LEFT, 0.1)
     assert decision.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in decision.sentence
 
 
 def test_a_missing_bias_of_the_gyro_is_reported_as_an_error_of_the_sensor():
-    problem, found = nominal_only("gyro_bias", 2.0)
-    remaining = find_unexplained(problem, found, 0)
+    problem, selection = nominal_only("gyro_bias", 2.0)
+    remaining = find_unexplained(problem, selection, 0)
     bias = 2.0 * float(problem.model.scale[ORDER.index("gyro_bias")])
     assert remaining.significant and next(iter(remaining.variables)) == "1" == next(iter(remaining.nominal_variables))
     assert remaining.term[:3] == ("r", "sensor", "1") and remaining.term.unit == "rad/s"
     assert remaining.term.value == pytest.approx(bias, rel=0.15)
-    assert "in what is measured as r" in decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
+    assert (
+        "in what is measured as r" in decide_verdict(problem, selection, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
+    )
 
 
 def test_effects_that_one_force_outdoes_only_imitate_it():
-    problem, found = nominal_only("drive_gain", 2.5)
+    problem, selection = nominal_only("drive_gain", 2.5)
     useless = tuple(ORDER.index(name) for name in ("yaw_inertia", "steer_offset"))
-    one, two = (find_unexplained(problem, found._replace(selected=useless[:num]), 0) for num in (1, 2))
+    one, two = (find_unexplained(problem, selection._replace(selected=useless[:num]), 0) for num in (1, 2))
     assert one.simpler is None and two.simpler is not None
     assert two.simpler[:3] == ("V", "rate", "Fxr/(mg)")
     named = [Cause(i, np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE) for i in useless]
-    decision = decide_verdict(problem, found, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
+    decision = decide_verdict(problem, selection, named, two._replace(p_value=1.0), 36.0, MUCH_LEFT, 0.1)
     assert (
         decision.verdict == Verdict.UNKNOWN
         and "yaw_inertia, steer_offset together explain no more" in decision.sentence
@@ -88,35 +90,35 @@ def test_effects_that_one_force_outdoes_only_imitate_it():
 )
 def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left, verdict):
     """What remains is significant in each case."""
-    problem, found = nominal_only("drive_gain", 2.5)
-    remaining = find_unexplained(problem, found, 0)._replace(share=0.05)  # of what would be named
+    problem, selection = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, selection, 0)._replace(share=0.05)  # of what would be named
     assert remaining.significant
     cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
     explained = Explained((low + high) / 2, (low, high), left + 0.05, (left, left + 0.1), 1.0, True)
-    decision = decide_verdict(problem, found, [cause], remaining, 36.0, explained, 0.1)
+    decision = decide_verdict(problem, selection, [cause], remaining, 36.0, explained, 0.1)
     assert decision.verdict == verdict and next(iter(remaining.variables)) in decision.sentence
     assert ("of the excess error" in decision.sentence) == np.isfinite(high)
     differing = cause._replace(invariance=1e-6)
     if verdict == Verdict.NAMED:
-        decision = decide_verdict(problem, found, [differing], remaining, 36.0, explained, 0.1)
+        decision = decide_verdict(problem, selection, [differing], remaining, 36.0, explained, 0.1)
         assert decision.verdict == Verdict.SET and "differs from run to run" in decision.sentence
         beside = [cause, differing._replace(effect=ORDER.index("drive_gain"), exploratory=True)]
-        decision = decide_verdict(problem, found, beside, remaining, 36.0, explained, 0.1)
+        decision = decide_verdict(problem, selection, beside, remaining, 36.0, explained, 0.1)
         assert decision.verdict == Verdict.NAMED and "size of drive_gain differs from run to run" in decision.sentence
-        small = decide_verdict(problem, found, [], remaining, 36.0, explained, 0.1)
+        small = decide_verdict(problem, selection, [], remaining, 36.0, explained, 0.1)
         assert small.verdict == Verdict.NOTHING and "too small" in small.sentence
         assumed = problem._replace(data=problem.data._replace(force_known=False))
-        hint = decide_verdict(assumed, found, [cause], remaining, 36.0, explained, 0.1)
+        hint = decide_verdict(assumed, selection, [cause], remaining, 36.0, explained, 0.1)
         assert hint.verdict == Verdict.UNKNOWN and "friction_rear" in hint.sentence and "force" in hint.sentence
 
 
 def test_what_remains_beside_a_name_keeps_it_from_being_certain_by_its_share():
-    problem, found = nominal_only("drive_gain", 2.5)
-    remaining = find_unexplained(problem, found, 0)
+    problem, selection = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, selection, 0)
     assert remaining.share == 1  # nothing is named
     cause = Cause(ORDER.index("friction_rear"), np.ones(1), np.ones(1), 1.0, {}, (), 1.0, 0.001, 1.0, ALL, FREE)
     explained = Explained(0.97, (0.95, 1.0), 0.05, (0.03, 0.07), 1.0, True)
-    verdict = lambda left: decide_verdict(problem, found, [cause], left, 36.0, explained, 0.1)
+    verdict = lambda left: decide_verdict(problem, selection, [cause], left, 36.0, explained, 0.1)
     assert verdict(remaining._replace(share=0.09)).verdict == Verdict.NAMED
     doubt = verdict(remaining._replace(share=0.11))
     assert doubt.verdict == Verdict.SET and "in the rate of V explains 11 % of the misfit" in doubt.sentence
@@ -125,15 +127,17 @@ def test_what_remains_beside_a_name_keeps_it_from_being_certain_by_its_share():
 
 def test_less_grip_of_the_rear_that_the_catalogue_lacks_is_a_lateral_force_of_the_rear_axle():
     """Its sign is that of less force in the direction against the slip."""
-    problem, found = nominal_only("friction_rear", -1.0)
-    remaining = find_unexplained(problem, found, 0)
+    problem, selection = nominal_only("friction_rear", -1.0)
+    remaining = find_unexplained(problem, selection, 0)
     assert remaining.significant and remaining.term[:2] == ("Fyr", "force") and remaining.term.unit == "N"
-    assert "in the lateral force Fyr" in decide_verdict(problem, found, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
+    assert (
+        "in the lateral force Fyr" in decide_verdict(problem, selection, [], remaining, 36.0, MUCH_LEFT, 0.1).sentence
+    )
 
 
 def test_the_rates_of_axle_forces_are_those_that_residual_forces_come_from():
-    problem, found = nominal_only("drive_gain", 0.0)
-    path = found.linearisation.path
+    problem, selection = nominal_only("drive_gain", 0.0)
+    path = selection.linearisation.path
     by_force = np.asarray(rates_of_forces(sedan().build(), path))
     z, u = np.asarray(path.z), np.asarray(path.u)
     for axle, force in enumerate(np.eye(3)[1:]):  # Fx, Fyf, Fyr
@@ -143,19 +147,21 @@ def test_the_rates_of_axle_forces_are_those_that_residual_forces_come_from():
 
 def test_the_interval_of_a_term_is_as_wide_as_blocks_vary():
     """Errors that stay the same for a whole block: the term that suits them best is hardly beyond its interval."""
-    problem, found = nominal_only("drive_gain", 0.0)
+    problem, selection = nominal_only("drive_gain", 0.0)
     rng, block = np.random.default_rng(4), problem.data.block
     for _ in range(3):
-        e = np.asarray(found.linearisation.e)
+        e = np.asarray(selection.linearisation.e)
         e = np.where(e != 0, rng.standard_normal((problem.data.num_blocks, e.shape[2]))[block], 0.0)
-        _, term = best_term(problem, generic_terms(problem, found.linearisation._replace(e=e), found.scores, (), 0))
+        _, term = best_term(
+            problem, generic_terms(problem, selection.linearisation._replace(e=e), selection.scores, (), 0)
+        )
         assert 0 < abs(term.value) < 2.5 * term.half_width
 
 
 def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
     stated = []
-    problem, found = nominal_only("drive_gain", 0.0)
-    member = int(np.argmax(found.scores.gain))
+    problem, selection = nominal_only("drive_gain", 0.0)
+    member = int(np.argmax(selection.scores.gain))
     columns = problem.columns((member,))
     third = problem.noise._replace(sigma=problem.noise.sigma / 3, disturbance=problem.noise.disturbance / 3)
     for one in (problem, with_noise(problem, problem.start, third)):
@@ -165,15 +171,15 @@ def test_noise_taken_for_a_third_of_what_it_is_makes_no_name_surer():
         model = quadratic_cost(one, fit, at)
         stated.append(effect_probabilities(one, whole, model, member)[member])
         p_value = own_scores(one, whole, model, member).p_value_of(member, columns)
-        assert p_value == pytest.approx(found.scores.p_value_of(member, columns), abs=0.1)
+        assert p_value == pytest.approx(selection.scores.p_value_of(member, columns), abs=0.1)
     assert 0.1 < stated[0] < 0.95 and stated[1] == pytest.approx(stated[0], abs=0.1)
 
 
 def test_an_effect_that_is_left_out_takes_no_part():
-    problem, found = nominal_only("drive_gain", 2.5)
+    problem, selection = nominal_only("drive_gain", 2.5)
     column = ORDER.index("drive_gain")
     assert not problem.active[column] and problem.active.sum() == len(ORDER) - 1
-    assert found.scores.T[column] == 0 == found.scores.gain[column] and not found.scores.H[column].any()
+    assert selection.scores.T[column] == 0 == selection.scores.gain[column] and not selection.scores.H[column].any()
 
 
 def test_nothing_is_left_of_a_car_without_effects():
@@ -182,12 +188,12 @@ def test_nothing_is_left_of_a_car_without_effects():
 
 
 def test_the_next_manoeuvre_should_tell_rivals_apart():
-    problem, found = nominal_only("drive_gain", 0.0)
+    problem, selection = nominal_only("drive_gain", 0.0)
     own, rival = ORDER.index("load_transfer_long"), ORDER.index("friction_rear")
-    fit = found.fit._replace(theta=hidden(load_transfer_long=0.2))
-    found = found._replace(selected=(own,), fit=fit)
+    fit = selection.fit._replace(theta=hidden(load_transfer_long=0.2))
+    selection = selection._replace(selected=(own,), fit=fit)
     cause = Cause(own, np.array([0.2]), np.array([0.1]), 0.6, {rival: 0.4}, (), 1.0, 0.001, 0.6, ALL, FREE)
-    ask = lambda verdict: propose_manoeuvre(sedan(), problem, found, [cause], Judgement(verdict, ""), 0)
+    ask = lambda verdict: propose_manoeuvre(sedan(), problem, selection, [cause], Judgement(verdict, ""), 0)
     assert ask(Verdict.NAMED) is None
     proposal = ask(Verdict.SET)
     assert proposal is not None and proposal.now == pytest.approx(0.6) and proposal.now < proposal.after <= 1

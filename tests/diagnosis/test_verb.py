@@ -34,25 +34,25 @@ def hidden_lag():
 def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden_lag, capsys, monkeypatch):
     monkeypatch.setattr("driftjax.cli.diagnose.diagnose", functools.partial(diagnose, effects=KNOWN))
     write_log(Path("log.csv"), hidden_lag)
-    asked = ["log.csv", "--combined-slip", "1", "--out", "found", "--without", "friction_rear"]
-    assert main(["diagnose", *asked]) == 0
-    content = json.loads(Path("found/diagnosis.json").read_text())
+    options = ["log.csv", "--combined-slip", "1", "--out", "diagnosed", "--without", "friction_rear"]
+    assert main(["diagnose", *options]) == 0
+    content = json.loads(Path("diagnosed/diagnosis.json").read_text())
     assert (content["schema"], content["verdict"]) == (1, "NAMED")
     assert [cause["effect"] for cause in content["causes"]] == ["steer_lag"]
     assert content["causes"][0]["exploratory"] is False and content["data"]["outliers"] == {"V": 0, "beta": 0, "r": 0}
-    found = content["causes"][0]["parameters"]["tau"]
+    estimate = content["causes"][0]["parameters"]["tau"]
     true = next(p for p in EFFECTS["steer_lag"].parameters).typical * (3.05 / 9.81) ** 0.5
-    assert found["unit"] == "s" and found["value"] == pytest.approx(true, rel=0.1)
+    assert estimate["unit"] == "s" and estimate["value"] == pytest.approx(true, rel=0.1)
     gain = content["gain"]
     names = [run.name for run in hidden_lag]
     assert gain["held_out_runs"] == names[2::3]
     # what process noise makes of a second in a drift counts as explainable, so that even the true car stays below 1
     assert gain["skill"]["extended"] > 0.5 and gain["ci95"]["extended"][0] > 0
     assert gain["skill"]["extended"] > gain["skill"]["retuned"]
-    car = yaml.safe_load(Path("found/extended.yaml").read_text())
-    assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(found["value"])
-    vehicle = load_vehicle("found/extended.yaml")
-    assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", found["value"])]
+    car = yaml.safe_load(Path("diagnosed/extended.yaml").read_text())
+    assert car["effects"]["steer_lag"]["tau"]["value"] == pytest.approx(estimate["value"])
+    vehicle = load_vehicle("diagnosed/extended.yaml")
+    assert [(one.name, one.value) for one in vehicle.effects] == [("steer_lag.tau", estimate["value"])]
     assert vehicle.noise is not None
     assert vars(vehicle.noise.process_sigma) == content["data"]["process_sigma"]
     assert vehicle.noise.process_correlation_s == content["data"]["process_correlation_s"]
@@ -63,16 +63,16 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     assert "agree within noise" in shown["kinematic_parity"]["statement"]
     nominal = np.array([shown["open_loop"]["in_noises"][name] for name in ("V", "beta", "r")])
     assert nominal.shape == (3, 4) and (nominal[:, 0] < nominal[:, 2]).all()
-    first = Path("found/report.html").read_text()
-    assert first.count("data:image/png;base64,") == len(list(Path("found/figures").glob("*.pdf"))) == 8
-    assert sum(path.stat().st_size for path in Path("found").glob("*.nc")) < 1e6
-    Path("found/report.html").unlink()
-    assert main(["report", "found"]) == 0
-    assert Path("found/report.html").read_text().count("data:image/png;base64,") == 8
+    first = Path("diagnosed/report.html").read_text()
+    assert first.count("data:image/png;base64,") == len(list(Path("diagnosed/figures").glob("*.pdf"))) == 8
+    assert sum(path.stat().st_size for path in Path("diagnosed").glob("*.nc")) < 1e6
+    Path("diagnosed/report.html").unlink()
+    assert main(["report", "diagnosed"]) == 0
+    assert Path("diagnosed/report.html").read_text().count("data:image/png;base64,") == 8
     out = capsys.readouterr().out
     assert shown["worst"] in out
     assert "NAMED: The steering lags behind its command" in out and "extended" in out
-    assert main(["diagnose", *asked]) == 2  # the folder holds a diagnosis already
+    assert main(["diagnose", *options]) == 2  # the folder holds a diagnosis already
 
 
 @pytest.mark.slow
@@ -80,12 +80,12 @@ def test_a_diagnosis_of_the_extended_car_finds_nothing_more(hidden_lag, monkeypa
     """What was named is where the second one starts."""
     monkeypatch.setattr("driftjax.cli.diagnose.diagnose", functools.partial(diagnose, effects=KNOWN))
     write_log(Path("log.csv"), hidden_lag)
-    asked = ["diagnose", "log.csv", "--combined-slip", "1", "--held-out", "0", "--without", "friction_rear"]
-    assert main([*asked, "--out", "found"]) == 0
-    more = ["--vehicle", "found/extended.yaml", "--without", "friction_rear", "--held-out", "0", "--out", "again"]
+    options = ["diagnose", "log.csv", "--combined-slip", "1", "--held-out", "0", "--without", "friction_rear"]
+    assert main([*options, "--out", "diagnosed"]) == 0
+    more = ["--vehicle", "diagnosed/extended.yaml", "--without", "friction_rear", "--held-out", "0", "--out", "again"]
     assert main(["diagnose", "log.csv", *more]) == 0
     assert json.loads(Path("again/diagnosis.json").read_text())["verdict"] == "NOTHING"
-    assert load_vehicle("again/extended.yaml").effects == load_vehicle("found/extended.yaml").effects
+    assert load_vehicle("again/extended.yaml").effects == load_vehicle("diagnosed/extended.yaml").effects
 
 
 def test_two_seconds_of_data_say_nothing(capsys):

@@ -44,5 +44,5 @@ def steady_states(c, V, r):
 def nearest(c, V, r, guess):
     """SciPy's root of the three balances from a guess (beta, delta, Fxr)."""
     unit = np.array([1.0, 1.0, c.m * 9.81])
-    found = root(lambda y: balance(c, V, y[0], r, *(y * unit)[1:]), np.asarray(guess) / unit, tol=1e-13)
-    return found.x * unit, np.max(np.abs(found.fun)) < 1e-10
+    solution = root(lambda y: balance(c, V, y[0], r, *(y * unit)[1:]), np.asarray(guess) / unit, tol=1e-13)
+    return solution.x * unit, np.max(np.abs(solution.fun)) < 1e-10

@@ -68,8 +68,8 @@ def test_every_steady_state_that_scipy_finds_is_found_and_solved(name):
             assert ok[i, row]
             again = [float(leaf[i, row]) for leaf in (solved.x.beta, solved.u.delta, solved.u.Fxr)]
             np.testing.assert_allclose(again, ours, rtol=1e-7, atol=1e-7)
-            best, found = nearest(c, V[i], r[i], again)
-            assert found
+            best, converged = nearest(c, V[i], r[i], again)
+            assert converged
             np.testing.assert_allclose(again, best, rtol=1e-7, atol=1e-8)
     assert count > 20
 
@@ -122,13 +122,13 @@ def test_fixing_sideslip_and_radius_finds_the_same_points(name):
     @eqx.filter_jit
     @eqx.filter_vmap
     def through_radius(beta, R):
-        x, u, found = pick(drift_roots(car, beta, R), Branch.COUNTERSTEER)
-        return found, solve_equilibrium(
+        x, u, exists = pick(drift_roots(car, beta, R), Branch.COUNTERSTEER)
+        return exists, solve_equilibrium(
             car, car, SlipRadius(beta, R), (x._replace(V=1.1 * x.V), u), branch=Branch.COUNTERSTEER
         )
 
-    found, out = through_radius(direct.x.beta, V / direct.x.r)
-    assert jnp.all(found) and jnp.all(out.result == RESULTS.successful)
+    exists, out = through_radius(direct.x.beta, V / direct.x.r)
+    assert jnp.all(exists) and jnp.all(out.result == RESULTS.successful)
     for ours, theirs in zip(jax.tree.leaves((out.x, out.u)), jax.tree.leaves((direct.x, direct.u)), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7)
     by_speed = eqx.filter_vmap(

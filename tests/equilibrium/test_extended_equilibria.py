@@ -24,8 +24,8 @@ steady = lambda car, fixed=FIXED: found_at(car, fixed)  # one program for all
 
 def extended(**values: float) -> Extended:
     """The sedan with a friction circle and these effects, SI; always the same ones, so that one program serves all."""
-    found = tuple(EffectParameterValue(name, p, values.get(name, 0.0)) for name, p in EFFECTS.items())
-    car = build_car(dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=found))
+    effects = tuple(EffectParameterValue(name, p, values.get(name, 0.0)) for name, p in EFFECTS.items())
+    car = build_car(dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0, effects=effects))
     assert isinstance(car, Extended)
     return car
 

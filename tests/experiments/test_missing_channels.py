@@ -3,7 +3,7 @@
 import numpy as np
 
 import driftjax as dj
-from experiments.missing_channels import MASKS, Config, drawn, masked, outcomes, table
+from experiments.missing_channels import MASKS, Config, draw_study, masked, outcomes, table
 
 
 def row(channels, hidden, named, verdict="NAMED", sets=None):
@@ -27,8 +27,8 @@ def test_channels_are_taken_out_and_with_the_sideslip_the_pose():
 
 
 def test_cases_are_the_same_for_a_seed_and_every_fifth_hides_nothing():
-    cases = drawn(Config(cases=5, cars=("rc",)))
-    assert [len(case.names) for case in cases].count(0) == 1 and cases == drawn(Config(cases=5, cars=("rc",)))
+    cases = draw_study(Config(cases=5, cars=("rc",)))
+    assert [len(case.names) for case in cases].count(0) == 1 and cases == draw_study(Config(cases=5, cars=("rc",)))
 
 
 def test_outcomes_are_counted_per_set_of_channels():

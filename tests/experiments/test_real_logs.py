@@ -8,10 +8,11 @@ import yaml
 
 from driftjax.core import BadInput
 from driftjax.logs.columns import load_columns
+from driftjax.studies.model_errors import plot_model_errors
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_by_name
 from experiments import real_logs
-from experiments.real_logs import QUESTIONS, Config, answer, format_result, main, nominal_car, plant_file, plot_errors
+from experiments.real_logs import QUESTIONS, Config, answer, format_result, main, nominal_car, plant_file
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "data"
 LOW, STEERING = (next(one for one in QUESTIONS if one.name == name) for name in ("dart_low_grip", "dart_steering"))
@@ -40,14 +41,14 @@ def test_every_question_asks_for_what_there_is():
     for question in QUESTIONS:
         load_columns(question.columns)
         load_vehicle(question.vehicle)
-        asked = (*question.expected, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
-        assert {effect.name for effect in effects_by_name(asked)} == set(asked)
+        names = (*question.expected, *question.forgotten, *(question.calibrated_on or ((), (), ()))[2])
+        assert {effect.name for effect in effects_by_name(names)} == set(names)
         assert question.calibrated_on or not question.forgotten
 
 
 def test_friction_is_relative_to_the_calibrated_car():
-    found = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
-    one = found["friction.p"]
+    answers = answer(LOW, diagnosis("friction", "p", -0.66, 0.02), {"friction": -0.2})
+    one = answers["friction.p"]
     assert one["value"] == pytest.approx(0.425) and one["ci95"] == pytest.approx([0.4, 0.45]) and one["as_known"]
     assert not answer(LOW, diagnosis("friction", "p", -0.4, 0.02), {"friction": -0.2})["friction.p"]["as_known"]
     assert answer(LOW, diagnosis("drive_gain", "p", -0.4, 0.02), {"friction": -0.2}) == {}
@@ -65,7 +66,7 @@ def test_results_are_formatted_and_plotted():
     assert "on the car of dart_slides: nominal 0 of 4, extended 3 of 4; lateral error changes by -0.200" in words
     nothing = copy.deepcopy(content) | {"answer": {}}
     assert "none of them was named" in format_result(STEERING, nothing)
-    bars = plot_errors({"dart_steering": content}).axes[2].containers
+    bars = plot_model_errors({"dart_steering": content["gain"]}).axes[2].containers
     assert [bar.datavalues[0] for bar in bars] == pytest.approx([1.0, 0.75, 0.25])  # pyright: ignore
 
 
@@ -92,10 +93,10 @@ def test_unknown_and_premature_questions_are_refused(tmp_path):
 @pytest.mark.slow
 def test_the_recording_of_the_sedan_shows_its_sensors(tmp_path):
     assert SHARED.is_dir(), "this test needs the measured log of ../shared/data"
-    found = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
-    value = {name: one["value"] for name, one in found["answer"].items()}
+    content = real_logs.main(Config(SHARED, ("genesis",), tmp_path))["genesis"]
+    value = {name: one["value"] for name, one in content["answer"].items()}
     assert value["sideslip_bias.p"] == pytest.approx(-0.01, abs=0.001)  # as others found
     assert value["gyro_bias.p"] == pytest.approx(0.005, abs=0.001)
     assert value["steer_gain.p"] == pytest.approx(0.1, abs=0.05)
-    assert found["verdict"] != "UNKNOWN" and found["gain"]["ci95"]["extended"][0] > 0.5
-    assert found["measured"]["created"] and (tmp_path / "real_logs.png").is_file()
+    assert content["verdict"] != "UNKNOWN" and content["gain"]["ci95"]["extended"][0] > 0.5
+    assert content["measured"]["created"] and (tmp_path / "real_logs.png").is_file()

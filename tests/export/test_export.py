@@ -31,9 +31,9 @@ L = SEDAN.a + SEDAN.b
 
 def with_effects(vehicle: VehicleConfig = SEDAN, **values: float) -> VehicleConfig:
     """The car with effects written as effect__parameter=value."""
-    found = [EffectParameterValue(name.split("__")[0], name.split("__")[1], value) for name, value in values.items()]
+    effects = [EffectParameterValue(name.split("__")[0], name.split("__")[1], value) for name, value in values.items()]
     order = list(EFFECTS)
-    return dataclasses.replace(vehicle, effects=tuple(sorted(found, key=lambda one: order.index(one.effect))))
+    return dataclasses.replace(vehicle, effects=tuple(sorted(effects, key=lambda one: order.index(one.effect))))
 
 
 def read_parameters(folder) -> Any:
@@ -86,8 +86,8 @@ def test_single_track_of_f1tenth_gym_and_commonroad_turns_as_ours_at_small_slip(
 
 
 def test_race_stack_tyres_and_table_have_the_linear_limit(tmp_path):
-    found = export_car(with_effects(steer_lag__tau=0.05), "race_stack", tmp_path)
-    assert found.lost == () and found.loss is None
+    export = export_car(with_effects(steer_lag__tau=0.05), "race_stack", tmp_path)
+    assert export.lost == () and export.loss is None
     model = yaml.safe_load((tmp_path / "sedan_pacejka.yaml").read_text())
     assert model["C_Pf"] == pytest.approx([SEDAN.B, SEDAN.C, SEDAN.mu, 0.0])
     assert model["tau_steer"] == 0.05
@@ -177,9 +177,9 @@ def test_the_loss_on_a_log_is_that_of_the_lost_effect(tmp_path):
         x.append(np.asarray(step(x[-1], [delta[k], 0.0])).ravel())
     V, beta, r = np.array(x)[:, :3].T
     log = Log((Run("one", t, V, beta, r, delta, np.zeros(num), dt),))
-    found = loss(car, dataclasses.replace(car, effects=()), log)
-    assert found.with_them is not None and found.of == "log"
-    assert found.with_them[2] < 2e-3 < 0.01 < found.without_them[2]
+    losses = loss(car, dataclasses.replace(car, effects=()), log)
+    assert losses.with_them is not None and losses.of == "log"
+    assert losses.with_them[2] < 2e-3 < 0.01 < losses.without_them[2]
 
 
 def test_bad_input_is_one_sentence(tmp_path, capsys):

@@ -68,8 +68,8 @@ def test_the_shipped_kernel_as_a_function_has_the_optimum_of_the_closed_form():
         lambda start, low, high: minimise_batch(closed, start, low, high, max_iterations=100, tolerance=1e-6)
     )(start, low, high)
     assert other.result == RESULTS.successful
-    found = np.log([*ours.parameters["length"], ours.parameters["amplitude"], ours.noise])
-    np.testing.assert_allclose(found, other.x, atol=2e-4)
+    hyperparameters = np.log([*ours.parameters["length"], ours.parameters["amplitude"], ours.noise])
+    np.testing.assert_allclose(hyperparameters, other.x, atol=2e-4)
     np.testing.assert_allclose(ours.log_marginal_likelihood, -N * other.value, rtol=1e-8)
 
     gp = eqx.filter_jit(condition)(Z, y[:, None], mask, hyper(other.x[None]), jnp.ones(3), jnp.ones(1), "se")
@@ -97,8 +97,8 @@ def test_the_optimum_is_that_of_scikit_learn(kernel, theirs):
     other.fit(np.asarray(Z), np.asarray(y))
     np.testing.assert_allclose(ours.log_marginal_likelihood, other.log_marginal_likelihood_value_, atol=1e-4)
     p = ours.parameters
-    found = np.log([p["amplitude"] ** 2, *p["length"], ours.noise**2])
-    np.testing.assert_allclose(found, other.kernel_.theta, atol=0.02)  # theirs stops earlier
+    hyperparameters = np.log([p["amplitude"] ** 2, *p["length"], ours.noise**2])
+    np.testing.assert_allclose(hyperparameters, other.kernel_.theta, atol=0.02)  # theirs stops earlier
     points = Z[:5] + 0.4
     mean, std = other.predict(np.asarray(points), return_std=True)
     np.testing.assert_allclose(jax.jit(jax.vmap(ours.mean))(points), mean, atol=2e-3)

@@ -29,8 +29,8 @@ def means(Z, Y, mask, points):
 
 def held_out_error(Z, Y, mask):
     t = np.linspace(-1.8, 1.8, 60)
-    found = np.asarray(means(Z, Y, mask, np.stack([t, 0.5 * t**2], 1)))[:, 0]
-    return float(np.sqrt(np.mean((found - np.sin(2 * t)) ** 2)))
+    predicted = np.asarray(means(Z, Y, mask, np.stack([t, 0.5 * t**2], 1)))[:, 0]
+    return float(np.sqrt(np.mean((predicted - np.sin(2 * t)) ** 2)))
 
 
 def test_dictionary_beats_random_rows_of_the_same_number():

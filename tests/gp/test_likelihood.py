@@ -36,7 +36,7 @@ def problem(held):
     return jnp.asarray(X), jnp.asarray(y), jnp.asarray(mask), jnp.asarray(Q) if held else None
 
 
-def found_and_plain(kernel, held):
+def derivatives_and_plain(kernel, held):
     X, y, mask, Q = problem(held)
     plain = lambda x: likelihood(kernel, hyper(x), squared_differences(X), y, mask, Q)
     return jax.jit(lambda x: derivatives(kernel, hyper(x), X, squared_differences(X), y, mask, Q))(POINT), plain
@@ -44,16 +44,16 @@ def found_and_plain(kernel, held):
 
 @pytest.mark.parametrize(("kernel", "held"), CASES)
 def test_value_and_gradient_equal_autodiff_of_the_plain_likelihood(kernel, held):
-    found, plain = found_and_plain(kernel, held)
-    np.testing.assert_allclose(found.value, jax.jit(plain)(POINT), rtol=1e-12)
+    exact, plain = derivatives_and_plain(kernel, held)
+    np.testing.assert_allclose(exact.value, jax.jit(plain)(POINT), rtol=1e-12)
     gradient = jax.jit(jax.grad(plain))(POINT)
-    np.testing.assert_allclose(found.gradient, gradient, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(exact.gradient, gradient, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("kernel", "held"), CASES)
 def test_average_information_is_its_definition_in_dense_matrices(kernel, held):
     """In the space that is left to the targets, of covariance T: y' T^-1 dT_i T^-1 dT_j T^-1 y / 2."""
-    found, _ = found_and_plain(kernel, held)
+    exact, _ = derivatives_and_plain(kernel, held)
     X, y, mask, Q = problem(held)
     rows = np.eye(M)[np.asarray(mask)]
     spare = np.zeros((M, 0)) if Q is None else np.asarray(Q)[:, np.linalg.norm(Q, axis=0) > 0.5]
@@ -68,8 +68,8 @@ def test_average_information_is_its_definition_in_dense_matrices(kernel, held):
     T, dT = map(np.asarray, jax.jit(lambda x: (left(x), jax.jacfwd(left)(x)))(POINT))
     w = np.linalg.solve(T, B.T @ np.asarray(y))
     U = np.einsum("abi,b->ai", dT, w)
-    np.testing.assert_allclose(found.information, 0.5 * U.T @ np.linalg.solve(T, U), rtol=1e-7, atol=1e-9)
-    values = np.linalg.eigvalsh(found.information)
+    np.testing.assert_allclose(exact.information, 0.5 * U.T @ np.linalg.solve(T, U), rtol=1e-7, atol=1e-9)
+    values = np.linalg.eigvalsh(exact.information)
     assert values.min() > -1e-12 * values.max() and values.max() > 1
 
 
@@ -87,10 +87,10 @@ def test_average_information_is_between_observed_and_expected():
     """For covariances linear in their parameters the mean of both is the average information: s^2 I shows it."""
     _, y, mask, _ = problem(False)
     far = 60.0 * np.arange(M)[:, None] * np.ones(3)  # no two rows are correlated: K = (amplitude + noise) I
-    found = jax.jit(lambda X: derivatives("se", hyper(POINT), X, squared_differences(X), y, mask))(far)
+    exact = jax.jit(lambda X: derivatives("se", hyper(POINT), X, squared_differences(X), y, mask))(far)
     variance = np.exp(2 * POINT[-2:])
     total, energy = np.sum(variance), np.sum(np.asarray(y) ** 2)
     expected = 0.5 * energy * np.outer(2 * variance, 2 * variance) / total**3
-    information = np.asarray(found.information)
+    information = np.asarray(exact.information)
     np.testing.assert_allclose(information[-2:, -2:], expected, rtol=1e-9)
     np.testing.assert_allclose(information[:-2], 0.0, atol=1e-7)

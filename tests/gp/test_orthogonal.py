@@ -84,8 +84,8 @@ def test_mean_variance_and_likelihood_equal_those_of_the_conditioned_prior(data,
         Q, y = orthonormal_basis(basis, gp.mask)[d], project_out(Y, basis, gp.mask)[:, d]
         return likelihood("se", hyper, squared_differences(gp.Z / gp.scale), y / scale, gp.mask, Q)
 
-    found = value_of(gp)
-    np.testing.assert_allclose(found, value, rtol=1e-6)
+    posterior = value_of(gp)
+    np.testing.assert_allclose(posterior, value, rtol=1e-6)
 
 
 def test_the_mean_at_the_data_is_orthogonal_to_what_known_causes_can_do(data):
@@ -106,8 +106,8 @@ def test_what_known_causes_can_say_is_left_to_them_and_found_elsewhere(data):
     with_causes, without = (at(built(Z, y, basis).mean, Z) for y in (Y + caused, Y))
     np.testing.assert_allclose(with_causes, without, rtol=1e-6, atol=1e-7 * np.abs(caused).max())
     other = basis_at(smooth(30, seed=2)[0])
-    found = jax.jit(predict_known_effects)(caused, basis, mask, other)
-    np.testing.assert_allclose(found, other @ np.array([0.5, 2e-3, 300.0]), rtol=1e-6, atol=1e-9)
+    predicted = jax.jit(predict_known_effects)(caused, basis, mask, other)
+    np.testing.assert_allclose(predicted, other @ np.array([0.5, 2e-3, 300.0]), rtol=1e-6, atol=1e-9)
 
 
 def test_rows_that_are_no_data_change_nothing(data):
@@ -134,6 +134,6 @@ def test_the_fit_leaves_known_causes_alone(data):
     mask, key = jnp.ones(N, bool), jax.random.key(0)
     one, two = (fit(Z, y, mask, num_fit=40, basis=basis, key=key) for y in (Y, Y + caused))
     np.testing.assert_allclose(two.log_marginal_likelihood, one.log_marginal_likelihood, rtol=1e-4)
-    mean, other = (at(found.gp.mean, Z) for found in (one, two))
+    mean, other = (at(fitted.gp.mean, Z) for fitted in (one, two))
     np.testing.assert_allclose(other, mean, atol=1e-2 * np.abs(mean).max())
     assert jnp.all(jnp.isfinite(one.log_marginal_likelihood)) and jnp.all(one.error < 0.1)

@@ -40,20 +40,20 @@ def at(s0: float) -> float:
 
 @pytest.mark.parametrize("s0", [12.3, 20.0, 33.3])
 def test_the_state_between_two_samples_is_found(s0):
-    found, t = update_arrival(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
-    np.testing.assert_allclose(found.x, [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t, 0.3 * t, -0.02 * t], atol=2e-4)
-    np.testing.assert_allclose(found.command, [0.1, 3000.0])
+    arrival, t = update_arrival(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
+    np.testing.assert_allclose(arrival.x, [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t, 0.3 * t, -0.02 * t], atol=2e-4)
+    np.testing.assert_allclose(arrival.command, [0.1, 3000.0])
     lagged_input = 1 - np.exp(-t / np.asarray(LAGS))  # of commands held since the start
-    np.testing.assert_allclose(found.lagged_input, lagged_input * [0.1, 3000.0], rtol=5e-3)
-    assert int(found.laps) == 1
+    np.testing.assert_allclose(arrival.lagged_input, lagged_input * [0.1, 3000.0], rtol=5e-3)
+    assert int(arrival.laps) == 1
 
 
 def test_laps_are_averaged_and_the_plan_is_forgotten():
-    found, t = PLANNED, at(20.0)
+    arrival, t = PLANNED, at(20.0)
     for seed in range(200):
-        found = update_arrival(found, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
-    assert int(found.laps) == 200
-    np.testing.assert_allclose(found.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
+        arrival = update_arrival(arrival, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
+    assert int(arrival.laps) == 200
+    np.testing.assert_allclose(arrival.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
 
 
 def test_the_plan_has_the_types_of_laps_so_that_one_program_serves_both():
@@ -63,6 +63,6 @@ def test_the_plan_has_the_types_of_laps_so_that_one_program_serves_both():
 
 
 def test_a_lap_that_ends_before_changes_nothing():
-    found = update_arrival(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
-    assert int(found.laps) == 0
-    np.testing.assert_array_equal(found.x, PLANNED.x)
+    arrival = update_arrival(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
+    assert int(arrival.laps) == 0
+    np.testing.assert_array_equal(arrival.x, PLANNED.x)

@@ -51,15 +51,15 @@ def test_the_nominal_car_has_no_basis():
 
 def test_the_basis_is_how_rates_change_with_the_parameters():
     Z, _ = inputs(5)
-    found, h = basis_of(Z), 1e-5
-    assert found.shape == (5, 3, 2)
+    basis, h = basis_of(Z), 1e-5
+    assert basis.shape == (5, 3, 2)
     rates = jax.jit(
         jax.vmap(lambda theta, z: jnp.stack(CAR.with_parameters(theta)(State(*z[:3]), Control(*z[3:]))), (None, 0))
     )
     theta = np.asarray(CAR.theta)
     for k, step in enumerate(h * np.eye(2)):
         up, down = rates(theta + step, Z), rates(theta - step, Z)
-        np.testing.assert_allclose(found[:, :, k], (np.asarray(up) - down) / (2 * h), atol=1e-6)
+        np.testing.assert_allclose(basis[:, :, k], (np.asarray(up) - down) / (2 * h), atol=1e-6)
 
 
 @pytest.mark.slow
@@ -69,9 +69,9 @@ def test_another_value_of_a_named_effect_is_not_learnt_as_residual():
     Y = caused + 0.02 * np.std(caused, axis=0) * rng.normal(size=caused.shape)
     share = {}
     for name, known_basis in (("plain", None), ("orthogonal", BASIS)):
-        found = updated(Z, Y, known_basis)
-        mean = np.asarray(means(found.residual.gp, found.Z))
-        share[name] = np.sqrt(np.sum(mean**2, axis=0) / np.sum(np.asarray(found.Y) ** 2, axis=0))
+        model = updated(Z, Y, known_basis)
+        mean = np.asarray(means(model.residual.gp, model.Z))
+        share[name] = np.sqrt(np.sum(mean**2, axis=0) / np.sum(np.asarray(model.Y) ** 2, axis=0))
     assert np.all(share["plain"] > 0.7)  # without the orthogonality the GP takes nearly all of it
     assert np.all(share["orthogonal"] < 0.05)
 
@@ -80,15 +80,15 @@ def test_the_rest_is_learnt_and_trusted_all_the_same():
     Z, rng = inputs()
     rest, caused = other(Z), np.asarray(basis_of(Z)) @ [0.8, -0.6]
     noise = 0.02 * np.std(rest, axis=0) * rng.normal(size=rest.shape)
-    found = updated(Z, rest + caused + noise, BASIS)
-    assert np.all(np.asarray(found.residual.trust_factor) > 0.7)
-    mean, mask = np.asarray(means(found.residual.gp, found.Z)), np.asarray(found.mask)
-    basis = np.asarray(basis_of(found.Z))
+    model = updated(Z, rest + caused + noise, BASIS)
+    assert np.all(np.asarray(model.residual.trust_factor) > 0.7)
+    mean, mask = np.asarray(means(model.residual.gp, model.Z)), np.asarray(model.mask)
+    basis = np.asarray(basis_of(model.Z))
     for d in range(3):
         J = basis[mask, d] / np.linalg.norm(basis[mask, d], axis=0).max()
         assert np.abs(J.T @ mean[mask, d]).max() < 1e-6 * np.linalg.norm(mean[mask, d])
         P = np.eye(mask.sum()) - J @ np.linalg.pinv(J)
-        truth = P @ other(np.asarray(found.Z))[mask, d]
+        truth = P @ other(np.asarray(model.Z))[mask, d]
         assert np.linalg.norm(mean[mask, d] - truth) < 0.2 * np.linalg.norm(truth)
 
 

@@ -23,8 +23,8 @@ def partial(tmp_path):
 
 def test_a_learn_file_changes_the_options_of_the_car_that_it_names(partial):
     rc = dj.load_learn_config("rc")
-    found = dj.load_learn_config(partial("plants: 2\nmpc: {horizon: 12}\n"))
-    assert found == dataclasses.replace(rc, plants=2, mpc=dataclasses.replace(rc.mpc, horizon=12))
+    config = dj.load_learn_config(partial("plants: 2\nmpc: {horizon: 12}\n"))
+    assert config == dataclasses.replace(rc, plants=2, mpc=dataclasses.replace(rc.mpc, horizon=12))
     assert rc.mpc.dt == 0.02 and rc.lap.substeps == 40 and str(rc.track) == "rc_corner"
     assert dj.load_learn_config("sedan").vehicle == dj.LearnConfig().vehicle
 
@@ -38,13 +38,13 @@ def test_a_plan_file_changes_the_options_of_the_car_that_it_names(partial):
 def test_a_plan_file_without_a_car_is_that_of_the_car_that_learns(tmp_path):
     (tmp_path / "p.yaml").write_text("margin: 0.01\n")
     for car in ("sedan", "rc"):
-        found = dj.load_plan_config(tmp_path / "p.yaml", car)
-        assert found == dataclasses.replace(dj.load_plan_config(car), margin=0.01)
+        config = dj.load_plan_config(tmp_path / "p.yaml", car)
+        assert config == dataclasses.replace(dj.load_plan_config(car), margin=0.01)
 
 
 def test_tuning_completes_the_options_of_learn():
-    found = complete_tune_config({"training": 2, "learn": {"car": "rc", "seed": 5}}, "c.yaml")
-    assert found.learn == dataclasses.replace(dj.load_learn_config("rc"), seed=5) and found.training == 2
+    config = complete_tune_config({"training": 2, "learn": {"car": "rc", "seed": 5}}, "c.yaml")
+    assert config.learn == dataclasses.replace(dj.load_learn_config("rc"), seed=5) and config.training == 2
     assert complete_tune_config({"learn": {"car": "sedan"}}, "c.yaml", "rc").learn == dj.load_learn_config("rc")
 
 

@@ -47,16 +47,16 @@ def test_a_planted_residual_is_learnt_and_trusted(good):
 
 def test_pure_noise_is_switched_off():
     Z, Y, mask = data(noise=1.0, signal=0.0)
-    found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
-    assert np.all(np.std(at(found.residual, Z), axis=0) < 0.2 * SIZE)
+    model = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
+    assert np.all(np.std(at(model.residual, Z), axis=0) < 0.2 * SIZE)
 
 
 def test_rows_that_are_no_data_change_nothing_and_few_rows_teach_nothing():
     Z, Y, _ = data(noise=0.1, signal=1.0)
     few = np.arange(len(Z)) < 15
-    found = fitted(empty(CONFIG), Z, Y, few, jax.random.key(0))
-    assert np.sum(found.mask) == 15
-    assert not np.any(found.residual.trust_factor) and not np.any(at(found.residual, Z))
+    model = fitted(empty(CONFIG), Z, Y, few, jax.random.key(0))
+    assert np.sum(model.mask) == 15
+    assert not np.any(model.residual.trust_factor) and not np.any(at(model.residual, Z))
 
 
 def test_the_memory_keeps_its_size_and_the_data_of_earlier_laps(good):
@@ -76,9 +76,9 @@ def test_without_a_lap_there_is_no_residual():
 def test_noise_of_the_data_does_not_lower_the_gate():
     """Explained variance would be: no mean explains the noise in its targets."""
     Z, Y, mask = data(noise=0.75, signal=1.0, num=400)
-    found = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
+    model = fitted(empty(CONFIG), Z, Y, mask, jax.random.key(0))
     explained = 1 - (0.75 * SIZE) ** 2 / np.mean(np.asarray(Y) ** 2, axis=0)
-    assert np.all(explained < 0.65) and np.all(np.asarray(found.residual.trust_factor) > explained + 0.1)
+    assert np.all(explained < 0.65) and np.all(np.asarray(model.residual.trust_factor) > explained + 0.1)
 
 
 def test_a_mean_that_says_the_opposite_is_switched_off_whatever_the_order_of_the_rows():

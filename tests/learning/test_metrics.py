@@ -35,20 +35,20 @@ def test_means_over_the_drift_section_of_a_completed_lap():
     e = np.where(S < 20, 0.4, -1.2)
     e = np.where((S < START) | (S > END), 99.0, e)  # outside the section nothing counts
     beta = np.where(S < 20, -0.5, -0.1)
-    found = figures(lap(S, e, beta, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
+    result = figures(lap(S, e, beta, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
     rows = np.abs(e[(S >= START) & (S <= END)])
-    assert float(found.lateral_error) == pytest.approx(rows.mean())
-    assert float(found.lateral_error_max) == pytest.approx(1.2)
-    assert float(found.velocity_rmse) == pytest.approx(0.5)
-    assert float(found.drift_share) == pytest.approx(20 / 41)
-    assert bool(found.completed)
+    assert float(result.lateral_error) == pytest.approx(rows.mean())
+    assert float(result.lateral_error_max) == pytest.approx(1.2)
+    assert float(result.velocity_rmse) == pytest.approx(0.5)
+    assert float(result.drift_share) == pytest.approx(20 / 41)
+    assert bool(result.completed)
 
 
 def test_means_are_over_distance_not_over_time():
     s = np.concatenate([np.arange(10, 20, 0.1), np.arange(20, 31, 1.0)])  # ten times as many rows in the first half
     e = np.where(s < 20 - 1e-9, 1.0, 3.0)
-    found = figures(lap(s, e, -0.5, 1.0, 9.0, np.ones_like(s, bool)), LapCode.COMPLETED)
-    assert float(found.lateral_error) == pytest.approx(2.0, abs=0.06)  # the last row adds nothing
+    result = figures(lap(s, e, -0.5, 1.0, 9.0, np.ones_like(s, bool)), LapCode.COMPLETED)
+    assert float(result.lateral_error) == pytest.approx(2.0, abs=0.06)  # the last row adds nothing
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
@@ -62,25 +62,25 @@ def test_only_sideslip_against_the_turn_counts_as_drift(turn):
 def test_what_a_failed_lap_did_not_drive_counts_as_lost():
     alive = S <= 15.0
     held = np.minimum(S, 15.0)  # rows after the end repeat the last
-    found = figures(lap(held, 0.5, -0.5, 1.0, 9.0, alive), LapCode.SPUN)
+    result = figures(lap(held, 0.5, -0.5, 1.0, 9.0, alive), LapCode.SPUN)
     driven, missing = 5.0, 15.0
-    assert float(found.lateral_error) == pytest.approx((0.5 * driven + LOST * missing) / 20.0, rel=1e-6)
-    assert float(found.lateral_error_max) == LOST
-    assert float(found.drift_share) == pytest.approx(driven / 20.0)
-    assert not bool(found.completed)
+    assert float(result.lateral_error) == pytest.approx((0.5 * driven + LOST * missing) / 20.0, rel=1e-6)
+    assert float(result.lateral_error_max) == LOST
+    assert float(result.drift_share) == pytest.approx(driven / 20.0)
+    assert not bool(result.completed)
 
 
 def test_a_lap_lost_before_the_section_has_the_lost_error():
-    found = figures(lap(np.minimum(S, 5.0), 0.1, 0.0, 0.0, 9.0, S <= 5.0), LapCode.OFF_TRACK)
-    assert float(found.lateral_error) == pytest.approx(LOST) and float(found.drift_share) == 0.0
+    result = figures(lap(np.minimum(S, 5.0), 0.1, 0.0, 0.0, 9.0, S <= 5.0), LapCode.OFF_TRACK)
+    assert float(result.lateral_error) == pytest.approx(LOST) and float(result.drift_share) == 0.0
 
 
 def test_a_lap_that_does_not_reach_the_section_has_no_speed_error_and_does_not_lower_the_mean():
     lost = figures(lap(np.minimum(S, 5.0), 0.1, 0.0, 0.0, 3.0, S <= 5.0), LapCode.OFF_TRACK)
     assert np.isnan(float(lost.velocity_rmse))
     good = figures(lap(S, 0.1, -0.5, 1.0, 9.5, np.ones_like(S, bool)), LapCode.COMPLETED)
-    found = interval(np.array([float(good.velocity_rmse), float(lost.velocity_rmse)]))
-    assert found == {"mean": pytest.approx(0.5), "ci95": [None, None], "plants": 1, "all_plants": 2}
+    statistics = interval(np.array([float(good.velocity_rmse), float(lost.velocity_rmse)]))
+    assert statistics == {"mean": pytest.approx(0.5), "ci95": [None, None], "plants": 1, "all_plants": 2}
     assert interval(np.array([np.nan, np.nan])) == {"mean": None, "ci95": [None, None], "plants": 0, "all_plants": 2}
     gain = reduction(np.array([0.8, 0.6, np.nan]), np.array([0.4, np.nan, 0.1]))
     assert gain == {"value": pytest.approx(50.0), "ci95": [None, None], "plants": 1, "all_plants": 3}
@@ -91,9 +91,9 @@ def test_the_measured_error_is_of_measured_values_and_noise_drives_no_distance()
     e, s = 0.3 + 0.02 * rng.normal(size=len(S)), S + 0.4 * rng.normal(size=len(S))
     trace = lap(S, 0.1, -0.5, 1.0, 9.0, np.ones_like(S, bool))
     trace = trace._replace(sensed=trace.sensed._replace(s=jnp.asarray(s), e=jnp.asarray(e)))
-    found = figures(trace, LapCode.COMPLETED)
-    assert float(found.lateral_error) == pytest.approx(0.1)
-    assert float(found.lateral_error_measured) == pytest.approx(0.3, abs=0.01)
+    result = figures(trace, LapCode.COMPLETED)
+    assert float(result.lateral_error) == pytest.approx(0.1)
+    assert float(result.lateral_error_measured) == pytest.approx(0.3, abs=0.01)
     alive = S <= 15.0  # of a failed lap the way that it did not get counts once, whatever the noise adds up to
     half = figures(trace._replace(alive=jnp.asarray(alive)), LapCode.SPUN)
     assert float(half.lateral_error_measured) == pytest.approx((0.3 * 5 + LOST * 15) / 20, abs=0.3)
@@ -102,9 +102,9 @@ def test_the_measured_error_is_of_measured_values_and_noise_drives_no_distance()
 def test_the_interval_holds_the_mean_and_narrows_with_more_plants():
     values = np.random.default_rng(0).normal(2.0, 0.5, 400)
     few, many = interval(values[:25]), interval(values)
-    for found, used in ((few, values[:25]), (many, values)):
-        low, high = found["ci95"]
-        assert found["mean"] == pytest.approx(used.mean()) and low < used.mean() < high
+    for statistics, used in ((few, values[:25]), (many, values)):
+        low, high = statistics["ci95"]
+        assert statistics["mean"] == pytest.approx(used.mean()) and low < used.mean() < high
         assert high - low == pytest.approx(2 * 1.96 * used.std() / np.sqrt(len(used)), rel=0.15)
     assert interval(np.array([3.0])) == {"mean": 3.0, "ci95": [None, None], "plants": 1, "all_plants": 1}
     assert interval(np.full(5, 3.0))["ci95"] == [3.0, 3.0]
@@ -126,15 +126,15 @@ def test_nominal_95_percent_of_intervals_hold_the_truth(num):
     for spread in (0.5, 1.0):
         first, other = rng.normal(size=(2, draws, num))
         before, after = np.exp(spread * first), 0.5 * np.exp(spread * (0.7 * first + 0.51**0.5 * other))
-        found = [reduction(b, a)["ci95"] for b, a in zip(before, after, strict=True)]
-        assert np.mean([covered(one, 50.0) for one in found]) > 0.90
+        intervals = [reduction(b, a)["ci95"] for b, a in zip(before, after, strict=True)]
+        assert np.mean([covered(one, 50.0) for one in intervals]) > 0.90
 
 
 def test_the_reduction_is_that_of_the_means_and_paired():
     before = np.array([1.0, 2.0, 4.0, 5.0])
-    found = reduction(before, 0.6 * before)
-    assert found["value"] == pytest.approx(40.0)
-    np.testing.assert_allclose(found["ci95"], [40.0, 40.0])  # the same share in every plant: nothing left to vary
+    statistics = reduction(before, 0.6 * before)
+    assert statistics["value"] == pytest.approx(40.0)
+    np.testing.assert_allclose(statistics["ci95"], [40.0, 40.0])  # the same share in every plant: nothing left to vary
     mixed = reduction(before, np.array([0.5, 2.2, 3.0, 2.0]))
     assert mixed["value"] == pytest.approx(100 * (1 - 7.7 / 12.0)) and mixed["ci95"][0] < mixed["value"]
     assert mixed["ci95"][1] > mixed["value"]
@@ -146,16 +146,16 @@ def test_the_reduction_is_that_of_the_means_and_paired():
 
 def test_a_lap_that_ends_in_numbers_that_are_not_counts_up_to_there():
     s = np.where(S <= 20, S, np.nan)
-    found = figures(lap(s, 1.0, -0.5, 1.0, 9.0, S <= 20), LapCode.NON_FINITE)
-    assert float(found.lateral_error) == pytest.approx((1.0 * 10 + LOST * 10) / 20)
-    assert all(np.isfinite(value) for value in found)
+    result = figures(lap(s, 1.0, -0.5, 1.0, 9.0, S <= 20), LapCode.NON_FINITE)
+    assert float(result.lateral_error) == pytest.approx((1.0 * 10 + LOST * 10) / 20)
+    assert all(np.isfinite(value) for value in result)
 
 
 def test_paired_differences_have_the_interval_of_student():
     before, apart = np.array([5.0, 9.0, 2.0, 7.0]), np.array([-1.0, -2.0, -1.5, -0.5])
-    found = difference(before, before + apart)
+    statistics = difference(before, before + apart)
     half = 3.18245 * apart.std(ddof=1) / 2  # the 97.5 % quantile of Student's t with three degrees of freedom
-    assert found["mean"] == pytest.approx(-1.25) and found["pairs"] == 4
-    np.testing.assert_allclose(found["ci95"], [-1.25 - half, -1.25 + half], rtol=1e-5)
+    assert statistics["mean"] == pytest.approx(-1.25) and statistics["pairs"] == 4
+    np.testing.assert_allclose(statistics["ci95"], [-1.25 - half, -1.25 + half], rtol=1e-5)
     assert difference(before[:1], before[:1] + 1) == {"mean": 1.0, "ci95": [None, None], "pairs": 1}
     assert difference(before[:0], before[:0]) == {"mean": None, "ci95": [None, None], "pairs": 0}

@@ -25,9 +25,9 @@ def table(lap):
 def test_the_table_holds_the_plan_at_its_nodes(lap, table):
     at = jax.jit(jax.vmap(table.state))(lap.S)
     spacing = float(table.spacing)
-    for found, planned in zip([*at[0], *at[1]], (lap.V, lap.beta, lap.r, lap.delta, lap.Fxr), strict=True):
+    for tabled, planned in zip([*at[0], *at[1]], (lap.V, lap.beta, lap.r, lap.delta, lap.Fxr), strict=True):
         slope = np.max(np.abs(np.diff(planned) / np.diff(lap.S)))
-        assert np.max(np.abs(np.asarray(found - planned))) <= slope * spacing
+        assert np.max(np.abs(np.asarray(tabled - planned))) <= slope * spacing
     assert float(table.start) == 0 and spacing * (len(table.V) - 1) == pytest.approx(float(lap.path.length))
 
 
@@ -46,11 +46,11 @@ def test_the_reference_runs_along_the_path_it_belongs_to(lap, table):
 
 
 def test_the_corner_is_the_mean_of_the_planned_middle(table):
-    found = steady_corner(table, 0.44)
-    assert found.V_b == pytest.approx(found.r_b * found.R)
-    assert np.sign(found.beta) == -np.sign(found.R) and abs(found.beta) == 0.44
-    assert float(jnp.min(table.V)) <= found.V_b <= float(jnp.max(table.V))
-    assert 1 / abs(found.R) <= float(jnp.max(jnp.abs(table.kappa)))
+    corner = steady_corner(table, 0.44)
+    assert corner.V_b == pytest.approx(corner.r_b * corner.R)
+    assert np.sign(corner.beta) == -np.sign(corner.R) and abs(corner.beta) == 0.44
+    assert float(jnp.min(table.V)) <= corner.V_b <= float(jnp.max(table.V))
+    assert 1 / abs(corner.R) <= float(jnp.max(jnp.abs(table.kappa)))
 
 
 def test_the_step_reference_is_constant_and_keeps_path_and_section(table):

@@ -64,10 +64,10 @@ def test_a_planted_constant_rate_comes_back(dt):
     model = Corrected(NOMINAL, lambda z: jnp.asarray(PLANTED))
     step = eqx.filter_jit(lambda rates: rk4_step(rates, X0, dt))
     after = step(lambda w: model(w, U0))
-    found = residual_rate(NOMINAL, X0, U0, after, jnp.asarray(dt))
+    rate = residual_rate(NOMINAL, X0, U0, after, jnp.asarray(dt))
     # three fixed-point sweeps leave an error of order (dt times the rates of the model) cubed
-    np.testing.assert_allclose(found, PLANTED, atol=2e-3 if dt > 0.02 else 2e-5)
-    again = step(lambda w: jax.tree.map(jnp.add, NOMINAL(w, U0), State(*np.asarray(found))))
+    np.testing.assert_allclose(rate, PLANTED, atol=2e-3 if dt > 0.02 else 2e-5)
+    again = step(lambda w: jax.tree.map(jnp.add, NOMINAL(w, U0), State(*np.asarray(rate))))
     np.testing.assert_allclose(again, after, rtol=1e-4)
 
 
@@ -82,9 +82,9 @@ def test_smoothing_keeps_parabolas_and_delays_nothing():
     np.testing.assert_allclose(smooth(jnp.asarray(parabola)), parabola, atol=1e-11)
     spike = np.zeros(11)
     spike[5] = 1.0
-    found = np.asarray(smooth(jnp.asarray(spike)))
-    np.testing.assert_allclose(found, found[::-1], atol=1e-15)
-    assert found[5] == pytest.approx(17 / 35) and found.sum() == pytest.approx(1.0)
+    response = np.asarray(smooth(jnp.asarray(spike)))
+    np.testing.assert_allclose(response, response[::-1], atol=1e-15)
+    assert response[5] == pytest.approx(17 / 35) and response.sum() == pytest.approx(1.0)
 
 
 def test_rows_hold_the_planted_rate_where_the_car_drifted_and_zeros_elsewhere():
@@ -152,5 +152,5 @@ def test_hidden_lags_are_found(lags):
     x, _ = driven(State(*(jnp.asarray(v) for v in (18.0, 0.0, 0.0))), command, lags)
     noisy = State(*(a + s * rng.normal(size=num) for a, s in zip(x, (0.02, 0.002, 0.002), strict=True)))
     everywhere = np.ones(num, bool)
-    found = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere)), jnp.asarray(DT))
-    np.testing.assert_allclose(found, lags, atol=0.026)  # one step of the grid
+    estimate = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere)), jnp.asarray(DT))
+    np.testing.assert_allclose(estimate, lags, atol=0.026)  # one step of the grid

@@ -65,13 +65,13 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     trace, residual = pursued
     path = jnp.zeros((2, AIM_POINTS))
     V_b, most = scenario.corner.V_b, scenario.corner.V_b * SHORT.explore.gamma_share
-    found = {speeds: candidates(exploring(scenario, speeds=speeds), trace, residual, path, 4)
+    sets = {speeds: candidates(exploring(scenario, speeds=speeds), trace, residual, path, 4)
              for speeds in ("random", "uniform", "planned", "sets")}  # fmt: skip
-    at = {speeds: np.asarray(one.V_ep) for speeds, one in found.items()}
-    widest = np.asarray(found["uniform"].widest)[:, None]
+    at = {speeds: np.asarray(one.V_ep) for speeds, one in sets.items()}
+    widest = np.asarray(sets["uniform"].widest)[:, None]
     assert np.all(widest > 0) and np.all(widest <= most * (1 + 1e-12))
     assert np.all(at["planned"] == V_b)
-    change = found["sets"].V - found["sets"].origin[:, None]
+    change = sets["sets"].V - sets["sets"].origin[:, None]
     np.testing.assert_allclose(at["sets"] - V_b, change.mean(axis=2), atol=1e-9)  # curves that change nothing: V_b
     np.testing.assert_allclose(at["uniform"], V_b + widest * [0, -1, 1], rtol=1e-12)
     assert np.all(np.abs(at["random"] - V_b) < widest) and len(np.unique(at["random"])) == 6
@@ -79,9 +79,9 @@ def test_speeds_to_compare_with_lie_within_the_widest_bound(scenario, pursued):
     again, later = (candidates(exploring(scenario, speeds="random"), trace, residual, path, n).V_ep for n in (4, 5))
     assert np.all(at["random"] == np.asarray(again)) and not np.any(np.isin(later, again))
     parents = [jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) for key in scenario.keys]
-    drawn = (at["random"] - V_b) / widest
-    assert np.all(np.abs(drawn - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
-    same = [offset(scenario, one, jnp.asarray([0, 2])) for one in found.values()]
+    shares = (at["random"] - V_b) / widest
+    assert np.all(np.abs(shares - np.asarray(parents)) > 1e-6)  # a key with children of its own draws nothing
+    same = [offset(scenario, one, jnp.asarray([0, 2])) for one in sets.values()]
     assert np.any(same[0]) and all(np.all(one == same[0]) for one in same)  # all kinds are offered the same corrections
 
 
@@ -90,22 +90,22 @@ def test_the_correction_moves_the_aimed_path_against_the_error_or_not_at_all(sce
     trace, residual = pursued
     aimed, first = jnp.full((2, AIM_POINTS), 0.1), jnp.asarray([0, 0])
     off, on = (exploring(scenario, speeds=speeds, correction=correction) for correction in (False, True))
-    found = candidates(on, trace, residual, aimed, 4)
-    assert np.all(np.asarray(found.V_ep) == np.asarray(candidates(off, trace, residual, aimed, 4).V_ep))
-    assert np.all(offset(off, found, first) == aimed)
-    moved = np.asarray(offset(on, found, first) - aimed)
-    assert np.any(moved) and np.all(moved * np.asarray(found.e) <= 0)
+    proposed = candidates(on, trace, residual, aimed, 4)
+    assert np.all(np.asarray(proposed.V_ep) == np.asarray(candidates(off, trace, residual, aimed, 4).V_ep))
+    assert np.all(offset(off, proposed, first) == aimed)
+    moved = np.asarray(offset(on, proposed, first) - aimed)
+    assert np.any(moved) and np.all(moved * np.asarray(proposed.e) <= 0)
 
 
 def test_at_the_planned_speed_corrections_grow_until_no_candidate_is_left(scenario, pursued):
     (trace, residual), planned = pursued, exploring(scenario, speeds="planned")
-    found, order = candidates(planned, trace, residual, jnp.zeros((2, AIM_POINTS)), 4), []
+    proposed, order = candidates(planned, trace, residual, jnp.zeros((2, AIM_POINTS)), 4), []
     for _ in range(3):
-        index, V, left = choose(planned, found, residual)
+        index, V, left = choose(planned, proposed, residual)
         order.append(np.asarray(index).tolist())
         assert np.all(V == scenario.corner.V_b) and np.all(left)
-        found = remaining(planned, found, index, found.aimed, jnp.zeros(2, bool), trace, residual, 5)
-    assert order == [[0, 0], [1, 1], [2, 2]] and not np.any(choose(planned, found, residual)[2])
+        proposed = remaining(planned, proposed, index, proposed.aimed, jnp.zeros(2, bool), trace, residual, 5)
+    assert order == [[0, 0], [1, 1], [2, 2]] and not np.any(choose(planned, proposed, residual)[2])
 
 
 def test_fixed_laps_offer_every_candidate_and_drive_on_when_none_is_left(scenario, pursued, monkeypatch):
@@ -131,8 +131,8 @@ def test_fixed_laps_offer_every_candidate_and_drive_on_when_none_is_left(scenari
 
 def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
     e = jnp.tile(0.3 * jnp.sin(jnp.linspace(0, 3, 40)), (2, 1)).at[1, 7].set(50.0)  # entry 1 was lost there
-    found = eqx.tree_at(lambda c: (c.e, c.aimed), first_progress(scenario).candidates, (e, jnp.full_like(e, 0.1)))
-    aimed = [np.asarray(offset(scenario, found, jnp.asarray([k, k]))) for k in range(3)]
+    proposed = eqx.tree_at(lambda c: (c.e, c.aimed), first_progress(scenario).candidates, (e, jnp.full_like(e, 0.1)))
+    aimed = [np.asarray(offset(scenario, proposed, jnp.asarray([k, k]))) for k in range(3)]
     for k in range(3):
         np.testing.assert_allclose(aimed[k][0], 0.1 - (k + 1) / 3 * e[0], rtol=1e-12)
     most = SHORT.explore.gamma_share * scenario.corner.V_b / abs(scenario.corner.r_b)
@@ -141,17 +141,19 @@ def test_a_later_set_aims_at_more_of_the_error_and_never_beyond_it(scenario):
 
 def test_a_better_lap_makes_new_sets_about_it_and_any_other_takes_one_away(scenario, pursued):
     trace, residual = pursued
-    found = candidates(scenario, trace, residual, jnp.zeros((2, AIM_POINTS)), 4)
+    proposed = candidates(scenario, trace, residual, jnp.zeros((2, AIM_POINTS)), 4)
     aimed, better = jnp.full((2, AIM_POINTS), 0.2), jnp.asarray([True, False])
-    none = eqx.tree_at(lambda c: (c.e, c.visited), found, (jnp.zeros_like(found.e), jnp.zeros_like(found.visited)))
+    none = eqx.tree_at(
+        lambda c: (c.e, c.visited), proposed, (jnp.zeros_like(proposed.e), jnp.zeros_like(proposed.visited))
+    )
     rest = remaining(scenario, none, jnp.asarray([1, 1]), aimed, better, trace, residual, 5)
-    assert np.all(np.asarray(rest.aimed[0]) == 0.2) and np.all(np.asarray(rest.e[0]) == np.asarray(found.e[0]))
-    assert np.all(np.asarray(rest.visited[0]) == np.asarray(found.visited[0]))
+    assert np.all(np.asarray(rest.aimed[0]) == 0.2) and np.all(np.asarray(rest.e[0]) == np.asarray(proposed.e[0]))
+    assert np.all(np.asarray(rest.visited[0]) == np.asarray(proposed.visited[0]))
     assert not np.any(rest.aimed[1]) and np.asarray(rest.visited[1]).tolist() == [False, True, False]
     same = exploring(scenario, speeds="planned")  # renewed in the same way
     rest = remaining(same, none, jnp.asarray([0, 0]), aimed, better, trace, residual, 5)
     assert np.asarray(rest.visited).tolist() == [[False] * 3, [True, False, False]]
-    assert np.all(np.asarray(rest.e[0]) == np.asarray(found.e[0])) and not np.any(rest.e[1])
+    assert np.all(np.asarray(rest.e[0]) == np.asarray(proposed.e[0])) and not np.any(rest.e[1])
 
 
 def test_the_sets_are_led_by_what_is_measured(scenario, pursued):
@@ -161,8 +163,8 @@ def test_the_sets_are_led_by_what_is_measured(scenario, pursued):
     line = jnp.broadcast_to(jnp.linspace(0.0, 200.0, trace.s.shape[1]), trace.s.shape)
     sensed = trace.sensed._replace(s=line, e=0.01 * line)
     for true in (trace.s, trace.s + 30.0):
-        found = candidates(scenario, trace._replace(sensed=sensed, s=true), residual, path, 4)
-        np.testing.assert_allclose(found.e, 0.01 * np.broadcast_to(found.s, found.e.shape), rtol=1e-9)
+        proposed = candidates(scenario, trace._replace(sensed=sensed, s=true), residual, path, 4)
+        np.testing.assert_allclose(proposed.e, 0.01 * np.broadcast_to(proposed.s, proposed.e.shape), rtol=1e-9)
 
 
 def test_the_best_lap_and_the_last_error_are_the_measured_ones(scenario, pursued):
@@ -216,10 +218,10 @@ def test_what_was_learnt_reaches_the_layers_asked_for_and_the_lags_reach_all(sce
         assert bool(jnp.all(d.lags == 1)) and bool(jnp.all(d.trust_factor == d.trust_factor[0, 0]))
         return bool(d.trust_factor[0, 0])
 
-    def asked(layers: str) -> tuple[Residual, Residual]:
+    def models(layers: str) -> tuple[Residual, Residual]:
         return _layers(dataclasses.replace(scenario, config=dataclasses.replace(SHORT, layers=layers)), learnt)
 
-    assert [tuple(map(knows, asked(layers))) for layers in ("both", "reference", "mpc", "none")] == [
+    assert [tuple(map(knows, models(layers))) for layers in ("both", "reference", "mpc", "none")] == [
         (True, True),
         (True, False),
         (False, True),

@@ -32,12 +32,12 @@ def drive(**changed: float) -> Run:
     return Run("road", t, **made, dt=DT, extra=extra)
 
 
-def found(run: Run) -> dict[tuple[str, str], Agreement]:
+def agreement_of(run: Run) -> dict[tuple[str, str], Agreement]:
     return {(one.channel, one.other.split()[0]): one for one in agreements([run], L)}
 
 
 def test_channels_of_one_motion_agree():
-    agreement = found(drive())
+    agreement = agreement_of(drive())
     assert len(agreement) == 6
     for name, one in agreement.items():
         assert one.slope == pytest.approx(1, abs=0.02), name
@@ -58,13 +58,13 @@ def test_channels_of_one_motion_agree():
     ],
 )
 def test_a_fault_shows_as_what_it_is(changed, where, what, size):
-    assert getattr(found(drive(**changed))[where], what) == pytest.approx(size, rel=0.05, abs=0.002)
+    assert getattr(agreement_of(drive(**changed))[where], what) == pytest.approx(size, rel=0.05, abs=0.002)
 
 
 def test_what_is_missing_or_too_short_is_not_compared():
     run = drive()
     del run.extra["x"]
-    assert ("V", "speed") not in found(run) and ("r", "rate") in found(run)
+    assert ("V", "speed") not in agreement_of(run) and ("r", "rate") in agreement_of(run)
     few = slice(0, 20)
     cut = {name: getattr(run, name)[few] for name in ("t", "V", "beta", "r", "delta", "Fxr")}
     short = Run("short", **cut, dt=DT)
@@ -84,12 +84,12 @@ def test_missing_values_leave_out_their_samples_only():
         channel[rng.random(NUM) < share] = np.nan
     run.beta[1000:1500] = np.nan  # a dropout
     run.extra["ay"][:] = np.nan  # never measured
-    agreement = found(run)
+    agreement = agreement_of(run)
     assert ("ay", "V'") not in agreement
     assert agreement["r", "rate"].offset == pytest.approx(0.02, abs=0.002)
     assert agreement["V", "speed"].slope == pytest.approx(1, abs=0.02)
-    whole = found(drive(r=0.02))["beta", "course"].num
-    assert 0.5 * whole < agreement["beta", "course"].num < whole - 450
+    complete = agreement_of(drive(r=0.02))["beta", "course"].num
+    assert 0.5 * complete < agreement["beta", "course"].num < complete - 450
 
 
 def test_a_log_is_inspected(tmp_path, capsys):

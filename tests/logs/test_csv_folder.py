@@ -29,11 +29,11 @@ def signals(t: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def write_csv(path, t: np.ndarray, columns: dict[str, np.ndarray], stamp: str = "s,ns") -> None:
-    whole, rest = np.divmod(START * 10**9 + np.round(1e9 * t).astype(np.int64), 10**9)
+    seconds, rest = np.divmod(START * 10**9 + np.round(1e9 * t).astype(np.int64), 10**9)
     head = f",{stamp},"
-    shown = [f"{a},{b}" for a, b in zip(whole, rest, strict=True)]
+    shown = [f"{a},{b}" for a, b in zip(seconds, rest, strict=True)]
     if "," not in stamp:
-        shown = [f"{a}{b:09d}" for a, b in zip(whole, rest, strict=True)]  # nanoseconds in one column
+        shown = [f"{a}{b:09d}" for a, b in zip(seconds, rest, strict=True)]  # nanoseconds in one column
     rows = zip(*columns.values(), strict=True)
     lines = [f"0,{when}," + ",".join(f"{y:.9g}" for y in row) for when, row in zip(shown, rows, strict=True)]
     path.write_text("\n".join([head + ",".join(columns), *lines]) + "\n")
@@ -80,8 +80,8 @@ def test_files_with_stamps_in_two_columns_or_one_are_one_log(tmp_path):
 
 
 def test_stamps_are_no_channels_and_a_quaternion_has_a_heading(tmp_path):
-    found = csv_channels(recorded(tmp_path / "drive"))
-    assert "pose.q.yaw" in found and not {"imu.s", "imu.ns", "pose.stamp", "imu."} & set(found)
+    channels = csv_channels(recorded(tmp_path / "drive"))
+    assert "pose.q.yaw" in channels and not {"imu.s", "imu.ns", "pose.stamp", "imu."} & set(channels)
 
 
 def test_uneven_stamps_are_resampled_to_the_rate_that_the_error_proposes(tmp_path):

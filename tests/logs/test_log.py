@@ -324,7 +324,7 @@ def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):
     assert [run.name for run in cut.select_runs(["grip/*"]).runs] == ["grip/a@0", "grip/a@3"]
     assert [run.name for run in cut.select_runs(["grip/a"]).runs] == ["grip/a@0", "grip/a@3"]
     assert [run.name for run in cut.select_runs(["*@3"]).runs] == ["grip/a@3"]
-    whole, parts = log.runs[0], cut.runs[:2]
+    uncut, parts = log.runs[0], cut.runs[:2]
     for name in CHANNELS:
-        np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(whole, name))
+        np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(uncut, name))
     assert log.split_runs(None) is log and cut.rows == log.rows

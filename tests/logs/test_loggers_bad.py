@@ -76,10 +76,10 @@ def test_mutated_aim_logs_are_read_or_refused(tmp_path):
 
 def test_an_aim_log_that_cannot_be_read(tmp_path, monkeypatch):
     path, columns = loggers.logged(tmp_path, "lap.xrk")
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 3].replace(b"CHS", b"CHX"))
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 3].replace(b"CHS", b"CHX"))
     assert "is no readable AiM file (" in (one_sentence(path, columns) or "")
-    path.write_bytes(whole)
+    path.write_bytes(content)
     monkeypatch.setattr(aim, "SCRIPT", script := tmp_path / "script.py")
     script.write_text("while True: pass")
     monkeypatch.setattr(aim, "TIMEOUT", 0.2)

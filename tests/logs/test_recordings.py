@@ -93,8 +93,8 @@ def test_the_same_drive_as_csv_gives_the_same_log(tmp_path, name):
         turns = np.round((ours.extra["psi"] - theirs.extra["psi"]) / (2 * np.pi))
         assert np.nanmin(turns) == np.nanmax(turns)  # whole turns of a heading say nothing
         for key, values in theirs.extra.items():
-            whole = 2 * np.pi * turns if key == "psi" else 0.0
-            np.testing.assert_allclose(ours.extra[key] - whole, values, atol=1e-9, err_msg=key)
+            turned = 2 * np.pi * turns if key == "psi" else 0.0
+            np.testing.assert_allclose(ours.extra[key] - turned, values, atol=1e-9, err_msg=key)
 
 
 @pytest.mark.parametrize("name", ["ros2", "log.mf4"])

@@ -32,11 +32,11 @@ def some(num):
 
 
 def test_one_device_gives_what_executor_give():
-    found = DeviceExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
-    whole = BatchExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
-    np.testing.assert_array_equal(found["left"], whole["left"])
-    np.testing.assert_array_equal(found["steps"], whole["steps"])
-    assert found["label"] == "run"
+    result = DeviceExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
+    expected = BatchExecutor(None).map(settled, some(5), jnp.asarray(0.1), "run")
+    np.testing.assert_array_equal(result["left"], expected["left"])
+    np.testing.assert_array_equal(result["steps"], expected["steps"])
+    assert result["label"] == "run"
 
 
 CHILD = """
@@ -47,8 +47,8 @@ from tests.parallel.test_devices import settled, some
 import jax.numpy as jnp
 rate, out = jnp.asarray(0.1), {"devices": len(jax.devices())}
 for size in (None, 1):
-    found = DeviceExecutor(size).map(settled, some(19), rate, "run")
-    out[str(size)] = [found["left"].tolist(), found["steps"].tolist()]
+    result = DeviceExecutor(size).map(settled, some(19), rate, "run")
+    out[str(size)] = [result["left"].tolist(), result["steps"].tolist()]
 texts = {key[-1]: program[0].as_text() for key, program in programs._programs.items()}
 one = BatchExecutor(1).map(settled, some(19), rate, "run")
 out["one"] = [one["left"].tolist(), one["steps"].tolist()]
@@ -67,12 +67,12 @@ def test_eight_devices_give_the_same_bits_and_pass_nothing(tmp_path):
     env |= {"PYTHONPATH": str(Path(__file__).parents[2]), "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", CHILD], env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["devices"] == 8 and len(found["where"]) == 8
-    assert found["None"] == found["one"] and found["1"] == found["one"]
-    assert found["defaults"] == ["cpu:0", "cpu:3"]
+    results = json.loads(done.stdout)
+    assert results["devices"] == 8 and len(results["where"]) == 8
+    assert results["None"] == results["one"] and results["1"] == results["one"]
+    assert results["defaults"] == ["cpu:0", "cpu:3"]
     for passing in ("all-gather", "all-reduce", "all-to-all", "collective-permute", "reduce-scatter"):
-        assert passing not in found["text"]
+        assert passing not in results["text"]
 
 
 def test_device_threads_end_with_each_call():
@@ -83,7 +83,7 @@ def test_device_threads_end_with_each_call():
 
 def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
     executor, calls = DeviceExecutor(None), []
-    whole = executor.map(settled, some(8), jnp.asarray(0.1), "run")
+    expected = executor.map(settled, some(8), jnp.asarray(0.1), "run")
     call = executor._call
 
     def short_of_memory(function, num, batch, shared):
@@ -93,8 +93,8 @@ def test_a_batch_is_cut_where_the_memory_is_too_small(monkeypatch):
         return call(function, num, batch, shared)
 
     monkeypatch.setattr(executor, "_call", short_of_memory)
-    found = executor.map(settled, some(8), jnp.asarray(0.1), "run")
-    np.testing.assert_array_equal(found["left"], whole["left"])
+    result = executor.map(settled, some(8), jnp.asarray(0.1), "run")
+    np.testing.assert_array_equal(result["left"], expected["left"])
     assert calls == [8, 4, 2, 2, 2, 2]
     calls.clear()
     executor.map(settled, some(4), jnp.asarray(0.1), "run")

@@ -34,11 +34,11 @@ def test_calls_of_any_size_and_workers_give_the_same_bits():
     assert whole["mass"].shape == (5,) and whole["label"] == "run" and whole["car"].name == "sedan"
     with process_executor(2) as workers:
         for executor in (BatchExecutor(1), BatchExecutor(2), workers):
-            found = executor.map(doubled, some(5), jnp.asarray(0.5), "run")
+            result = executor.map(doubled, some(5), jnp.asarray(0.5), "run")
             later = executor.submit(doubled, some(5), jnp.asarray(0.5), "run")
             np.testing.assert_allclose(later()["mass"], whole["mass"], rtol=1e-15)  # not compiled
-            np.testing.assert_array_equal(found["mass"], whole["mass"])
-            assert found["car"].name == "sedan"
+            np.testing.assert_array_equal(result["mass"], whole["mass"])
+            assert result["car"].name == "sedan"
         with pytest.raises(ValueError, match="no such entry"):
             workers.map(fails, some(2))
         with pytest.raises(ValueError, match="no such entry"):
@@ -53,11 +53,11 @@ def test_threads_share_a_batch_and_end_with_the_context(num):
     whole = BatchExecutor(None).map(doubled, some(7), jnp.asarray(0.5), "run")
     before = threading.active_count()
     with thread_executor(7, num) as executor:
-        found = executor.map(doubled, some(7), jnp.asarray(0.5), "run")
+        result = executor.map(doubled, some(7), jnp.asarray(0.5), "run")
         with pytest.raises(ValueError, match="no such entry"):
             executor.map(fails, some(7))
     assert threading.active_count() == before
-    np.testing.assert_array_equal(found["mass"], whole["mass"])
+    np.testing.assert_array_equal(result["mass"], whole["mass"])
 
 
 def test_without_workers_everything_stays_in_this_process():

@@ -49,15 +49,15 @@ def test_calls_with_equal_shared_arrays_are_one_call_of_the_function():
 def test_calls_with_other_shared_arrays_are_one_batch_each_with_its_own_numbers():
     def task(rate, num, again):
         def run(executor):
-            found = executor.map(settled, some(num), jnp.asarray(rate), "run")
-            return [found] + ([executor.map(settled, some(num), jnp.asarray(2 * rate), "run")] if again else [])
+            first = executor.map(settled, some(num), jnp.asarray(rate), "run")
+            return [first] + ([executor.map(settled, some(num), jnp.asarray(2 * rate), "run")] if again else [])
 
         return run
 
     rates, counted = (0.1, 0.2, 0.3), Counted()
-    found = run_together(counted, [task(rate, n, n > 2) for rate, n in zip(rates, (2, 3, 4), strict=True)])
+    results = run_together(counted, [task(rate, n, n > 2) for rate, n in zip(rates, (2, 3, 4), strict=True)])
     assert counted.calls == [9, 7]
-    for one, rate, n in zip(found, rates, (2, 3, 4), strict=True):
+    for one, rate, n in zip(results, rates, (2, 3, 4), strict=True):
         alone = BatchExecutor(None).map(settled, some(n), jnp.asarray(rate), "run")
         np.testing.assert_array_equal(one[0]["steps"], alone["steps"])
         np.testing.assert_allclose(one[0]["left"], alone["left"], rtol=1e-12)

@@ -16,8 +16,8 @@ from driftjax.vehicle.parameters import EffectParameterValue
 CONFIG = PlanConfig(entry_speed=3.016, V_min=0.8, V_max=8.0, drift=False, num_nodes=121, front_slip=0.1)
 
 
-def vehicle(**found):
-    effects = tuple(EffectParameterValue(name, parameter, value) for name, (parameter, value) in found.items())
+def vehicle(**values):
+    effects = tuple(EffectParameterValue(name, parameter, value) for name, (parameter, value) in values.items())
     return dataclasses.replace(load_vehicle("rc"), combined_slip=1.0, effects=effects)
 
 
@@ -31,21 +31,21 @@ def solved(friction: float) -> Plan:
 def test_less_friction_takes_longer():
     times = []
     for friction in (-0.05, 0.0):
-        found = solved(friction)
-        assert found.result == RESULTS.successful and found.violation < 1e-6
-        times.append(float(found.lap_time))
+        solution = solved(friction)
+        assert solution.result == RESULTS.successful and solution.violation < 1e-6
+        times.append(float(solution.lap_time))
     assert times[0] > 1.003 * times[1]
 
 
 @pytest.mark.slow
 def test_the_plan_is_one_of_the_extended_car():
     """Its states move along the track as the extended car's rates say, and not as the nominal car's do."""
-    found = solved(-0.05)
-    x, u = State(found.V, found.beta, found.r), Control(found.delta, found.Fxr)
+    solution = solved(-0.05)
+    x, u = State(solution.V, solution.beta, solution.r), Control(solution.delta, solution.Fxr)
     own, nominal = (
         np.stack(jax.jit(jax.vmap(car))(x, u)) for car in (build_car(vehicle(friction=("p", -0.05))), vehicle().build())
     )
-    moved = np.array([np.gradient(np.asarray(a), np.asarray(found.t)) for a in x])
+    moved = np.array([np.gradient(np.asarray(a), np.asarray(solution.t)) for a in x])
     inner, size = slice(3, -3), np.abs(moved).max(axis=1)
     error, other = (np.abs(np.asarray(a) - moved)[:, inner].mean(axis=1) / size for a in (own, nominal))
     assert np.all(error < 0.02) and np.any(other > 3 * error)

@@ -59,8 +59,8 @@ def test_ipopt_finds_the_same_time_with_the_shipped_options(car):
     compare_with_ipopt(plan(track, vehicle, config), track, vehicle, config)
 
 
-def compare_with_ipopt(found: Plan, track, vehicle, config):
-    assert found.result == RESULTS.successful and float(found.violation) < 1e-6
+def compare_with_ipopt(solution: Plan, track, vehicle, config):
+    assert solution.result == RESULTS.successful and float(solution.violation) < 1e-6
     vehicle = config.planned(vehicle)
     at = nodes(track, vehicle.a + vehicle.b, config)
     stage, corners = stages(track, vehicle, config, at.s)
@@ -71,19 +71,19 @@ def compare_with_ipopt(found: Plan, track, vehicle, config):
     assert success
     slowness = (1 - states[:, 3] * np.asarray(stage.kappa)[:, 0]) / (states[:, 0] * np.cos(states[:, 1] + states[:, 4]))
     time = np.sum(np.asarray(stage.share) * slowness) * ds
-    assert float(found.lap_time) == pytest.approx(time, rel=3e-3)
-    assert np.all((found.V >= config.V_min) & (found.V <= config.V_max))
-    assert np.all((found.e <= stage.e_max + 1e-4) & (found.e >= stage.e_min - 1e-4))
-    assert np.all(np.abs(found.delta) <= vehicle.delta_max + 1e-4)
-    assert np.all((found.Fxr <= vehicle.Fxr_max * (1 + 1e-4)) & (found.Fxr >= vehicle.Fxr_min * (1 + 1e-4)))
-    assert np.all(-stage.side * found.beta >= stage.slip - 1e-4)
-    h = np.diff(found.t)
-    assert np.all(np.abs(np.diff(found.delta)) <= vehicle.delta_rate_max * h * 1.001 + 1e-6)
-    assert np.all(np.abs(np.diff(found.Fxr)) <= vehicle.Fxr_rate_max * h * 1.001 + 1e-6 * vehicle.Fxr_max)
+    assert float(solution.lap_time) == pytest.approx(time, rel=3e-3)
+    assert np.all((solution.V >= config.V_min) & (solution.V <= config.V_max))
+    assert np.all((solution.e <= stage.e_max + 1e-4) & (solution.e >= stage.e_min - 1e-4))
+    assert np.all(np.abs(solution.delta) <= vehicle.delta_max + 1e-4)
+    assert np.all((solution.Fxr <= vehicle.Fxr_max * (1 + 1e-4)) & (solution.Fxr >= vehicle.Fxr_min * (1 + 1e-4)))
+    assert np.all(-stage.side * solution.beta >= stage.slip - 1e-4)
+    h = np.diff(solution.t)
+    assert np.all(np.abs(np.diff(solution.delta)) <= vehicle.delta_rate_max * h * 1.001 + 1e-6)
+    assert np.all(np.abs(np.diff(solution.Fxr)) <= vehicle.Fxr_rate_max * h * 1.001 + 1e-6 * vehicle.Fxr_max)
 
 
 def test_plan_is_a_trajectory_of_the_nominal_car():
-    found = solved("sedan", True)
+    solution = solved("sedan", True)
     model = setup("sedan", True)[1].build()
 
     def world(x, u):  # state (car, x, y, psi)
@@ -92,13 +92,18 @@ def test_plan_is_a_trajectory_of_the_nominal_car():
         return dx, x[0].V * jnp.cos(course), x[0].V * jnp.sin(course), x[0].r
 
     def step(k):
-        h, at = found.t[k + 1] - found.t[k], lambda v: v[k]
-        start = (State(found.V[k], found.beta[k], found.r[k]), at(found.x), at(found.y), at(found.psi))
-        middle = Control((found.delta[k] + found.delta[k + 1]) / 2, (found.Fxr[k] + found.Fxr[k + 1]) / 2)
+        h, at = solution.t[k + 1] - solution.t[k], lambda v: v[k]
+        start = (
+            State(solution.V[k], solution.beta[k], solution.r[k]),
+            at(solution.x),
+            at(solution.y),
+            at(solution.psi),
+        )
+        middle = Control((solution.delta[k] + solution.delta[k + 1]) / 2, (solution.Fxr[k] + solution.Fxr[k + 1]) / 2)
         (car, x, y, psi) = rk4_step(lambda w: world(w, middle), start, h)
-        return car.V - found.V[k + 1], x - found.x[k + 1], y - found.y[k + 1], psi - found.psi[k + 1]
+        return car.V - solution.V[k + 1], x - solution.x[k + 1], y - solution.y[k + 1], psi - solution.psi[k + 1]
 
-    wrong = jax.jit(jax.vmap(step))(jnp.arange(len(found.t) - 1))
+    wrong = jax.jit(jax.vmap(step))(jnp.arange(len(solution.t) - 1))
     for error, size in zip(wrong, (0.02, 2e-3, 2e-3, 2e-3), strict=True):
         assert np.abs(error).max() < size
 
@@ -106,13 +111,13 @@ def test_plan_is_a_trajectory_of_the_nominal_car():
 @pytest.mark.parametrize("car", ["sedan", "rc"])
 def test_drift_device_gives_one_drift_in_the_corner(car):
     _, vehicle, config = setup(car, True)
-    found, grip = solved(car, True), solved(car, False)
-    start, end = found.drift_interval()
-    assert found.drift_intervals() == [(start, end)]
-    middle = (found.S > start + 0.3 * (end - start)) & (found.S < end - 0.3 * (end - start))
-    assert np.all(found.beta[middle] < -0.7 * config.beta_d) and np.all(found.r[middle] > 0)
-    assert np.min(found.beta) <= -config.beta_d
-    load = np.mean((found.V * found.r)[middle]) / (vehicle.mu * G)
+    solution, grip = solved(car, True), solved(car, False)
+    start, end = solution.drift_interval()
+    assert solution.drift_intervals() == [(start, end)]
+    middle = (solution.S > start + 0.3 * (end - start)) & (solution.S < end - 0.3 * (end - start))
+    assert np.all(solution.beta[middle] < -0.7 * config.beta_d) and np.all(solution.r[middle] > 0)
+    assert np.min(solution.beta) <= -config.beta_d
+    load = np.mean((solution.V * solution.r)[middle]) / (vehicle.mu * G)
     assert 0.8 < load < 1.1  # the tyres are at their limit, without a friction circle
     assert grip.drift_intervals() == []
     assert np.all(np.abs(grip.beta) <= config.beta_normal + 1e-5)
@@ -121,34 +126,34 @@ def test_drift_device_gives_one_drift_in_the_corner(car):
 
 
 def test_sedan_corner_has_the_speed_and_slip_of_a_drift():
-    found = solved("sedan", True)
-    start, end = found.drift_interval()
-    middle = (found.S > start + 0.2 * (end - start)) & (found.S < end - 0.2 * (end - start))
-    assert 10.5 < np.mean(found.V[middle]) < 13.5
-    assert -35 < np.rad2deg(np.mean(found.beta[middle])) < -19
+    solution = solved("sedan", True)
+    start, end = solution.drift_interval()
+    middle = (solution.S > start + 0.2 * (end - start)) & (solution.S < end - 0.2 * (end - start))
+    assert 10.5 < np.mean(solution.V[middle]) < 13.5
+    assert -35 < np.rad2deg(np.mean(solution.beta[middle])) < -19
 
 
 def test_labels_follow_the_signs_of_sideslip_and_yaw_rate():
     config = setup("sedan", True)[2]
-    found = solved("sedan", True)
-    opposite = (found.beta * found.r < 0) & (np.abs(found.beta) > config.label_beta)
-    np.testing.assert_array_equal(found.drift, opposite)
-    drift = np.isin(np.arange(found.drift.size), [3, 4, 5, 9, 300])
-    runs = eqx.tree_at(lambda p: p.drift, found, drift)
-    S = np.asarray(found.S)
+    solution = solved("sedan", True)
+    opposite = (solution.beta * solution.r < 0) & (np.abs(solution.beta) > config.label_beta)
+    np.testing.assert_array_equal(solution.drift, opposite)
+    drift = np.isin(np.arange(solution.drift.size), [3, 4, 5, 9, 300])
+    runs = eqx.tree_at(lambda p: p.drift, solution, drift)
+    S = np.asarray(solution.S)
     assert runs.drift_intervals() == [(S[3], S[5]), (S[9], S[9]), (S[300], S[300])]
 
 
 def test_path_is_the_course_driven_between_the_borders():
-    track, found = setup("rc", True)[0], solved("rc", True)
-    path = found.path
-    assert float(path.length) == pytest.approx(float(found.S[-1])) and not path.closed
-    x, y, course, _ = jax.jit(jax.vmap(path.pose))(found.S)
-    np.testing.assert_allclose(x, found.x, atol=1e-4)
-    np.testing.assert_allclose(y, found.y, atol=1e-4)
-    np.testing.assert_allclose(course, found.psi + found.beta, atol=2e-3)
-    k = np.argmin(np.abs(found.s - float(track.length) / 2))
-    s = np.asarray(found.S)[k]
+    track, solution = setup("rc", True)[0], solved("rc", True)
+    path = solution.path
+    assert float(path.length) == pytest.approx(float(solution.S[-1])) and not path.closed
+    x, y, course, _ = jax.jit(jax.vmap(path.pose))(solution.S)
+    np.testing.assert_allclose(x, solution.x, atol=1e-4)
+    np.testing.assert_allclose(y, solution.y, atol=1e-4)
+    np.testing.assert_allclose(course, solution.psi + solution.beta, atol=2e-3)
+    k = np.argmin(np.abs(solution.s - float(track.length) / 2))
+    s = np.asarray(solution.S)[k]
     w_right, w_left = map(float, path.widths(s))
     offset = jax.jit(lambda side: track.locate(*path.position(s, side))[1])
     for side in (w_left, -w_right):  # a point on the path's border lies on the track's border
@@ -177,15 +182,15 @@ IMPOSSIBLE = {
 @pytest.mark.parametrize("change", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
 def test_impossible_demands_are_not_called_a_plan(change):
     track, vehicle, config = setup("sedan", True)
-    found = plan(track, vehicle, dataclasses.replace(config, max_steps=60, **change))
-    assert found.result != RESULTS.successful
-    assert float(found.violation) > 1e-4 and found.result == RESULTS.infeasible
+    solution = plan(track, vehicle, dataclasses.replace(config, max_steps=60, **change))
+    assert solution.result != RESULTS.successful
+    assert float(solution.violation) > 1e-4 and solution.result == RESULTS.infeasible
 
 
 def test_too_few_iterations_are_reported():
     track, vehicle, config = setup("sedan", True)
-    found = plan(track, vehicle, dataclasses.replace(config, max_steps=2))
-    assert found.result != RESULTS.successful and int(found.num_steps) == 2
+    solution = plan(track, vehicle, dataclasses.replace(config, max_steps=2))
+    assert solution.result != RESULTS.successful and int(solution.num_steps) == 2
 
 
 def test_other_numbers_and_the_other_car_need_no_new_compile(monkeypatch):
@@ -207,15 +212,15 @@ def test_device_is_for_tight_corners_and_ramps_up():
     s = np.linspace(0, 400, 801)
     kappa = np.where((s > 50) & (s < 90), 1 / 15, 0) - np.where((s > 150) & (s < 190), 1 / 16, 0)
     kappa = kappa + np.where((s > 250) & (s < 300), 1 / 40, 0) + np.where((s > 350) & (s < 355), 1 / 10, 0)
-    found = tight_corners(s, kappa, config)
-    assert [c.side for c in found] == [1, -1]  # neither the wide one nor the kink
-    side, slip, beta_max = device(s, found, config)
+    corners = tight_corners(s, kappa, config)
+    assert [c.side for c in corners] == [1, -1]  # neither the wide one nor the kink
+    side, slip, beta_max = device(s, corners, config)
     assert slip[(s > 60) & (s < 80)] == pytest.approx(config.beta_d)
     assert np.all(slip[(s < 50) | ((s > 92) & (s < 150))] < -1)
     assert np.all(np.diff(slip[(s > 51) & (s < 60)]) >= 0)
     assert side[np.argmin(np.abs(s - 170))] == -1
     assert beta_max[0] == config.beta_normal and beta_max[np.argmin(np.abs(s - 70))] == config.beta_max
-    off = device(s, found, dataclasses.replace(config, drift=False))[1]
+    off = device(s, corners, dataclasses.replace(config, drift=False))[1]
     assert np.all(off < -1)
 
 
@@ -243,10 +248,10 @@ def test_nodes_of_a_closed_lap_are_a_whole_number_of_steps_between_straights():
 @pytest.mark.parametrize("car", ["sedan", "rc"])
 def test_closed_lap_drifts_its_hairpin_only(car):
     track = load_track(f"{car}_playground")
-    found = plan(track, load_vehicle(car), load_plan_config(car))
-    assert found.result == RESULTS.successful
-    assert found.path.closed and len(found.drift_intervals()) == 1
-    assert float(found.closing) < 0.1 * float(track.w_left[0])
-    start, end = found.drift_interval()
-    k = int(np.argmin(np.abs(np.asarray(found.S) - (start + end) / 2)))
-    assert float(track.pose(found.s[k])[3]) == pytest.approx(float(track.kappa.max()), rel=1e-2)
+    solution = plan(track, load_vehicle(car), load_plan_config(car))
+    assert solution.result == RESULTS.successful
+    assert solution.path.closed and len(solution.drift_intervals()) == 1
+    assert float(solution.closing) < 0.1 * float(track.w_left[0])
+    start, end = solution.drift_interval()
+    k = int(np.argmin(np.abs(np.asarray(solution.S) - (start + end) / 2)))
+    assert float(track.pose(solution.s[k])[3]) == pytest.approx(float(track.kappa.max()), rel=1e-2)

@@ -28,34 +28,34 @@ def run(tmp_path_factory) -> RunFolder:
 
 def messages(path) -> dict[str, list]:
     """Messages by topic, with their schema."""
-    found: dict[str, list] = {}
+    by_topic: dict[str, list] = {}
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
             assert schema is not None
-            found.setdefault(channel.topic, []).append((schema.name, message.log_time / 1e9, decoded))
-    return found
+            by_topic.setdefault(channel.topic, []).append((schema.name, message.log_time / 1e9, decoded))
+    return by_topic
 
 
 def test_mcap_holds_every_step_of_every_car(run, tmp_path, capsys):
     file = tmp_path / "lap.mcap"
     assert main(["play", str(run.path), "--mcap", str(file), "--show", "sedan_0_0"]) == 0
-    found = messages(file)
-    total = sum(map(len, found.values()))
-    assert f"plant sedan_0_0, {total} messages on {len(found)} topics" in capsys.readouterr().out
+    by_topic = messages(file)
+    total = sum(map(len, by_topic.values()))
+    assert f"plant sedan_0_0, {total} messages on {len(by_topic)} topics" in capsys.readouterr().out
     steps = int(run.read_stage("explore-1")["alive"].values[0].sum())
     kinds = {"pose": "foxglove.PoseInFrame", "scene": "foxglove.SceneUpdate", "state": "driftjax.State"}
     for car in ("nominal_mpc", "gpr_lap_1", "explored_1"):
         for name, schema in kinds.items():
-            assert [len(found[f"/{car}/{name}"]), found[f"/{car}/{name}"][0][0]] == [steps, schema]
-        assert len(found[f"/{car}/path"][0][2].poses) == steps
-    assert len(found["/tf"]) == 3 * steps and {one[0] for one in found["/tf"]} == {"foxglove.FrameTransform"}
-    assert [len(found[name]) for name in ("/track", "/plan")] == [1, 1] and len(
-        found["/track"][0][2].entities[0].lines
+            assert [len(by_topic[f"/{car}/{name}"]), by_topic[f"/{car}/{name}"][0][0]] == [steps, schema]
+        assert len(by_topic[f"/{car}/path"][0][2].poses) == steps
+    assert len(by_topic["/tf"]) == 3 * steps and {one[0] for one in by_topic["/tf"]} == {"foxglove.FrameTransform"}
+    assert [len(by_topic[name]) for name in ("/track", "/plan")] == [1, 1] and len(
+        by_topic["/track"][0][2].entities[0].lines
     ) == 3
     lane, k = run.read_stage("explore-1").isel(lane=0), 77
-    _, t, state = found["/explored_1/state"][k]
-    pose = found["/explored_1/pose"][k][2].pose
+    _, t, state = by_topic["/explored_1/state"][k]
+    pose = by_topic["/explored_1/pose"][k][2].pose
     assert t == pytest.approx(float(lane["t"][k]))
     assert [state.V, state.beta, pose.position.x] == pytest.approx([float(lane[n][k]) for n in ("V", "beta", "x")])
     heading = 2 * np.arctan2(pose.orientation.z, pose.orientation.w)
@@ -85,10 +85,12 @@ def test_frames_of_the_mcap_are_one_tree_and_time_stamps_those_of_the_messages(r
 def test_what_a_car_lacks_is_not_zero_in_mcap(tmp_path):
     diagnosis, file = diagnosed(tmp_path / "run"), tmp_path / "run.mcap"
     assert main(["play", str(diagnosis.path), "--mcap", str(file)]) == 0
-    found = messages(file)
-    assert {"/measured/state", "/predicted_nominal/state", "/predicted_extended/scene"} <= set(found)
-    assert len(found["/measured/state"]) == 1000 > len(found["/predicted_nominal/state"]) > 500
-    assert np.isnan(found["/predicted_nominal/state"][0][2].Fxr) and np.isfinite(found["/measured/state"][0][2].Fxr)
+    by_topic = messages(file)
+    assert {"/measured/state", "/predicted_nominal/state", "/predicted_extended/scene"} <= set(by_topic)
+    assert len(by_topic["/measured/state"]) == 1000 > len(by_topic["/predicted_nominal/state"]) > 500
+    assert np.isnan(by_topic["/predicted_nominal/state"][0][2].Fxr) and np.isfinite(
+        by_topic["/measured/state"][0][2].Fxr
+    )
 
 
 def test_gif_has_a_frame_per_step_of_the_corner(run, tmp_path, monkeypatch):

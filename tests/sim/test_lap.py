@@ -10,11 +10,11 @@ import pytest
 
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
-from driftjax.core import Control
+from driftjax.core import BadInput, Control
 from driftjax.gp import zero_gp
-from driftjax.sim import LapCode, LapConfig, drive
+from driftjax.sim import LapCode, LapConfig, drive, drive_laps
 from driftjax.sim.lap import wrap
-from driftjax.sim.sensors import SensorConfig
+from driftjax.sim.sensors import SensorConfig, load_sensors
 from driftjax.track.build import from_curvature
 from driftjax.vehicle import load_plant, load_vehicle, no_residual, stack_plants
 
@@ -85,14 +85,14 @@ def test_full_lock_and_throttle_ends_the_lap_and_freezes_only_its_own_entry(pair
 
 
 def test_a_slow_lap_times_out():
-    found = lap([PURSUE, PURSUE], [1, 2], time_limit=0.3)
-    assert [int(c) for c in found.code] == [LapCode.TIMEOUT] * 2
-    assert bool(jnp.all(found.trace.alive)) and found.trace.s.shape == (2, 6)  # although 0.3 / 0.05 < 6
+    laps = lap([PURSUE, PURSUE], [1, 2], time_limit=0.3)
+    assert [int(c) for c in laps.code] == [LapCode.TIMEOUT] * 2
+    assert bool(jnp.all(laps.trace.alive)) and laps.trace.s.shape == (2, 6)  # although 0.3 / 0.05 < 6
 
 
 def test_braking_to_a_halt_stalls():
-    found = lap([PURSUE, [0.0, -1.5e4]], [1, 2])
-    assert [int(c) for c in found.code] == [LapCode.COMPLETED, LapCode.STALLED]
+    laps = lap([PURSUE, [0.0, -1.5e4]], [1, 2])
+    assert [int(c) for c in laps.code] == [LapCode.COMPLETED, LapCode.STALLED]
 
 
 def test_a_batch_equals_single_laps(pair):
@@ -114,6 +114,22 @@ def test_the_same_keys_give_the_same_laps_and_others_do_not(pair):
     driven = np.asarray(pair.trace.alive[1])  # an entry's noise does not depend on its neighbour's key
     np.testing.assert_array_equal(other.trace.alive[1], driven)
     np.testing.assert_array_equal(other.trace.sensed.V[1][driven], pair.trace.sensed.V[1][driven])
+
+
+def test_laps_of_a_controller_of_ones_own_are_those_of_a_batch():
+    """With the same noise, key by key; one speed serves all cars."""
+    plants, fixed = [load_plant("sedan")] * 2, jnp.asarray([[0.0, -1.5e4], [0.02, 0.0]])
+    hold = lambda sensed, memory, alive: (Control(fixed[:, 0], fixed[:, 1]), memory, alive)
+    laps = drive_laps(plants, PATH, hold, SPEED, sensors="sedan", config=CONFIG, dt=DT, seed=3)
+    paths = jax.tree.map(lambda a: jnp.broadcast_to(a, (2, *a.shape)), PATH)
+    keys = jax.random.split(jax.random.key(3), 2)
+    batch = drive(stack_plants(plants), paths, jnp.full(2, SPEED), hold, (), load_sensors("sedan"), CONFIG, dt=DT,
+                  keys=keys)  # fmt: skip
+    assert int(laps.code[0]) == LapCode.STALLED and laps.trace.V.shape[0] == 2
+    for a, b in zip(jax.tree.leaves(laps), jax.tree.leaves(batch), strict=True):
+        np.testing.assert_array_equal(a, b)
+    with pytest.raises(BadInput, match="give one kind"):
+        drive_laps([load_plant("sedan"), CAR], PATH, hold, SPEED)  # pyright: ignore[reportArgumentType]
 
 
 def test_measurements_scatter_about_the_truth(pair):

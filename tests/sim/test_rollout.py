@@ -27,10 +27,10 @@ PUSH = jnp.array([0.3, -0.1, 0.4])  # on the rates
 STILL = Place(*map(jnp.asarray, (0.0, 0.0, 0.0, 0.0)))
 
 
-def car_with(car="sedan", **found) -> Universal:
+def car_with(car="sedan", **values_of) -> Universal:
     """The car with these effects of one parameter each, SI."""
-    model = universal_car(load_vehicle(car), effects_by_name(tuple(found)))
-    values = jnp.array([float(found[effect.name]) for effect in model.effects])
+    model = universal_car(load_vehicle(car), effects_by_name(tuple(values_of)))
+    values = jnp.array([float(values_of[effect.name]) for effect in model.effects])
     return model.with_parameters(values / model.scale)
 
 
@@ -69,7 +69,7 @@ def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
     base = universal_car(vehicle, ()).base
     model = Universal(base, model.effects, model.scale, model.theta)
     z, u, place = rich()
-    found = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT)).z))(z, u, place)
+    after = jax.jit(jax.vmap(lambda z, u, place: move(model, z, u, place, jnp.asarray(DT)).z))(z, u, place)
 
     def one(z, u):
         control = Control(u[0], u[1])
@@ -77,7 +77,7 @@ def test_a_step_without_effects_is_one_of_the_nominal_car(combined_slip):
         return jnp.stack([*x, *nominal.slip_angles(x, control)])
 
     expected = jax.jit(jax.vmap(one))(z, u)
-    np.testing.assert_allclose(found[:, :5], expected, rtol=1e-12, atol=1e-13)  # tyres feel the slip there is
+    np.testing.assert_allclose(after[:, :5], expected, rtol=1e-12, atol=1e-13)  # tyres feel the slip there is
 
 
 def steered(model, delta, num, V=10.0, beta=0.1, r=0.0, place=STILL, dt=DT):
@@ -90,12 +90,12 @@ def steered(model, delta, num, V=10.0, beta=0.1, r=0.0, place=STILL, dt=DT):
 @pytest.mark.parametrize("dt", [0.002, 0.05])
 def test_slip_settles_over_the_relaxation_length(dt):
     sigma, V, beta, delta, num = 0.6, 10.0, 0.1, 0.2, 30
-    found = steered(without_grip(car_with(relaxation_length=sigma)), delta, num, V, beta, dt=dt)
-    np.testing.assert_allclose(found[:, :3], np.tile([V, beta, 0.0], (num + 1, 1)), atol=1e-11)
+    states = steered(without_grip(car_with(relaxation_length=sigma)), delta, num, V, beta, dt=dt)
+    np.testing.assert_allclose(states[:, :3], np.tile([V, beta, 0.0], (num + 1, 1)), atol=1e-11)
     away = np.exp(-V * dt * np.arange(1, num + 1) / sigma)
-    np.testing.assert_allclose(found[0, 3:5], beta, atol=1e-11)
-    np.testing.assert_allclose(found[1:, 3], beta - delta + delta * away, atol=1e-11)
-    np.testing.assert_allclose(found[1:, 4], beta, atol=1e-11)
+    np.testing.assert_allclose(states[0, 3:5], beta, atol=1e-11)
+    np.testing.assert_allclose(states[1:, 3], beta - delta + delta * away, atol=1e-11)
+    np.testing.assert_allclose(states[1:, 4], beta, atol=1e-11)
 
 
 def test_slip_that_moves_evenly_is_felt_late_by_the_time_of_the_relaxation():
@@ -103,19 +103,19 @@ def test_slip_that_moves_evenly_is_felt_late_by_the_time_of_the_relaxation():
     model = without_grip(car_with(relaxation_length=sigma))
     start = begin(model, jnp.array([V, 0.0, r]), jnp.zeros(4), STILL)
     on = lambda z, _: (lambda z: (z, z))(move(model, z, jnp.zeros(4), STILL, jnp.asarray(dt)).z)
-    found = np.asarray(jax.lax.scan(on, start, length=num)[1])
-    slip = np.stack([found[:, 1] + a * r / V for a in (1.4, -1.65)], axis=1)
-    np.testing.assert_allclose(found[:, 3:5], slip + r * sigma / V, atol=2e-6)  # of 8e-4 by which it is late
+    states = np.asarray(jax.lax.scan(on, start, length=num)[1])
+    slip = np.stack([states[:, 1] + a * r / V for a in (1.4, -1.65)], axis=1)
+    np.testing.assert_allclose(states[:, 3:5], slip + r * sigma / V, atol=2e-6)  # of 8e-4 by which it is late
 
 
 def test_roll_follows_the_lateral_acceleration():
     tau, dt, num = 0.15, 0.01, 200
     model = car_with(roll_lag=tau)
-    found = steered(model, 0.02, num, V=12.0, beta=0.0, dt=dt)
+    states = steered(model, 0.02, num, V=12.0, beta=0.0, dt=dt)
     nominal = load_vehicle("sedan").build()
-    steady = nominal(State(*map(jnp.asarray, found[-1, :3])), Control(jnp.asarray(0.02), jnp.asarray(0.0)))
-    np.testing.assert_allclose(found[-1, 5], found[-1, 0] * (found[-1, 2] + float(steady.beta)), rtol=0.01)
-    first = float(found[1, 5] / (1 - np.exp(-dt / tau)))  # the acceleration that the jump of the front force gives
+    steady = nominal(State(*map(jnp.asarray, states[-1, :3])), Control(jnp.asarray(0.02), jnp.asarray(0.0)))
+    np.testing.assert_allclose(states[-1, 5], states[-1, 0] * (states[-1, 2] + float(steady.beta)), rtol=0.01)
+    first = float(states[1, 5] / (1 - np.exp(-dt / tau)))  # the acceleration that the jump of the front force gives
     side = nominal.tyre.lateral(jnp.asarray(-0.02), nominal.Fzf) / nominal.m
     np.testing.assert_allclose(first, side * np.cos(0.02), rtol=1e-6)
 
@@ -151,15 +151,15 @@ def test_lagging_steering_is_that_of_the_differential_equation(tau):
     jumps = np.zeros(lead + num)
     jumps[[0, lead, lead + 7, lead + 30]] = [0.1, *rng.uniform(-0.3, 0.3, 3)]
     commands = np.stack([np.cumsum(jumps), np.full(lead + num, 500.0)], axis=1)
-    found = actuator_response(car_with(steer_lag=tau), jnp.asarray(commands), jnp.full(lead + num, 10.0), DT)
+    inputs = actuator_response(car_with(steer_lag=tau), jnp.asarray(commands), jnp.full(lead + num, 10.0), DT)
     k = np.arange(lead + num)  # mean over step k of the response 1 - exp(-t / tau) to a jump at its begin
     response = 1 - np.exp(-k * DT / tau) * (1 - np.exp(-DT / tau)) * tau / DT
-    np.testing.assert_allclose(found[:, 0], np.convolve(jumps, response)[: lead + num], atol=1e-12)
+    np.testing.assert_allclose(inputs[:, 0], np.convolve(jumps, response)[: lead + num], atol=1e-12)
     t = (np.arange(1000) + 0.5) / 1000  # share of a step
     reached = np.cumsum(jumps)[:, None] - np.exp(-t * DT / tau) * lagging_behind(jumps, tau)[:, None]
     slope = 3 * (reached * (2 * t - 1)).mean(axis=1)
-    np.testing.assert_allclose(found[:, 2], slope, atol=(0.1 if tau < DT else 3e-4) * np.abs(slope).max())
-    np.testing.assert_allclose(found[:, 1::2], np.tile([500.0, 0.0], (lead + num, 1)), atol=1e-10)
+    np.testing.assert_allclose(inputs[:, 2], slope, atol=(0.1 if tau < DT else 3e-4) * np.abs(slope).max())
+    np.testing.assert_allclose(inputs[:, 1::2], np.tile([500.0, 0.0], (lead + num, 1)), atol=1e-10)
 
 
 def lagging_behind(jumps, tau):
@@ -174,14 +174,14 @@ def test_actuators_have_forgotten_their_start_after_settling():
     model = car_with(steer_lag=0.14, steer_delay=0.1, drive_lag=0.16)
     lead = round(SETTLE / DT)
     rest = jnp.tile(jnp.array([[0.3, 2000.0]]), (lead + 2, 1))
-    found = actuator_response(model, rest, jnp.full(lead + 2, 10.0), DT)
-    np.testing.assert_allclose(found[lead:, :2], rest[lead:], rtol=3e-3)
+    response = actuator_response(model, rest, jnp.full(lead + 2, 10.0), DT)
+    np.testing.assert_allclose(response[lead:, :2], rest[lead:], rtol=3e-3)
 
 
 def test_sensors_tell_the_yaw_rate_with_its_bias():
     model = car_with(gyro_bias=0.03)
-    found = sensor_reading(model, jnp.array([10.0, -0.3, 0.5]), jnp.ones((3, 3)), jnp.asarray(DT))
-    np.testing.assert_allclose(found, [10.0, -0.3, 0.53], rtol=1e-14)
+    reading = sensor_reading(model, jnp.array([10.0, -0.3, 0.5]), jnp.ones((3, 3)), jnp.asarray(DT))
+    np.testing.assert_allclose(reading, [10.0, -0.3, 0.53], rtol=1e-14)
 
 
 @pytest.mark.parametrize("steps", [0.0, 0.3, 0.999, 1.0, 2.6])
@@ -192,9 +192,9 @@ def test_what_is_late_is_reported_as_it_was(steps):
     cubics = [np.polynomial.Polynomial(c) for c in np.random.default_rng(8).normal(size=(3, 4)) + [[10], [0], [0]]]
     x = np.array([p(0.0) for p in cubics])
     rates = np.stack([[(p(0.0) - p(-DT)) / DT, p.deriv()(-DT), p.deriv()(0.0)] for p in cubics], axis=1)
-    found = sensor_reading(model, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(DT))
+    reading = sensor_reading(model, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(DT))
     rest = np.mod([0.0, steps, 0.4 * steps], 1.0)
-    np.testing.assert_allclose(found, [p(-q * DT) for p, q in zip(cubics, rest, strict=True)], atol=1e-12)
+    np.testing.assert_allclose(reading, [p(-q * DT) for p, q in zip(cubics, rest, strict=True)], atol=1e-12)
     np.testing.assert_array_equal(model.split_delays(DT)[0], np.floor([0.0, steps, 0.4 * steps]))
 
 
@@ -212,12 +212,12 @@ def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
         by = jnp.concatenate(jax.jacfwd(f, (0, 1, 2, 3))(z, u, PUSH, model.theta), axis=1)
         return f(z, u, PUSH, model.theta), by, move_with_derivatives(model, z, u, place, jnp.asarray(DT), PUSH)
 
-    value, exact, found = jax.jit(jax.vmap(both))(z, u, place)
-    np.testing.assert_allclose(found.value, value, rtol=1e-12, atol=1e-13)
+    value, exact, derivatives = jax.jit(jax.vmap(both))(z, u, place)
+    np.testing.assert_allclose(derivatives.value, value, rtol=1e-12, atol=1e-13)
     largest = np.abs(exact).max(axis=0)  # (6, 13 + K)
     assert (largest.max(axis=0) > 0).all()  # a column of zeros would tell nothing
     largest = np.where(largest > 0, largest, 1.0)
-    np.testing.assert_allclose(found.by / largest, exact / largest, atol=1e-10)
+    np.testing.assert_allclose(derivatives.by / largest, exact / largest, atol=1e-10)
 
 
 @functools.cache

@@ -23,9 +23,9 @@ EACH = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in
 LATE = {"steer_lag": 0.08, "steer_delay": 0.05, "drive_lag": 0.1, "load_transfer_long": 0.3, "roll_lag": 0.1}
 
 
-def plant(**found: float) -> UniversalPlant:
+def plant(**values: float) -> UniversalPlant:
     """The sedan with these effects, SI, each in its first parameter."""
-    theta = [found.get(name, 0.0) / p.scale(SEDAN) for name, p in EACH]
+    theta = [values.get(name, 0.0) / p.scale(SEDAN) for name, p in EACH]
     return plant_of(SEDAN, np.array(theta), LAP, DT / SUBSTEPS)
 
 
@@ -61,9 +61,9 @@ def test_without_effects_it_is_the_nominal_car_along_its_course():
         return (end := jax.lax.fori_loop(0, fine, lambda _, z: rk4_step(f, z, DT / fine), z)), end
 
     _, expected = jax.jit(lambda u: jax.lax.scan(step, jnp.zeros(6).at[0].set(V0), u))(jnp.asarray(commands))
-    found = np.stack([motion.V, motion.beta, motion.r, motion.x, motion.y, motion.psi], axis=1)
+    states = np.stack([motion.V, motion.beta, motion.r, motion.x, motion.y, motion.psi], axis=1)
     atol = np.array([1e-4, 1e-4, 1e-4, V0 * h, V0 * h, 1e-4])  # position: a step late in course
-    assert (np.abs(found - expected) < atol).all()
+    assert (np.abs(states - expected) < atol).all()
     np.testing.assert_array_equal(motion.delta, commands[:, 0])
 
 
@@ -126,13 +126,13 @@ def test_a_spinning_entry_keeps_its_code_and_the_others_continue():
         speed = jnp.full(num, 10.0)
         return drive(cars, paths, speed, policy, fixed, SensorConfig(), config, dt=0.05, keys=keys)
 
-    found = laps(repeat(plant(**LATE, gyro_bias=0.02)), repeat(path))
-    assert int(found.code[0]) == LapCode.COMPLETED and int(found.code[2]) == LapCode.NON_FINITE
-    assert int(found.code[1]) in (LapCode.SPUN, LapCode.OFF_TRACK)
-    assert int(found.trace.alive[0].sum()) * 0.05 == pytest.approx(2.0, abs=0.1)
-    assert np.isfinite(np.asarray(found.trace.s[0])).all()
-    alive = np.asarray(found.trace.alive[0])
-    np.testing.assert_allclose((found.trace.sensed.r - found.trace.r)[0][alive], 0.02, atol=1e-12)
+    result = laps(repeat(plant(**LATE, gyro_bias=0.02)), repeat(path))
+    assert int(result.code[0]) == LapCode.COMPLETED and int(result.code[2]) == LapCode.NON_FINITE
+    assert int(result.code[1]) in (LapCode.SPUN, LapCode.OFF_TRACK)
+    assert int(result.trace.alive[0].sum()) * 0.05 == pytest.approx(2.0, abs=0.1)
+    assert np.isfinite(np.asarray(result.trace.s[0])).all()
+    alive = np.asarray(result.trace.alive[0])
+    np.testing.assert_allclose((result.trace.sensed.r - result.trace.r)[0][alive], 0.02, atol=1e-12)
 
 
 def test_a_late_sensor_tells_what_was():

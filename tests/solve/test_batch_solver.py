@@ -67,9 +67,9 @@ def scipys(ocp: Pendulum, entry: int) -> np.ndarray:
 
     speed = {"type": "ineq", "fun": lambda U: ocp.speed - np.abs(states(U)[1:, 1])}
     bounds = [(-ocp.torque, ocp.torque)] * N
-    found = minimize(cost, np.zeros(N), method="SLSQP", bounds=bounds, constraints=[speed], options={"ftol": 1e-14})
-    assert found.success
-    return found.x
+    solution = minimize(cost, np.zeros(N), method="SLSQP", bounds=bounds, constraints=[speed], options={"ftol": 1e-14})
+    assert solution.success
+    return solution.x
 
 
 @eqx.filter_jit

@@ -46,9 +46,9 @@ def plan(theta, max_steps):
 
 
 def pick(theta, max_steps):
-    found = plan(theta, max_steps)
-    values = jnp.concatenate([found.U[:, 0], found.X.ravel(), found.cost[None]])
-    return values, (found, values)
+    solution = plan(theta, max_steps)
+    values = jnp.concatenate([solution.U[:, 0], solution.X.ravel(), solution.cost[None]])
+    return values, (solution, values)
 
 
 FREE, LIMITED = jnp.array([1.0, 5.0, 5.0, 0.3, 0.1, 0.2, 0.0]), jnp.array([1.0, 0.8, 0.05, 0.5, 0.2, 0.0, 0.0])
@@ -60,11 +60,11 @@ forward = eqx.filter_jit(jax.vmap(jax.jacfwd(pick, has_aux=True), in_axes=(0, No
 
 
 def test_derivatives_equal_central_differences():
-    slopes, (found, values) = forward(AROUND, jnp.asarray(80))
-    assert bool(jnp.all(found.result == RESULTS.successful))
+    slopes, (solution, values) = forward(AROUND, jnp.asarray(80))
+    assert bool(jnp.all(solution.result == RESULTS.successful))
     limited = len(STEPS)  # the first row of the second case
-    assert int(jnp.sum(jnp.abs(found.U[limited]) > 0.8 - 1e-8)) >= 2
-    assert float(abs(found.X[limited, -1, 1])) > 0.05 - 1e-6
+    assert int(jnp.sum(jnp.abs(solution.U[limited]) > 0.8 - 1e-8)) >= 2
+    assert float(abs(solution.X[limited, -1, 1])) > 0.05 - 1e-6
     values, slopes = (a.reshape(2, len(STEPS), *a.shape[1:]) for a in (values, slopes))
     apart = jnp.swapaxes(values[:, 1:8] - values[:, 8:], 1, 2) / (2 * H)
     np.testing.assert_allclose(slopes[:, 0], apart, rtol=1e-5, atol=1e-5)
@@ -74,8 +74,8 @@ def test_derivatives_equal_central_differences():
 
 
 def test_a_solve_that_does_not_converge_has_no_derivative():
-    slopes, (found, _) = forward(AROUND, jnp.asarray(2))
-    assert not bool(jnp.any(found.result == RESULTS.successful))
+    slopes, (solution, _) = forward(AROUND, jnp.asarray(2))
+    assert not bool(jnp.any(solution.result == RESULTS.successful))
     assert bool(jnp.all(jnp.isnan(slopes[:, :N])))
 
 

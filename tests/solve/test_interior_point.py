@@ -65,18 +65,18 @@ def dense_qp(x0, p):
 
 def test_the_optimum_with_active_input_bounds_is_that_of_a_quadratic_program():
     x0s, ps = starts(5)
-    found = batch(jnp.asarray(x0s), jnp.asarray(ps), jnp.zeros((5, N, 2)))
+    solutions = batch(jnp.asarray(x0s), jnp.asarray(ps), jnp.zeros((5, N, 2)))
     active = 0
     for i in range(5):
         X, U, cost = dense_qp(x0s[i], ps[i])
         active += int(np.sum(np.abs(U) > LIMIT - 1e-9))
-        np.testing.assert_allclose(found.X[i], X, atol=1e-6)
-        np.testing.assert_allclose(found.U[i], U, atol=1e-6)
-        assert float(found.cost[i]) == pytest.approx(cost, rel=1e-7)
+        np.testing.assert_allclose(solutions.X[i], X, atol=1e-6)
+        np.testing.assert_allclose(solutions.U[i], U, atol=1e-6)
+        assert float(solutions.cost[i]) == pytest.approx(cost, rel=1e-7)
     assert active > 0  # else the bounds would not have been tested
-    assert bool(jnp.all(found.result == RESULTS.successful))
-    assert bool(jnp.all(jnp.maximum(found.kkt, found.violation) <= 1e-9))
-    assert bool(jnp.all(jnp.abs(found.U) <= LIMIT + 1e-8))
+    assert bool(jnp.all(solutions.result == RESULTS.successful))
+    assert bool(jnp.all(jnp.maximum(solutions.kkt, solutions.violation) <= 1e-9))
+    assert bool(jnp.all(jnp.abs(solutions.U) <= LIMIT + 1e-8))
 
 
 def test_a_start_outside_the_bounds_ends_at_the_same_optimum():

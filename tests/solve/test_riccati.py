@@ -50,18 +50,18 @@ def dense(q: Quadratic):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_direction_solves_the_dense_kkt_system(seed):
     q = random_problem(seed)
-    found = newton_direction(q)
+    direction = newton_direction(q)
     dX, dU, costates = dense(q)
     # the floor on the scaled eigenvalues of the input blocks, 1e-8, bounds the agreement
-    np.testing.assert_allclose(found.dX, dX, rtol=0, atol=1e-5 * np.abs(dX).max())
-    np.testing.assert_allclose(found.dU, dU, rtol=0, atol=1e-5 * np.abs(dU).max())
-    np.testing.assert_allclose(found.costates, costates, rtol=0, atol=1e-5 * np.abs(costates).max())
+    np.testing.assert_allclose(direction.dX, dX, rtol=0, atol=1e-5 * np.abs(dX).max())
+    np.testing.assert_allclose(direction.dU, dU, rtol=0, atol=1e-5 * np.abs(dU).max())
+    np.testing.assert_allclose(direction.costates, costates, rtol=0, atol=1e-5 * np.abs(costates).max())
 
 
 def test_the_policy_reproduces_the_direction():
-    found = newton_direction(random_problem(3))
-    du = found.k + jnp.einsum("kij,kj->ki", found.K, found.dX[:-1])
-    np.testing.assert_allclose(du, found.dU, rtol=1e-12, atol=1e-12)
+    direction = newton_direction(random_problem(3))
+    du = direction.k + jnp.einsum("kij,kj->ki", direction.K, direction.dX[:-1])
+    np.testing.assert_allclose(du, direction.dU, rtol=1e-12, atol=1e-12)
 
 
 def absolute(R: np.ndarray) -> np.ndarray:
@@ -83,9 +83,9 @@ MATRICES = [
 @pytest.mark.parametrize("R", MATRICES)
 def test_the_inverse_has_absolute_eigenvalues(R):
     R = np.asarray(R)
-    found = np.asarray(jax.jit(inverse_absolute)(jnp.asarray(R)))
-    np.testing.assert_allclose(found, absolute(R), rtol=1e-6, atol=1e-12)
-    assert np.all(np.linalg.eigvalsh(found) > 0)
+    inverse = np.asarray(jax.jit(inverse_absolute)(jnp.asarray(R)))
+    np.testing.assert_allclose(inverse, absolute(R), rtol=1e-6, atol=1e-12)
+    assert np.all(np.linalg.eigvalsh(inverse) > 0)
 
 
 def test_a_positive_matrix_is_simply_inverted():

@@ -107,16 +107,16 @@ def test_collected_laps_pad_what_a_stage_lacks(run):
     Z = np.random.default_rng(0).normal(size=(2, 3, 5))
     run.write_stage("gpr-1", laps(2, 6, "path", gp_Z=Z, gp_mask=np.ones((2, 3), bool)), b"")
     run.write_laps()
-    whole = run.read_dataset("laps.nc")
-    assert whole.sizes["stage"] == 2 and list(whole["stage"].values) == ["lqr", "gpr-1"]
-    np.testing.assert_array_equal(whole["V"].values[0, 0, :4], run.read_stage("lqr")["V"].values[0])
-    assert np.isnan(whole["V"].values[0, 0, 4:]).all() and np.isnan(whole["V"].values[0, 1]).all()
-    assert whole["controller"].values.tolist() == [["lqr", ""], ["path", "path"]]
-    assert whole["code"].values.tolist() == [[1, -1], [1, 1]] and not whole["alive"].values[0, 1].any()
-    assert np.isnan(whole["gp_Z"].values[0]).all() and not whole["gp_mask"].values[0].any()
-    np.testing.assert_array_equal(whole["gp_Z"].values[1], Z)
-    np.testing.assert_allclose(whole["t"].values, 0.05 * np.arange(6))
-    assert whole["V"].attrs["units"] == "m/s"
+    laps_of_all = run.read_dataset("laps.nc")
+    assert laps_of_all.sizes["stage"] == 2 and list(laps_of_all["stage"].values) == ["lqr", "gpr-1"]
+    np.testing.assert_array_equal(laps_of_all["V"].values[0, 0, :4], run.read_stage("lqr")["V"].values[0])
+    assert np.isnan(laps_of_all["V"].values[0, 0, 4:]).all() and np.isnan(laps_of_all["V"].values[0, 1]).all()
+    assert laps_of_all["controller"].values.tolist() == [["lqr", ""], ["path", "path"]]
+    assert laps_of_all["code"].values.tolist() == [[1, -1], [1, 1]] and not laps_of_all["alive"].values[0, 1].any()
+    assert np.isnan(laps_of_all["gp_Z"].values[0]).all() and not laps_of_all["gp_mask"].values[0].any()
+    np.testing.assert_array_equal(laps_of_all["gp_Z"].values[1], Z)
+    np.testing.assert_allclose(laps_of_all["t"].values, 0.05 * np.arange(6))
+    assert laps_of_all["V"].attrs["units"] == "m/s"
 
 
 def test_collect_without_stages_is_reported(run):
@@ -162,7 +162,7 @@ def test_runs_are_listed_and_other_folders_passed_over(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "config.yaml").write_text("a: 1")
     made = [RunFolder.create(tmp_path / "runs" / name, CONFIG).path for name in ("a", "b")]
-    assert [found.path for found in list_runs(tmp_path)] == made
+    assert [run.path for run in list_runs(tmp_path)] == made
     assert list_runs(tmp_path / "absent") == []
 
 

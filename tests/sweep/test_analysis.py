@@ -27,14 +27,14 @@ def test_shares_of_the_variance_are_those_of_ishigami():
     rng = np.random.default_rng(0)
     x = rng.uniform(-np.pi, np.pi, (6000, 3))
     y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    found = sensitivity(analysis_of({name: x[:, i] for i, name in enumerate("abc")}, y))
-    assert found is not None
-    assert found["a"][0] == pytest.approx(0.314, abs=0.03)
-    assert found["b"][0] == pytest.approx(0.442, abs=0.09)  # eight groups are coarse for two periods
-    assert found["c"][0] == pytest.approx(0.0, abs=0.02)
-    assert 0.14 < found["a with c"][0] < 0.26
-    assert found["a with b"][0] == pytest.approx(0.0, abs=0.03)
-    assert found["a"][1] < found["a"][0] < found["a"][2]
+    shares = sensitivity(analysis_of({name: x[:, i] for i, name in enumerate("abc")}, y))
+    assert shares is not None
+    assert shares["a"][0] == pytest.approx(0.314, abs=0.03)
+    assert shares["b"][0] == pytest.approx(0.442, abs=0.09)  # eight groups are coarse for two periods
+    assert shares["c"][0] == pytest.approx(0.0, abs=0.02)
+    assert 0.14 < shares["a with c"][0] < 0.26
+    assert shares["a with b"][0] == pytest.approx(0.0, abs=0.03)
+    assert shares["a"][1] < shares["a"][0] < shares["a"][2]
 
 
 def test_noise_explains_nothing_on_average_however_few_the_trials():
@@ -56,11 +56,11 @@ def test_a_sweep_is_reported_with_figures(tmp_path):
     analysis = analyse(Store(tmp_path, config, TOY), config)
     assert analysis.status == {"done": 80, "failed": 40} and analysis.num_without == 40 and len(analysis.ids) == 40
     assert np.all(np.diff(analysis.objective) >= 0)
-    found = to_json(analysis, sensitivity(analysis))
-    best = found["best"][0]
+    content = to_json(analysis, sensitivity(analysis))
+    best = content["best"][0]
     assert best["objective"] == pytest.approx((best["x"] - 2) ** 2 + 0.1 * best["gp.size"] * best["gp.P.0"])
-    assert best["kind"] == "good" and found["sensitivity"]["x"]["share"] > 0.5
-    assert aligned(best_trials(found))[0].split() == ["trial", "lateral_error", "lap_time", *fields]
+    assert best["kind"] == "good" and content["sensitivity"]["x"]["share"] > 0.5
+    assert aligned(best_trials(content))[0].split() == ["trial", "lateral_error", "lap_time", *fields]
     paths = write_figures(analysis, sensitivity(analysis), tmp_path / "figures")
     assert {path.stem for path in paths} == {
         "main_effects", "interactions", "parallel_coordinates", "pareto", "sensitivity",
@@ -84,7 +84,7 @@ def test_all_runs_are_one_table(tmp_path):
     assert num == 1 and columns[-1] == "gp.P.0"
     row = dict(zip(columns, rows[0], strict=True))
     assert row["lateral_error"] == pytest.approx(0.4) and row["folder"] == str(tmp_path / "s")
-    ids = [found[columns.index("trial")] for found in find_laps(tmp_path, "stage = 'last' and x = 2.0", 8)[1]]
+    ids = [row[columns.index("trial")] for row in find_laps(tmp_path, "stage = 'last' and x = 2.0", 8)[1]]
     (a, better), (b, worse) = (read_run(tmp_path, name) for name in ids)
     assert differences(a, b) == [("gp.P.0", 1.0, 3.0)] and differences(a, a) == []
     assert [name for name, *_ in differences(better, worse)] == ["first: lateral_error", "last: lateral_error"]

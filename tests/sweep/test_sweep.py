@@ -133,15 +133,15 @@ NAMES = {"work": "own_work.py", "helper": "own_helper.py", "part": "bag/parts/0.
 def test_designs_fill_their_ranges(design):
     fields = {"x": {"low": 1.0, "high": 100.0, "log": True}, "gp.size": {"low": 1, "high": 4, "integer": True}}
     config = config_of(fields=fields | {"kind": ["good", "nan"]}, design=design, num=400, seed=3)
-    found = list(points(config))
-    assert len(found) == num_points(config) == 400 and found == list(points(config))
-    x = np.array([point["x"] for point in found], float)
+    design_points = list(points(config))
+    assert len(design_points) == num_points(config) == 400 and design_points == list(points(config))
+    x = np.array([point["x"] for point in design_points], float)
     assert np.all((x >= 1.0) & (x <= 100.0))
     below = np.sum(x < 10.0)  # half of them, in the logarithm
     assert below == 200 if design == "lhs" else 160 < below < 240
     for size in (1, 2, 3, 4):
-        assert 70 < sum(point["gp.size"] == size for point in found) < 130
-    assert {type(point["gp.size"]) for point in found} == {int}
+        assert 70 < sum(point["gp.size"] == size for point in design_points) < 130
+    assert {type(point["gp.size"]) for point in design_points} == {int}
 
 
 def test_a_random_design_is_the_beginning_of_a_longer_one():

@@ -23,18 +23,18 @@ def slope(p):
 
 
 def test_gradients_go_to_the_lowest_point_of_the_box_within_the_budget():
-    found = descend(evaluate, slope, BOX, 60)
-    assert found.cost <= 60 and np.all(np.abs(found.p) <= BOX)
+    result = descend(evaluate, slope, BOX, 60)
+    assert result.cost <= 60 and np.all(np.abs(result.p) <= BOX)
     grid = np.stack(np.meshgrid(*[np.linspace(-2, 2, 201)] * 2), axis=-1).reshape(-1, 2)
-    assert found.loss <= evaluate(grid).min() * 1.001
-    costs, losses = np.array(found.history).T
+    assert result.loss <= evaluate(grid).min() * 1.001
+    costs, losses = np.array(result.history).T
     assert np.all(np.diff(losses) <= 0) and np.all(np.diff(costs) > 0)
 
 
 def test_a_gradient_that_misleads_never_makes_it_worse():
-    found = descend(evaluate, lambda p: (-slope(p)[0], slope(p)[1]), BOX, 60)
-    assert found.loss <= evaluate(np.zeros((1, 2)))[0]
-    assert found.cost < 60  # gives up
+    result = descend(evaluate, lambda p: (-slope(p)[0], slope(p)[1]), BOX, 60)
+    assert result.loss <= evaluate(np.zeros((1, 2)))[0]
+    assert result.cost < 60  # gives up
 
 
 @pytest.mark.parametrize("budget", [2, 7, 30])
@@ -45,6 +45,6 @@ def test_random_search_spends_its_budget_in_the_box_and_keeps_the_best(budget):
         seen.append(points)
         return evaluate(points)
 
-    found = random_search(watched, BOX, budget, seed=1)
-    assert found.cost == budget == sum(map(len, seen)) and np.all(np.abs(seen[0]) <= BOX)
-    assert found.loss == evaluate(seen[0]).min() and len(found.history) == budget
+    result = random_search(watched, BOX, budget, seed=1)
+    assert result.cost == budget == sum(map(len, seen)) and np.all(np.abs(seen[0]) <= BOX)
+    assert result.loss == evaluate(seen[0]).min() and len(result.history) == budget

@@ -47,8 +47,8 @@ def evaluated(tyre: MagicFormula2012, kappa, alpha, Fz, gamma, pressure):
 def test_forces_equal_those_of_an_independent_implementation(tmp_path):
     tyre = magic_formula(read_tir(tir_file(tmp_path)))
     kappa, a, Fz, g, pressure, *reference = REFERENCE.T
-    found, moment, lengths = evaluated(tyre, kappa, np.arctan(a), Fz, np.arcsin(g), pressure)
-    np.testing.assert_allclose(found, reference, rtol=1e-5)  # their Fx takes gamma for its sine
+    forces, moment, lengths = evaluated(tyre, kappa, np.arctan(a), Fz, np.arcsin(g), pressure)
+    np.testing.assert_allclose(forces, reference, rtol=1e-5)  # their Fx takes gamma for its sine
     assert np.isfinite(moment).all()
     at = tyre.slip(kappa, np.arctan(a), Fz, np.arcsin(g), pressure)
     f = Fz / (0.95 * 4000) - 1
@@ -71,13 +71,13 @@ def test_magic_formula_52_equals_commonroads_subset(tmp_path):
     file = read_tir(tir_file(tmp_path, 52, **(scales | zero | theirs | {"PKY2": 1})))
     kappa, alpha = np.meshgrid([-0.2, -0.03, 0.05], [-0.15, 0.02, 0.1])
     kappa, alpha, Fz = kappa.ravel()[:8], alpha.ravel()[:8], 4000.0
-    found, _, _ = evaluated(magic_formula(file), kappa, alpha, np.full(8, Fz), np.zeros(8), np.full(8, 2e5))
+    forces, _, _ = evaluated(magic_formula(file), kappa, alpha, np.full(8, Fz), np.zeros(8), np.full(8, 2e5))
     for i in range(8):
         Fx0 = formula_longitudinal(-kappa[i], 0.0, Fz, tire)
         Fy0, mu = formula_lateral(alpha[i], 0.0, Fz, tire)
         Fx = formula_longitudinal_comb(kappa[i], alpha[i], Fx0, tire)
         Fy = formula_lateral_comb(kappa[i], alpha[i], 0.0, mu, Fz, Fy0, tire)
-        np.testing.assert_allclose(np.asarray(found)[:, i], [Fx0, Fy0, Fx, Fy], rtol=1e-7, atol=1e-4)
+        np.testing.assert_allclose(np.asarray(forces)[:, i], [Fx0, Fy0, Fx, Fy], rtol=1e-7, atol=1e-4)
 
 
 def test_the_aligning_moment_is_side_force_times_trail_at_small_slip(tmp_path):
@@ -116,10 +116,10 @@ def test_a_fit_recovers_coefficients_from_noisy_forces(tmp_path):
     (_, _, Fx, Fy), _, _ = evaluated(magic_formula(truth), *(data[key] for key in inputs))
     data |= {"Fx": np.asarray(Fx) + 20 * rng.standard_normal(n), "Fy": np.asarray(Fy) + 20 * rng.standard_normal(n)}
     data["Fx"][::7] = np.nan
-    found = fit_tir(first, data, names)
+    fitted = fit_tir(first, data, names)
     for name in set(names) - {"PEY1"}:  # the curvature is hardly seen at these slips
-        assert found.values[name] == pytest.approx(truth.values[name], rel=0.02)
-    (_, _, *again), _, _ = evaluated(magic_formula(found), *(data[key] for key in inputs))
+        assert fitted.values[name] == pytest.approx(truth.values[name], rel=0.02)
+    (_, _, *again), _, _ = evaluated(magic_formula(fitted), *(data[key] for key in inputs))
     assert np.sqrt(np.mean((np.asarray(again) - [Fx, Fy]) ** 2)) < 4.0  # N, of a noise of 20 N
     with pytest.raises(BadInput, match="'PDY9' is no coefficient"):
         fit_tir(first, data, ("PDY9",))

@@ -48,12 +48,12 @@ def drift_state(car: DoubleTrack, beta: float, R: float) -> tuple[PlantState, fl
             for spin in (1.0, 1.4):
                 V = np.sqrt(0.93 * mu * G * R)
                 z = np.array([V, delta, drive, 0.9, 1.0, spin, spin + 0.05, 3.0, 8.0 * mu])
-                found = root(lambda z: np.asarray(_residual(car, z, beta, R)), z,
+                solution = root(lambda z: np.asarray(_residual(car, z, beta, R)), z,
                              jac=lambda z: np.asarray(_jacobian(car, z, beta, R)), method="hybr")  # fmt: skip
-                left = float(np.abs(found.fun).max())
-                if found.x[0] > 0 and abs(found.x[1]) < 1.2 and (best is None or left < best[1]):
-                    best = found.x, left
+                left = float(np.abs(solution.fun).max())
+                if solution.x[0] > 0 and abs(solution.x[1]) < 1.2 and (best is None or left < best[1]):
+                    best = solution.x, left
                     if left < 1e-8:
-                        return _state(car, jnp.asarray(found.x), beta, R), left
+                        return _state(car, jnp.asarray(solution.x), beta, R), left
     assert best is not None
     return _state(car, jnp.asarray(best[0]), beta, R), best[1]

@@ -111,10 +111,10 @@ def rows(effect):
     return np.flatnonzero(np.array(OWNER) == effect)
 
 
-def car_with(car="sedan", **found) -> Universal:
+def car_with(car="sedan", **values_of) -> Universal:
     """The car with these effects at these values, SI."""
-    model = universal_car(load_vehicle(car), tuple(effect for name, effect in EFFECTS.items() if name in found))
-    values = np.concatenate([np.atleast_1d(found[effect.name]) for effect in model.effects])
+    model = universal_car(load_vehicle(car), tuple(effect for name, effect in EFFECTS.items() if name in values_of))
+    values = np.concatenate([np.atleast_1d(values_of[effect.name]) for effect in model.effects])
     return model.with_parameters(jnp.asarray(values) / model.scale)
 
 
@@ -133,11 +133,11 @@ def gain(model, x, u, place=STILL, aux=NONE):
 
 def acted(model, commands, V=10.0):
     """Steering angles and drive forces that the actuators make of rows (delta, Fxr)."""
-    memory, found = model.start(DT), []
+    memory, inputs = model.start(DT), []
     for row in commands:
         memory, u = model.apply_actuators(memory, control(*row), jnp.asarray(V), DT)
-        found.append(u)
-    return np.array(found)
+        inputs.append(u)
+    return np.array(inputs)
 
 
 def test_every_canonical_name_is_there_with_its_number():
@@ -178,7 +178,7 @@ def test_neutral_is_the_nominal_car_to_the_last_bit(name, combined_slip):
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_derivatives_at_neutral_are_alive_and_match_forward_differences(effect, name):
-    exact, differences = (found[rows(effect)] for found in derivatives(name))
+    exact, differences = (derivative[rows(effect)] for derivative in derivatives(name))
     assert np.isfinite(exact).all()
     largest = np.abs(exact).max(axis=1, keepdims=True)
     assert (largest > 0).all()
@@ -195,13 +195,13 @@ def test_nothing_is_nan_at_typical_sizes(name, standing, differentiate):
 
 
 def test_drag_pulls_against_the_velocity():
-    found = gain(car_with(aero_drag=0.7), state(20.0, 0.3, 0.2), control(0.1, 1000.0))
-    np.testing.assert_allclose(found, [-0.7 * 400 / 1835, 0, 0], atol=1e-12)
+    change = gain(car_with(aero_drag=0.7), state(20.0, 0.3, 0.2), control(0.1, 1000.0))
+    np.testing.assert_allclose(change, [-0.7 * 400 / 1835, 0, 0], atol=1e-12)
 
 
 def test_bank_pulls_to_the_left():
-    found = gain(car_with(road_bank=0.05), state(20.0), control())
-    np.testing.assert_allclose(found, [0, G * np.sin(0.05) / 20, 0], atol=1e-12)
+    change = gain(car_with(road_bank=0.05), state(20.0), control())
+    np.testing.assert_allclose(change, [0, G * np.sin(0.05) / 20, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -209,8 +209,8 @@ def test_bank_pulls_to_the_left():
 )
 def test_grade_slows_uphill_and_pulls_downhill(psi, expected):
     place = STILL._replace(psi=jnp.asarray(psi))
-    found = gain(car_with(road_grade=(0.05, 0.02)), state(20.0), control(), place)
-    np.testing.assert_allclose(found * [1, 20, 1], [G * expected[0], G * expected[1], 0], atol=1e-12)
+    change = gain(car_with(road_grade=(0.05, 0.02)), state(20.0), control(), place)
+    np.testing.assert_allclose(change * [1, 20, 1], [G * expected[0], G * expected[1], 0], atol=1e-12)
 
 
 def test_drive_loads_the_rear_axle():
@@ -260,8 +260,8 @@ def test_roll_that_is_behind_takes_less_grip():
 def test_head_wind_of_the_cars_own_speed_quadruples_the_pressure():
     place = STILL._replace(psi=jnp.asarray(0.7))
     wind = (-12 * np.cos(0.7), -12 * np.sin(0.7))
-    found = gain(car_with(side_wind=wind), state(12.0), control(), place)
-    np.testing.assert_allclose(found, [-0.002 / 3.05 * 3 * 144, 0, 0], atol=1e-6)
+    change = gain(car_with(side_wind=wind), state(12.0), control(), place)
+    np.testing.assert_allclose(change, [-0.002 / 3.05 * 3 * 144, 0, 0], atol=1e-6)
 
 
 def test_windows_of_the_patches_add_up_to_one():
@@ -292,10 +292,10 @@ def test_front_share_of_the_drive_leaves_its_sum():
 def test_the_whole_force_may_be_on_the_front_axle_but_only_of_its_own_sign(name):
     """At the upper bound a front-driven car, or one that brakes with its front axle only."""
     (p,) = EFFECTS[name].parameters
-    whole = p.bounds(load_vehicle("sedan"))[1]
-    assert whole == pytest.approx(1.0)
+    upper = p.bounds(load_vehicle("sedan"))[1]
+    assert upper == pytest.approx(1.0)
     for F in (3000.0, -3000.0):
-        flow = car_with("sedan", **{name: whole}).flow(state(), control(0.2, F), STILL, NONE)
+        flow = car_with("sedan", **{name: upper}).flow(state(), control(0.2, F), STILL, NONE)
         front = F if (F > 0) == (name == "drive_split") else 0.0
         np.testing.assert_allclose([flow.Fxf, flow.Fxr], [front, F - front], atol=1e-9)
 
@@ -307,17 +307,17 @@ def test_an_axle_passes_on_no_more_than_its_friction(side):
     for F in (3000.0, 9000.0, 1e8):
         x, u = state(10.0, 0.05, 0.2), control(0.05, side * F)
         flow, plain = limited.flow(x, u, STILL, NONE), free.flow(x, u, STILL, NONE)
-        held, asked = (np.array([flow.Fxf, flow.Fxr]) for flow in (flow, plain))
+        held, plain_force = (np.array([flow.Fxf, flow.Fxr]) for flow in (flow, plain))
         grip = np.array([flow.muf * flow.Fzf, flow.mur * flow.Fzr])
-        assert np.all(held * side > 0) and np.all(np.abs(held) < np.minimum(np.abs(asked), grip))
-        share = np.abs(asked) / grip
-        assert np.all(np.abs(held / asked - 1)[share < 0.25] < 1e-3)
+        assert np.all(held * side > 0) and np.all(np.abs(held) < np.minimum(np.abs(plain_force), grip))
+        share = np.abs(plain_force) / grip
+        assert np.all(np.abs(held / plain_force - 1)[share < 0.25] < 1e-3)
         assert np.all(np.abs(np.abs(held) / grip - 1)[share > 100] < 1e-6)
 
 
 def test_power_nears_its_limit():
-    found = acted(car_with(power_limit=1 / 50e3), [(0.0, 5000.0), (0.0, 1e9), (0.0, -5000.0)])
-    np.testing.assert_allclose(found[:, 1], [2500, 5000, -5000], rtol=1e-4)
+    inputs = acted(car_with(power_limit=1 / 50e3), [(0.0, 5000.0), (0.0, 1e9), (0.0, -5000.0)])
+    np.testing.assert_allclose(inputs[:, 1], [2500, 5000, -5000], rtol=1e-4)
 
 
 def test_wheels_spin_up_with_a_lag_that_grows_with_speed():
@@ -337,8 +337,8 @@ def test_delay_of_two_steps_and_of_half_a_step():
 
 def test_play_holds_the_wheels_until_it_is_used_up():
     commands = [(d, 0.0) for d in (0.1, 0.2, 0.19, 0.15, -0.1, -0.09)]
-    found = acted(car_with(steer_backlash=0.03), commands)[:, 0]
-    np.testing.assert_allclose(found, [0.07, 0.17, 0.17, 0.17, -0.07, -0.07], atol=1e-12)
+    inputs = acted(car_with(steer_backlash=0.03), commands)[:, 0]
+    np.testing.assert_allclose(inputs, [0.07, 0.17, 0.17, 0.17, -0.07, -0.07], atol=1e-12)
 
 
 def test_sensors():

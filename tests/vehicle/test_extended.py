@@ -35,11 +35,11 @@ NUM = 16
 def with_effects(car="sedan", size=1.0, combined_slip=1.0, names=(), **values) -> VehicleConfig:
     """A car with all parameters of `names` at `size` typical sizes, and with `values` of one-parameter effects, SI."""
     vehicle = dataclasses.replace(load_vehicle(car), combined_slip=combined_slip)
-    found = [
+    effect_values = [
         EffectParameterValue(effect.name, p.name, values[name] if name in values else size * p.scale(vehicle))
         for name, effect in EFFECTS.items() if name in names or name in values for p in effect.parameters
     ]  # fmt: skip
-    return dataclasses.replace(vehicle, effects=tuple(found))
+    return dataclasses.replace(vehicle, effects=tuple(effect_values))
 
 
 @functools.cache
@@ -75,9 +75,9 @@ def test_rates_are_the_universal_cars(car):
     assert isinstance(extended, Extended) and list(extended.names) == INSIDE
     names = [effect.name for effect in EFFECTS.values() for _ in effect.parameters]
     theta = jnp.asarray([0.7 if name in INSIDE else 0.0 for name in names])
-    whole = rates_of_all(model, theta[None], x, u)[0]
-    size = np.abs(np.asarray(whole)).max(axis=0)
-    np.testing.assert_allclose(rates_of(extended, x, u) / size, whole / size, atol=1e-12)
+    every = rates_of_all(model, theta[None], x, u)[0]
+    size = np.abs(np.asarray(every)).max(axis=0)
+    np.testing.assert_allclose(rates_of(extended, x, u) / size, every / size, atol=1e-12)
     np.testing.assert_allclose(rates_of(extended.scaled(jnp.asarray(0.0)), x, u), rates_of(vehicle.build(), x, u),
                                rtol=1e-9, atol=1e-12)  # fmt: skip
 

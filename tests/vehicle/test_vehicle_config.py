@@ -8,7 +8,7 @@ import yaml
 
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
-from driftjax.vehicle import load_plant, load_vehicle
+from driftjax.vehicle import load_plant, load_vehicle, with_effects, write_vehicle
 
 
 @pytest.mark.parametrize(
@@ -49,3 +49,16 @@ def test_files_with_mistakes_are_refused_with_file_and_key(load, shipped, tmp_pa
         with pytest.raises(BadInput, match=word) as caught:
             load(path)
         assert "car.yaml" in str(caught.value)
+
+
+def test_effects_are_added_in_the_order_of_the_catalogue_and_replace_those_of_their_name(tmp_path):
+    car = with_effects(load_vehicle("f1tenth"), {"steer_delay": {"d": 0.12}, "drive_split": {"p": 0.4}})
+    assert [(one.name, one.value) for one in car.effects] == [
+        ("steer_delay.d", 0.12), ("drive_split.p", 0.4), ("brake_split.p", 0.519)
+    ]  # fmt: skip
+    write_vehicle(tmp_path / "car.yaml", car)
+    assert load_vehicle(tmp_path / "car.yaml").effects == car.effects
+    with pytest.raises(BadInput, match=r"effects: steer_delay.d is -1.0; the value lies in"):
+        with_effects(car, {"steer_delay": {"d": -1.0}})
+    with pytest.raises(BadInput, match="no such effect"):
+        with_effects(car, {"anvil": {"p": 1.0}})

@@ -79,15 +79,15 @@ def channel_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[s
 
 def untransformed_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Signal]:
     """Return the channels in SI units; x and y from latitude and longitude where these are there."""
-    found = {role: one.signal.scaled(one.factor) for role, one in assigned.items()}
-    latitude, longitude = found.pop("latitude", None), found.pop("longitude", None)
-    if latitude is not None and longitude is not None and not {"x", "y"} <= set(found):
+    signals = {role: one.signal.scaled(one.factor) for role, one in assigned.items()}
+    latitude, longitude = signals.pop("latitude", None), signals.pop("longitude", None)
+    if latitude is not None and longitude is not None and not {"x", "y"} <= set(signals):
         there = np.flatnonzero(np.isfinite(latitude.y + longitude.y))
         if there.size:
             north, east = np.degrees(latitude.y), np.degrees(longitude.y)
             metres = east_north(north, east, (float(north[there[0]]), float(east[there[0]])))
-            found |= {role: smoothed(one, dt) for role, one in zip("xy", metres, strict=True)}
-    return found
+            signals |= {role: smoothed(one, dt) for role, one in zip("xy", metres, strict=True)}
+    return signals
 
 
 def _one_pose(assigned: dict[str, ChannelAssignment], known: list[_Known], dt: float) -> dict[str, ChannelAssignment]:
@@ -102,8 +102,8 @@ def _one_pose(assigned: dict[str, ChannelAssignment], known: list[_Known], dt: f
     name = heading_beside(x.column.name, [(name, one[1]) for name, one in scored.items()], best.score)
     if name is None:
         return assigned
-    column, score, found, factor = scored[name]
-    return assigned | {"psi": ChannelAssignment("psi", column.column, column.signal, factor, score, found, None)}
+    column, score, fit, factor = scored[name]
+    return assigned | {"psi": ChannelAssignment("psi", column.column, column.signal, factor, score, fit, None)}
 
 
 def _turned(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
@@ -111,12 +111,12 @@ def _turned(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Chan
     if not {"ax", "ay"} <= set(assigned):
         return assigned
     ahead, left = assigned["ax"], assigned["ay"]
-    found = turned_axes(ahead.signal, left.signal, channel_signals(assigned, dt), dt)
-    if found is None:
+    axes_fits = turned_axes(ahead.signal, left.signal, channel_signals(assigned, dt), dt)
+    if axes_fits is None:
         return assigned
     units = FACTORS["acceleration"]
-    for role, one, follows in zip(("ax", "ay"), (left, ahead), found, strict=True):
-        unit = max(units, key=lambda factor: size_fits(found[1].factor, (factor,)))  # one sensor, one unit
+    for role, one, follows in zip(("ax", "ay"), (left, ahead), axes_fits, strict=True):
+        unit = max(units, key=lambda factor: size_fits(axes_fits[1].factor, (factor,)))  # one sensor, one unit
         factor = float(np.copysign(unit, follows.factor))
         assigned = assigned | {
             role: ChannelAssignment(role, one.column, one.signal, factor, abs(follows.correlation), follows, None)
@@ -137,11 +137,11 @@ def _assigned(known: list[_Known], assigned: dict[str, ChannelAssignment], dt: f
     new = {}
     for i, j in zip(*linear_sum_assignment(padded, maximize=True), strict=True):
         if j < len(known) and scores[i, j] > LEAST:
-            score, found, factor = table[i][j]
+            score, fit, factor = table[i][j]
             taken = scores[i].copy()
             taken[j] = 0.0
             rival = known[int(np.argmax(taken))].column.name if taken.max(initial=0) > 0.95 * score else None
-            new[roles[i]] = ChannelAssignment(roles[i], known[j].column, known[j].signal, factor, score, found, rival)
+            new[roles[i]] = ChannelAssignment(roles[i], known[j].column, known[j].signal, factor, score, fit, rival)
     return _signed(resolve_units(new, {one.column.name: one.said for one in known}, dt), dt)
 
 
@@ -150,10 +150,10 @@ def _scored(role: str, one: _Known, fits: list[RelationFit | None]) -> tuple[flo
     name_score, allowed = one.said.name_score[role], _allowed(role, one.said)
     if not name_score or (role in BY_NAME and name_score < BY_NAME_LEAST):
         return 0.0, None, 1.0
-    there = [found for found in fits if found is not None]
+    there = [fit for fit in fits if fit is not None]
     if not there:
         return ONLY_NAMED * name_score, None, _plain_factor(role, one, allowed)
-    best = max(there, key=lambda found: consistency(found, allowed))
+    best = max(there, key=lambda fit: consistency(fit, allowed))
     agreed = consistency(best, allowed)
     score = NAMED * name_score + FOLLOWS * agreed
     if agreed == 0.0:
@@ -166,18 +166,18 @@ def _allowed(role: str, said: Meaning) -> tuple[float, ...]:
     return (said.unit.factor,) if said.unit else FACTORS.get(DIMENSIONS[role], (1.0,))
 
 
-def _nearest(role: str, found: RelationFit, allowed: tuple[float, ...], one: _Known) -> float:
-    """Return the unit's factor that fits best what a column is to be multiplied by."""
+def _nearest(role: str, fit: RelationFit, allowed: tuple[float, ...], one: _Known) -> float:
+    """Return the factor of the unit that is nearest to the factor of the fitted relation."""
     if role == "delta" and len(allowed) > 1:  # a wheelbase says degrees or radians
-        fits = [factor for factor in allowed if LENGTHS[0] <= factor / abs(found.factor) <= LENGTHS[1]]
+        fits = [factor for factor in allowed if LENGTHS[0] <= factor / abs(fit.factor) <= LENGTHS[1]]
         return fits[0] if fits else _plain_factor(role, one, allowed)
-    if found.relation.scale_free or size_fits(found.factor, allowed) < 0.5:
+    if fit.relation.scale_free or size_fits(fit.factor, allowed) < 0.5:
         return _plain_factor(role, one, allowed)
-    return min(allowed, key=lambda factor: abs(np.log(abs(found.factor) / factor)))
+    return min(allowed, key=lambda factor: abs(np.log(abs(fit.factor) / factor)))
 
 
 def _plain_factor(role: str, one: _Known, allowed: tuple[float, ...]) -> float:
-    """Return the factor where no relation tells it: degrees if radians would be implausible."""
+    """Return the factor where no relation determines it: degrees if the values are implausible as radians."""
     if role in ("latitude", "longitude"):
         return DEG if not one.said.unit else allowed[0]
     most = ANGLES.get(DIMENSIONS[role])
@@ -207,8 +207,8 @@ def _signed(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Chan
         return assigned
     v = channel_signals({role: one._replace(factor=abs(one.factor)) for role, one in assigned.items()}, dt)
     mask = fast(v, len(v["r"].y))
-    found = {rule.name: _cosine(v["r"].y[mask], rule.predicted[mask]) for rule in kinematic_relations("r", v, dt)}
-    clear = {name: cosine for name, cosine in found.items() if abs(cosine) > ALIKE}
+    cosines = {rule.name: _cosine(v["r"].y[mask], rule.predicted[mask]) for rule in kinematic_relations("r", v, dt)}
+    clear = {name: cosine for name, cosine in cosines.items() if abs(cosine) > ALIKE}
     votes = [clear["rate of the course"]] if "rate of the course" in clear else list(clear.values())
     against = sum(vote < 0 for vote in votes)  # a position is seldom mirrored, a yaw rate often
     sign = -1.0 if against > len(votes) / 2 and (against > 1 or "rate of the course" in clear) else 1.0
@@ -220,7 +220,7 @@ def _signed(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Chan
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the correlation of two quantities about zero, which a steady circle has too; 0 where nothing is known."""
+    """Return the correlation of two quantities about zero, defined on a steady circle too; 0 without data."""
     both = np.isfinite(a) & np.isfinite(b)
     size = float(np.linalg.norm(a[both]) * np.linalg.norm(b[both]))
     return float(a[both] @ b[both]) / size if size > 0 else 0.0

@@ -91,32 +91,33 @@ def _of_table(path: Path) -> LogColumns:
         [np.append(_at(grid, t[part], y[part]), apart) for grid, part in zip(grids, parts, strict=False)]
     )
     by_unit = dict(zip(table.names, units, strict=True))
-    columns = [(name, by_unit[name], y) for name, y in numbers.items()]
+    read = [(name, by_unit[name], y) for name, y in numbers.items()]
     run = _run(breaks, words, numbers)
-    usable, flags, constant = _by_values([one for one in columns if one[0] != run])
-    found = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
+    usable, flags, constant = _by_values([one for one in read if one[0] != run])
+    columns = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
     longest = t[max(parts, key=lambda part: part.stop - part.start)] if parts else t
     rates = {name: rate for name in numbers for rate in _uneven(longest)}
-    return LogColumns(path, dt, time, factor, run, found, flags, constant, "header", rates)
+    return LogColumns(path, dt, time, factor, run, columns, flags, constant, "header", rates)
 
 
 def _of_recording(path: Path, kind: str) -> LogColumns:
     stamps: Stamps = "header"
     try:
-        found = all_series(path, kind, stamps)
+        series = all_series(path, kind, stamps)
     except BadInput:
         stamps = "receipt"  # where headers have no time stamps, or of several clocks
-        found = all_series(path, kind, stamps)
-    found = {name: (unit, one) for name, (unit, one) in found.items() if len(one.t) > 1 and (np.diff(one.t) > 0).all()}
-    if not found:
+        series = all_series(path, kind, stamps)
+    rising = lambda t: len(t) > 1 and bool((np.diff(t) > 0).all())
+    series = {name: (unit, one) for name, (unit, one) in series.items() if rising(one.t)}
+    if not series:
         raise BadInput(f"{path}: holds no column of numbers over time; record one.")
-    steps = [float(np.median(np.diff(one.t))) for _, one in found.values()]
+    steps = [float(np.median(np.diff(one.t))) for _, one in series.values()]
     dt = max(min(steps), FINEST)
-    start, end = min(one.t[0] for _, one in found.values()), max(one.t[-1] for _, one in found.values())
+    start, end = min(one.t[0] for _, one in series.values()), max(one.t[-1] for _, one in series.values())
     grid = np.arange(start, end, dt)[:MOST]
-    usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in found.items()])
-    columns = [Column(name, unit, _at(grid, found[name][1].t, y)) for name, unit, y in usable]
-    rates = {name: rate for name, _, _ in usable for rate in _uneven(found[name][1].t)}
+    usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in series.items()])
+    columns = [Column(name, unit, _at(grid, series[name][1].t, y)) for name, unit, y in usable]
+    rates = {name: rate for name, _, _ in usable for rate in _uneven(series[name][1].t)}
     return LogColumns(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates)
 
 
@@ -155,7 +156,7 @@ def _numbers(cells: Sequence[str]) -> np.ndarray | None:
 
 def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
     """Return the column of time, and seconds per unit of it."""
-    best, found = 0.0, None
+    best, best_column = 0.0, None
     for name, y in numbers.items():
         steps = np.diff(y)
         rising = float(np.mean(steps > 0)) if len(steps) else 0.0
@@ -171,10 +172,10 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
         if score > best:
             fits = units_of_time(y)
             factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)
-            best, found = score, (name, factor)
-    if found is None:
+            best, best_column = score, (name, factor)
+    if best_column is None:
         raise BadInput(f"{path}: no column rises like a time; add one called 't', in seconds.")
-    return found
+    return best_column
 
 
 def _run(breaks: np.ndarray, words: dict[str, Sequence[str]], numbers: dict[str, np.ndarray]) -> str | None:
@@ -184,7 +185,7 @@ def _run(breaks: np.ndarray, words: dict[str, Sequence[str]], numbers: dict[str,
     wanted = set(breaks.tolist())
     if not wanted:
         return next((name for name in ("run", "lap", "session") if name in words), None)
-    fits = [name for name, found in changes.items() if wanted <= found and len(found) <= 2 * len(wanted)]
+    fits = [name for name, rows in changes.items() if wanted <= rows and len(rows) <= 2 * len(wanted)]
     return min(fits, key=lambda name: len(changes[name]), default=None)
 
 
@@ -200,7 +201,7 @@ def _at(grid: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def unwrapped(y: np.ndarray) -> np.ndarray:
-    """Return `y` without the jumps of an angle by a whole turn, in degrees or radians; as it is without such."""
+    """Return `y` without the jumps of an angle by a whole turn, in degrees or radians; unchanged without jumps."""
     steps = np.abs(np.diff(y))
     for turn in (2 * np.pi, 360.0):
         jumps = steps > JUMP * turn

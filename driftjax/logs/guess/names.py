@@ -85,7 +85,9 @@ PATTERNS: dict[str, list[tuple[str, float]]] = {
     **{f"w{corner}": [(rf"w{corner}|{_WHEEL} ?({corner}|{corner[::-1]})|({corner}|{corner[::-1]}) {_WHEEL}", 1.0)]
        for corner in ("fl", "fr", "rl", "rr")},
 }  # fmt: skip
-COMPILED = {role: [(re.compile(one), name_score) for one, name_score in found] for role, found in PATTERNS.items()}
+COMPILED = {
+    role: [(re.compile(one), name_score) for one, name_score in patterns] for role, patterns in PATTERNS.items()
+}
 DOUBTS = {"filt": 0.8, "filtered": 0.8, "raw": 0.9, "ref": 0.3, "reference": 0.3, "des": 0.3, "desired": 0.3,
           "target": 0.3, "sim": 0.6, "est": 0.9, "std": 0.2, "cov": 0.1, "covariance": 0.1, "sigma": 0.2, "error": 0.2,
           "err": 0.2, "status": 0.1, "imu": 0.9, "gps": 0.95, "fl": 0.7, "fr": 0.7, "max": 0.3, "min": 0.3,

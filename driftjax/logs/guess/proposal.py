@@ -56,9 +56,9 @@ class Guessed:
     certainty: float
     """From 0 to 1; a score, no probability."""
     reason: str
-    """What speaks for it."""
+    """Evidence for it, in words."""
     delay: float | None
-    """By which the column follows what the others say [s]; None where nothing tells."""
+    """Delay of the column after its prediction from other channels [s]; None where it cannot be estimated."""
 
 
 @dataclass(frozen=True)
@@ -166,14 +166,14 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: flo
     assigned = _steering_ratio(assigned, wheelbase, left)
     v = channel_signals(assigned, log.dt)
     offset = heading_offset(untransformed_signals(assigned, log.dt))
-    found = [Guessed("t", log.time, log.time_factor, 0.0, 1.0, "rises steadily", None)]
+    guesses = [Guessed("t", log.time, log.time_factor, 0.0, 1.0, "rises steadily", None)]
     for role in sorted(assigned, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
-        found.append(_guessed(assigned[role], v, log.dt, offset if role == "psi" else None))
+        guesses.append(_guessed(assigned[role], v, log.dt, offset if role == "psi" else None))
     drive = _drive(assigned, mass)
     lacks = [name for name in CHANNELS if not _provided(name, assigned, drive)]
-    where, rate = _forwards(assigned, v, left), _even_rate(log, found, left)
-    left += _open(log, assigned, lacks, found)
-    return Guess(Path(path), tuple(found), log.run, log.stamps, tuple(left), drive, where, rate)
+    where, rate = _forwards(assigned, v, left), _even_rate(log, guesses, left)
+    left += _open(log, assigned, lacks, guesses)
+    return Guess(Path(path), tuple(guesses), log.run, log.stamps, tuple(left), drive, where, rate)
 
 
 def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
@@ -188,9 +188,9 @@ def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left
     return (Condition(one.column.name, min=least),)
 
 
-def _even_rate(log: LogColumns, found: list[Guessed], left: list[str]) -> float | None:
+def _even_rate(log: LogColumns, guesses: list[Guessed], left: list[str]) -> float | None:
     """Return the rate to resample uneven samples to; None where those of the fastest measured column are even."""
-    measured = [one.column for one in found if one.channel not in ("t", *COMMANDS)]
+    measured = [one.column for one in guesses if one.channel not in ("t", *COMMANDS)]
     rates = [log.rates[name] for name in measured if name in log.rates]
     if not rates:
         return None
@@ -246,7 +246,7 @@ def _one_pair_of_speeds(assigned: dict[str, ChannelAssignment]) -> dict[str, Cha
 def _steering_ratio(
     assigned: dict[str, ChannelAssignment], wheelbase: float | None, left: list[str]
 ) -> dict[str, ChannelAssignment]:
-    """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase tells it."""
+    """Return the channels with a steering wheel's angle divided by the ratio, where the wheelbase determines it."""
     steer = assigned.get("delta")
     if steer is None or steer.fit is None or abs(steer.fit.correlation) < 0.9:
         return assigned
@@ -277,8 +277,8 @@ def _guessed(one: ChannelAssignment, v: dict[str, Signal], dt: float, offset: fl
         reason += f"; '{one.rival}' fits as well"
     turn = 0.0
     if offset is not None and abs(offset) > NEAR_ANGLE:
-        whole = RIGHT_ANGLE * round(offset / RIGHT_ANGLE)
-        turn = whole if abs(offset - whole) < NEAR_ANGLE else offset
+        nearest = RIGHT_ANGLE * round(offset / RIGHT_ANGLE)
+        turn = nearest if abs(offset - nearest) < NEAR_ANGLE else offset
     return Guessed(one.role, one.column.name, _rounded(one.factor), float(turn), round(min(certainty, 1.0), 3), reason,
                    delay)  # fmt: skip
 
@@ -299,12 +299,14 @@ def _provided(name: str, assigned: dict[str, ChannelAssignment], drive: Drive | 
     return name == "t" or name in assigned or (name == "Fxr" and drive is not None)
 
 
-def _open(log: LogColumns, assigned: dict[str, ChannelAssignment], lacks: list[str], found: list[Guessed]) -> list[str]:
+def _open(
+    log: LogColumns, assigned: dict[str, ChannelAssignment], lacks: list[str], guesses: list[Guessed]
+) -> list[str]:
     """Return sentences about channels without a column, and columns without a channel."""
     needed = [name for name in lacks if name not in OPTIONAL]
     sentences = [f"No column was recognised as {', '.join(needed)}, which the diagnosis needs."] if needed else []
     sentences += [f"No column was recognised as {name}: {OPTIONAL[name]}." for name in lacks if name in OPTIONAL]
-    used = {one.column for one in found}
+    used = {one.column for one in guesses}
     rest = [one.name for one in log.columns if one.name not in used]
     pedals = [name for name in rest if PEDALS & set(words_of(name))]
     if "Fxr" in lacks and pedals:

@@ -95,10 +95,10 @@ def turned(v: Values) -> dict[str, Signal]:
 
 def kinematic_relations(role: str, v: Values, dt: float) -> list[Relation]:
     """Return the kinematic relations that predict channel `role` from the channels `v` (SI)."""
-    found = {"V": _speed, "vx": _ahead, "vy": _left, "beta": _sideslip, "r": _yaw_rate, "psi": _heading, "x": _east,
+    rules = {"V": _speed, "vx": _ahead, "vy": _left, "beta": _sideslip, "r": _yaw_rate, "psi": _heading, "x": _east,
              "y": _north, "ax": _along, "ay": _across, "delta": _steering, "Fxr": _force}.get(role)  # fmt: skip
     others = {name: one for name, one in v.items() if name != role}
-    return found(others, dt) if found else []
+    return rules(others, dt) if rules else []
 
 
 def _has(v: Values, *names: str) -> bool:
@@ -123,75 +123,75 @@ def _speed_rate(v: Values, dt: float) -> np.ndarray | None:
 
 
 def _speed(v: Values, dt: float) -> list[Relation]:
-    found = []
+    relations = []
     if _has(v, "x", "y"):
-        found.append(Relation("speed of the position", EXACT, np.hypot(v["x"].rate, v["y"].rate)))
+        relations.append(Relation("speed of the position", EXACT, np.hypot(v["x"].rate, v["y"].rate)))
     if _has(v, "vx"):
-        found.append(Relation("vx", NEAR, np.hypot(v["vx"].y, v["vy"].y if "vy" in v else 0.0)))
-    return [*found, *_speed_otherwise(v)]
+        relations.append(Relation("vx", NEAR, np.hypot(v["vx"].y, v["vy"].y if "vy" in v else 0.0)))
+    return [*relations, *_speed_otherwise(v)]
 
 
 def _speed_otherwise(v: Values) -> list[Relation]:
-    found = [Relation("rate of s", LOOSE, v["s"].rate)] if _has(v, "s") else []
+    relations = [Relation("rate of s", LOOSE, v["s"].rate)] if _has(v, "s") else []
     if _has(v, "r", "ay"):
         turning = np.where(np.abs(v["r"].y) > 0.2 * np.nanstd(v["r"].y), v["r"].y, np.nan)
-        found.append(Relation("ay / r", LOOSE, v["ay"].y / turning))
-    return found
+        relations.append(Relation("ay / r", LOOSE, v["ay"].y / turning))
+    return relations
 
 
 def _ahead(v: Values, dt: float) -> list[Relation]:
-    found = []
+    relations = []
     if _has(v, "x", "y", "psi"):
         along = v["x"].rate * np.cos(v["psi"].y) + v["y"].rate * np.sin(v["psi"].y)
-        found.append(Relation("velocity along the heading", EXACT, along))
+        relations.append(Relation("velocity along the heading", EXACT, along))
     if _has(v, "V"):
-        found.append(Relation("V cos(beta)", NEAR, v["V"].y * (np.cos(v["beta"].y) if "beta" in v else 1.0)))
+        relations.append(Relation("V cos(beta)", NEAR, v["V"].y * (np.cos(v["beta"].y) if "beta" in v else 1.0)))
     if _has(v, "x", "y"):
-        found.append(Relation("speed of the position", NEAR, np.hypot(v["x"].rate, v["y"].rate)))
-    return [*found, *_speed_otherwise(v)]
+        relations.append(Relation("speed of the position", NEAR, np.hypot(v["x"].rate, v["y"].rate)))
+    return [*relations, *_speed_otherwise(v)]
 
 
 def _left(v: Values, dt: float) -> list[Relation]:
-    found = []
+    relations = []
     if _has(v, "x", "y", "psi"):
         across = v["y"].rate * np.cos(v["psi"].y) - v["x"].rate * np.sin(v["psi"].y)
-        found.append(Relation("velocity across the heading", EXACT, across))
+        relations.append(Relation("velocity across the heading", EXACT, across))
     if _has(v, "V", "beta"):
-        found.append(Relation("V sin(beta)", EXACT, v["V"].y * np.sin(v["beta"].y)))
+        relations.append(Relation("V sin(beta)", EXACT, v["V"].y * np.sin(v["beta"].y)))
     if _has(v, "r", "ay") and (speed := _any_speed(v)) is not None:
-        found.append(Relation("ay - V r", LOOSE, v["ay"].y - speed * v["r"].y, of_rate=True))
-    return found
+        relations.append(Relation("ay - V r", LOOSE, v["ay"].y - speed * v["r"].y, of_rate=True))
+    return relations
 
 
 def _sideslip(v: Values, dt: float) -> list[Relation]:
-    found = []
+    relations = []
     if _has(v, "psi") and (way := course(v)) is not None:
-        found.append(Relation("course less heading", EXACT, np.angle(np.exp(1j * (way[0] - v["psi"].y)))))
+        relations.append(Relation("course less heading", EXACT, np.angle(np.exp(1j * (way[0] - v["psi"].y)))))
     if _has(v, "vx", "vy"):
-        found.append(Relation("direction of vx, vy", EXACT, np.arctan2(v["vy"].y, v["vx"].y)))
+        relations.append(Relation("direction of vx, vy", EXACT, np.arctan2(v["vy"].y, v["vx"].y)))
     if _has(v, "r", "ay") and (speed := _any_speed(v)) is not None:
         fast = np.where(speed > SLOW * np.nanmax(speed), speed, np.nan)
-        found.append(Relation("ay / V - r", LOOSE, v["ay"].y / fast - v["r"].y, of_rate=True))
-    return found
+        relations.append(Relation("ay / V - r", LOOSE, v["ay"].y / fast - v["r"].y, of_rate=True))
+    return relations
 
 
 def _yaw_rate(v: Values, dt: float) -> list[Relation]:
-    found = []
+    relations = []
     if _has(v, "psi"):
-        found.append(Relation("rate of the heading", EXACT, v["psi"].rate))
+        relations.append(Relation("rate of the heading", EXACT, v["psi"].rate))
     if (way := course(v)) is not None:
-        found.append(Relation("rate of the course", NEAR, way[1] / dt))
+        relations.append(Relation("rate of the course", NEAR, way[1] / dt))
     if _has(v, "ay") and (speed := _any_speed(v)) is not None:
         fast = np.where(speed > SLOW * np.nanmax(speed), speed, np.nan)
-        found.append(Relation("ay / V", NEAR, v["ay"].y / fast))
-    return found
+        relations.append(Relation("ay / V", NEAR, v["ay"].y / fast))
+    return relations
 
 
 def _heading(v: Values, dt: float) -> list[Relation]:
-    found = [Relation("r", EXACT, v["r"].y, of_rate=True)] if _has(v, "r") else []
+    relations = [Relation("r", EXACT, v["r"].y, of_rate=True)] if _has(v, "r") else []
     if (way := course(v)) is not None:
-        found.append(Relation("rate of the course", NEAR, way[1] / dt, of_rate=True))
-    return found
+        relations.append(Relation("rate of the course", NEAR, way[1] / dt, of_rate=True))
+    return relations
 
 
 def _east(v: Values, dt: float) -> list[Relation]:
@@ -227,8 +227,8 @@ def _across(v: Values, dt: float) -> list[Relation]:
     if speed is None or "r" not in v:
         return []
     sliding = v["vy"].rate if "vy" in v else speed * v["beta"].rate if "beta" in v else None
-    found = [Relation("V r", NEAR, speed * v["r"].y)]
-    return found if sliding is None else [Relation("V (beta' + r)", EXACT, speed * v["r"].y + sliding), *found]
+    relations = [Relation("V r", NEAR, speed * v["r"].y)]
+    return relations if sliding is None else [Relation("V (beta' + r)", EXACT, speed * v["r"].y + sliding), *relations]
 
 
 def _steering(v: Values, dt: float) -> list[Relation]:
@@ -268,7 +268,7 @@ def size_fits(factor: float, allowed: tuple[float, ...]) -> float:
     return 1.0 if inside(*ALIKE) else 0.6 if inside(*NOT_UNLIKE) else 0.1
 
 
-def consistency(found: RelationFit, allowed: tuple[float, ...]) -> float:
+def consistency(fit: RelationFit, allowed: tuple[float, ...]) -> float:
     """Score from 0 to 1 whether a column is the channel of a relation, in units with the factors `allowed`."""
-    follows = max(abs(found.correlation) - WEAK, 0.0) / (1 - WEAK)
-    return found.relation.strength * follows * (1.0 if found.relation.scale_free else size_fits(found.factor, allowed))
+    follows = max(abs(fit.correlation) - WEAK, 0.0) / (1 - WEAK)
+    return fit.relation.strength * follows * (1.0 if fit.relation.scale_free else size_fits(fit.factor, allowed))

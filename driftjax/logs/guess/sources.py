@@ -30,12 +30,12 @@ def turned_axes(ahead: Signal, left: Signal, v: Values, dt: float) -> tuple[Rela
     others = {role: one for role, one in v.items() if role not in ("ax", "ay")}
 
     def best(role: str, column: Signal) -> RelationFit | None:
-        found = [
+        fits = [
             one
             for rule in kinematic_relations(role, others, dt)
             if (one := fit_relation(rule, column, mask)) is not None
         ]
-        return max(found, key=lambda one: abs(one.correlation), default=None)
+        return max(fits, key=lambda one: abs(one.correlation), default=None)
 
     along, across, named = best("ax", left), best("ay", ahead), best("ay", left)
     if along is None or across is None or named is None:

@@ -13,7 +13,7 @@ CLEAR = 0.8  # correlation from which the sizes must agree
 COST = 0.05  # of a unit that is not the first of its dimension, in natural logarithms of a factor
 WORST = 1.5  # of one relation
 LIMITS = {"V": 120.0, "r": 12.0, "beta": 3.2, "ax": 60.0, "ay": 60.0}  # beyond which a channel is implausible [SI]
-SAMPLES = 1200  # that are looked at
+SAMPLES = 1200  # that are compared
 
 
 def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: dict[str, float], dt: float,
@@ -28,7 +28,7 @@ def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: 
         return {}
     every = max(len(next(iter(signals.values())).y) // SAMPLES, 1)
     thin = {role: Signal(one.y[::every], one.rate[::every]) for role, one in signals.items()}
-    best, found = np.inf, dict[str, float]()
+    best, best_sizes = np.inf, dict[str, float]()
     for chosen in product(*(FACTORS[DIMENSIONS[family[0]]] for family in free)):
         sizes = {role: factor for family, factor in zip(free, chosen, strict=True) for role in family}
         scale = lambda role, sizes=sizes: float(np.copysign(sizes.get(role, factors[role]), factors[role]))
@@ -38,8 +38,8 @@ def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: 
             factor != FACTORS[DIMENSIONS[family[0]]][0] for family, factor in zip(free, chosen, strict=True)
         )
         if cost < best:
-            best, found = cost, sizes
-    return found
+            best, best_sizes = cost, sizes
+    return best_sizes
 
 
 def _costs(v: Values, dt: float) -> Iterator[float]:
@@ -49,6 +49,6 @@ def _costs(v: Values, dt: float) -> Iterator[float]:
             yield WORST
         everywhere = np.ones(len(signal.y), bool)
         for rule in kinematic_relations(role, v, dt):
-            found = None if rule.scale_free else fit_relation(rule, signal, everywhere)
-            if found is not None and abs(found.correlation) > CLEAR:
-                yield rule.strength * min(abs(float(np.log(abs(found.factor)))), WORST)
+            fit = None if rule.scale_free else fit_relation(rule, signal, everywhere)
+            if fit is not None and abs(fit.correlation) > CLEAR:
+                yield rule.strength * min(abs(float(np.log(abs(fit.factor)))), WORST)

@@ -44,9 +44,9 @@ def config(horizon: int = HORIZON) -> MPCConfig:
 
 def starts(num: int = 256) -> Starts:
     """Return `num` states and last commands around the drift; up to 256, the first ones do not depend on `num`."""
-    rng, drawn = np.random.default_rng(0), max(num, 256)
-    x = X_REF + SPREAD * rng.uniform(-1, 1, (drawn, 3)) * X_SPREAD
-    previous = U_REF + SPREAD * rng.uniform(-1, 1, (drawn, 2)) * U_SPREAD
+    rng, num_drawn = np.random.default_rng(0), max(num, 256)
+    x = X_REF + SPREAD * rng.uniform(-1, 1, (num_drawn, 3)) * X_SPREAD
+    previous = U_REF + SPREAD * rng.uniform(-1, 1, (num_drawn, 2)) * U_SPREAD
     return Starts(x[:num], previous[:num])
 
 

@@ -59,9 +59,9 @@ def mpc_solves(
 
     def run() -> Solved:
         solve = lambda part: jax.block_until_ready(_batched(kind, problem, part, horizon, TOLERANCES[dtype]))
-        found = [solve(cut[0])] if parts == 1 else list(pool.map(solve, cut))
-        whole = lambda *sides: np.stack(sides, axis=1).reshape(num)
-        return jax.tree.map(whole, *found)
+        solved = [solve(cut[0])] if parts == 1 else list(pool.map(solve, cut))
+        interleaved = lambda *sides: np.stack(sides, axis=1).reshape(num)
+        return jax.tree.map(interleaved, *solved)
 
     return run
 

@@ -94,10 +94,10 @@ def _rows(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Row]:
 
 
 def _case_rows(
-    case: SolveCase, found: Solved, peers: dict[Solver, Peer], times: dict[SolveCase | Solver, Timing], horizon: int
+    case: SolveCase, solved: Solved, peers: dict[Solver, Peer], times: dict[SolveCase | Solver, Timing], horizon: int
 ) -> list[Row]:
     """Return the rows of one case against FATROP, IPOPT where both converge, and the derived time of acados."""
-    facts = _facts(case.kind, found, peers) | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
+    facts = _facts(case.kind, solved, peers) | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
     facts["kkt"] = TOLERANCES[case.dtype]
     fatrop, factor = times.get("fatrop"), ACADOS[case.kind]
     against: list[tuple[str, Timing | None, float | None]] = [(PEERS["fatrop"], fatrop, case.target)]
@@ -111,14 +111,14 @@ def _case_rows(
     ]
 
 
-def _facts(kind: Kind, found: Solved, peers: dict[Solver, Peer]) -> dict[str, float | int | str]:
+def _facts(kind: Kind, batch: Solved, peers: dict[Solver, Peer]) -> dict[str, float | int | str]:
     """Return the share solved to the tolerance, and the largest relative differences of the optimal costs."""
-    solved = np.asarray(found.solved)
+    solved = np.asarray(batch.solved)
     facts: dict[str, float | int | str] = {"solved": float(solved.mean())}
     for name, peer in peers.items():
         facts[f"solved_{name}"] = peer.success
         if kind == "converged":
-            apart = np.abs(np.asarray(found.cost, float) / peer.costs[: len(solved)] - 1)
+            apart = np.abs(np.asarray(batch.cost, float) / peer.costs[: len(solved)] - 1)
             facts[f"cost_difference_{name}"] = float(np.max(apart))  # also of those not solved to the tolerance
     return facts
 

@@ -34,12 +34,12 @@ def run_bench(cfg: BenchConfig, out: Path, report: Callable[[str, int, int], Non
     out.mkdir(parents=True, exist_ok=True)
     for number, part in enumerate(cfg.only):
         report(part, number, len(cfg.only))
-        found = run_part(part, cfg)
+        part_results = run_part(part, cfg)
         # at these sizes the targets mean nothing
         results["rows"] += (
-            [row | {"target": None, "met": None} for row in found["rows"]] if cfg.quick else found["rows"]
+            [row | {"target": None, "met": None} for row in part_results["rows"]] if cfg.quick else part_results["rows"]
         )
-        results["curves"] += found["curves"]
+        results["curves"] += part_results["curves"]
         write_results(results, out)  # what is measured is kept whatever comes next
     report("done", len(cfg.only), len(cfg.only))
     write_curves(results["curves"], out)

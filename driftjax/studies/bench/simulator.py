@@ -45,11 +45,12 @@ def single_track_steps(dtype: Dtype, batch: int) -> Callable[[], State]:
     return lambda: call(step, inputs, car)
 
 
-def double_track_steps(dtype: Dtype, batch: int, executor: BatchExecutor) -> Callable[[], PlantState]:
-    """Return one step of `batch` double-track cars on `executor`, ready to run.
+def double_track_steps(dtype: Dtype, batch: int, executor: BatchExecutor | None = None) -> Callable[[], PlantState]:
+    """Return one step of `batch` double-track cars on `executor` (in one call where None), ready to run.
 
     XLA does not split a program of that length over its own threads.
     """
+    executor = BatchExecutor(None) if executor is None else executor
     V, beta, r, delta, Fxr, _ = map(jnp.asarray, columns(batch, dtype))
     plant = jax.tree.map(lambda leaf: leaf.astype(dtype), load_plant("sedan").build())
     state = jax.vmap(plant.rolling)(V)

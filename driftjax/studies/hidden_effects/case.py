@@ -104,7 +104,7 @@ def draw_hidden(name: str, scale: float, rng: np.random.Generator) -> Hidden:
 
 def draw_names(num: int, choice: tuple[str, ...], rng: np.random.Generator) -> list[str]:
     """Draw `num` of `choice` in random order, each equally often."""
-    drawn: list[str] = []
-    while len(drawn) < num:
-        drawn += [choice[i] for i in rng.permutation(len(choice))]
-    return drawn[:num]
+    names: list[str] = []
+    while len(names) < num:
+        names += [choice[i] for i in rng.permutation(len(choice))]
+    return names[:num]

@@ -51,20 +51,20 @@ def draw_cases(
 ) -> list[Case]:  # fmt: skip
     """Draw all cases of `seed`, with effects from `choice`."""
     rng = np.random.default_rng(seed)
-    drawn: list[Case] = []
+    cases: list[Case] = []
     for car in cars:
-        drawn += [Case("none", car, 0) for _ in range(numbers.none)]
-        drawn += [Case("none", car, 0, noise=(0.5, 2.0)[i % 2]) for i in range(numbers.none_noise)]
+        cases += [Case("none", car, 0) for _ in range(numbers.none)]
+        cases += [Case("none", car, 0, noise=(0.5, 2.0)[i % 2]) for i in range(numbers.none_noise)]
         of = lambda num: draw_names(num, choice, rng)
         one = lambda name, scale=1.0: (draw_hidden(name, scale, rng),)
-        drawn += [Case("single", car, 0, one(n), process_noise=0.0) for n in of(numbers.quiet)]  # noqa: B023
-        drawn += [Case("single", car, 0, one(n)) for n in of(numbers.single)]
-        drawn += [Case("single", car, 0, one(n, WEAK), WEAK) for n in of(numbers.weak)]
-        drawn += [Case("pair", car, 0, _two(choice, rng)) for _ in range(numbers.pair)]
-        drawn += [Case("absent", car, 0, one(n), without=(n,)) for n in of(numbers.absent)]
-        drawn += [Case("poor", car, 0, one(n), manoeuvres=POOR) for n in of(numbers.poor)]
-    drawn += [Case("foreign", car, 0) for car, num in (("std", numbers.std), ("mb", numbers.mb)) for _ in range(num)]
-    order = [drawn[i] for i in rng.permutation(len(drawn))]
+        cases += [Case("single", car, 0, one(n), process_noise=0.0) for n in of(numbers.quiet)]  # noqa: B023
+        cases += [Case("single", car, 0, one(n)) for n in of(numbers.single)]
+        cases += [Case("single", car, 0, one(n, WEAK), WEAK) for n in of(numbers.weak)]
+        cases += [Case("pair", car, 0, _two(choice, rng)) for _ in range(numbers.pair)]
+        cases += [Case("absent", car, 0, one(n), without=(n,)) for n in of(numbers.absent)]
+        cases += [Case("poor", car, 0, one(n), manoeuvres=POOR) for n in of(numbers.poor)]
+    cases += [Case("foreign", car, 0) for car, num in (("std", numbers.std), ("mb", numbers.mb)) for _ in range(num)]
+    order = [cases[i] for i in rng.permutation(len(cases))]
     order = [dataclasses.replace(case, seed=int(rng.integers(2**32))) for case in order]
     return [case if case.condition == "poor" else dataclasses.replace(case, manoeuvres=manoeuvres) for case in order]
 

@@ -20,14 +20,14 @@ def write_figures(results: list[Result], out: Path) -> list[Path]:
     """Write all figures for which there are data to `out`; return their paths."""
     good = [r for r in results if "error" not in r]
     of_one = [r for r in good if r["case"]["condition"] in ("none", "single")]
-    found = {
+    figures = {
         "confusion": plot_confusion(of_one),
         "reliability": plot_reliability([r for r in good if r["case"]["condition"] in ("single", "pair")]),
         "coverage": plot_coverage(good),
         "gain": plot_gain(good),
     }
     paths = []
-    for name, figure in found.items():
+    for name, figure in figures.items():
         if figure is not None:
             paths.append(out / f"{name}.png")
             figure.savefig(paths[-1], dpi=130)
@@ -111,13 +111,13 @@ def plot_coverage(results: list[Result]) -> Figure | None:
 
 def plot_gain(results: list[Result]) -> Figure | None:
     """Plot the share of the explainable error removed by the extended car against that of the true car."""
-    found = [r for r in results if "oracle" in r and "extended" in r["skill"]]
-    if not found:
+    compared = [r for r in results if "oracle" in r and "extended" in r["skill"]]
+    if not compared:
         return None
     figure, axis = plt.subplots(figsize=(5.5, 5), layout="constrained")
     axis.plot([-0.2, 1], [-0.2, 1], color="0.6", linestyle="--", label="all that can be explained")
     for named, colour, label in ((True, "C0", "something named"), (False, "C1", "nothing named")):
-        own = [r for r in found if bool(r["named"]) == named]
+        own = [r for r in compared if bool(r["named"]) == named]
         points = np.array([(r["oracle"][0], r["skill"]["extended"][0]) for r in own]).reshape(-1, 2)
         axis.plot(
             *np.clip(points, -0.2, 1).T, "o", color=colour, markersize=4, alpha=0.7, label=f"{label} ({len(own)})"

@@ -20,7 +20,7 @@ from driftjax.vehicle.single_track import G
 
 RUNS, ROWS, DT, STEP = 6, 1000, 0.01, 1e-3  # 60 s at 100 Hz, solved at 1 kHz
 STEER_RATE = 0.4  # largest [rad/s], theirs
-LATERAL, DRIVE = 5.5, 3.0  # largest acceleration asked for [m/s^2]
+LATERAL, DRIVE = 5.5, 3.0  # largest commanded acceleration [m/s^2]
 SPEEDS = (10.0, 15.0)  # at the start of a run [m/s]; driving raises them to some 27
 SIGMA = (0.05, np.deg2rad(0.5), np.deg2rad(0.5), np.deg2rad(0.2))  # noise of V [m/s], beta, r, psi
 REDRAWS = 20

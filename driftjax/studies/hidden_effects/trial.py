@@ -37,15 +37,15 @@ def measured_runs(case: Case, vehicle: VehicleConfig) -> tuple[Run, ...]:
     """Return the runs of a case; a run that spins is driven again, and omitted when it always does."""
     if case.car in FOREIGN:
         return foreign_runs(case.car, case.seed, case.noise)
-    theta, found = case.theta(tuple(EFFECTS.values())), dict[str, Run]()
+    theta, runs_of = case.theta(tuple(EFFECTS.values())), dict[str, Run]()
     campaign = Campaign(case.manoeuvres, noise=case.noise, process_noise=case.process_noise, seed=case.seed)
     for attempt in range(ATTEMPTS):
         runs, truth = record_runs(vehicle, theta, dataclasses.replace(campaign, seed=case.seed + attempt * APART))
-        found = {run.name: run for run in runs} | found
-        missing = set(truth.left_out) - set(found)
+        runs_of = {run.name: run for run in runs} | runs_of
+        missing = set(truth.left_out) - set(runs_of)
         if not missing:
             break
-    return tuple(found[name] for name in sorted(found, key=lambda name: int(name.rsplit("-", 1)[1])))
+    return tuple(runs_of[name] for name in sorted(runs_of, key=lambda name: int(name.rsplit("-", 1)[1])))
 
 
 def run_case(case: Case) -> dict[str, Any]:
@@ -72,17 +72,19 @@ def diagnose_case(
     """
     log, start = Log(runs), time.perf_counter()
     config = DiagnoseConfig(held_out, case.without, gp=False, seed=case.seed)
-    found = diagnose(vehicle, log, config, effects=effects)
-    evidence = found.evidence
+    diagnosis = diagnose(vehicle, log, config, effects=effects)
+    evidence = diagnosis.evidence
     if evidence is None:
-        raise RuntimeError(f"{len(runs)} runs are left: {found.sentence}")
+        raise RuntimeError(f"{len(runs)} runs are left: {diagnosis.sentence}")
     result = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
-    result |= diagnosis_values(found, evidence) | {"naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name}
+    result |= diagnosis_values(diagnosis, evidence) | {
+        "naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name
+    }
     result |= {"hidden": [compare_hidden(evidence, case, name) for name in case.names if name not in case.without]}
     if case.condition == "foreign":
         return result | {"height": height(case.car)}
-    if found.gain and case.effects:
-        gain = found.gain
+    if diagnosis.gain and case.effects:
+        gain = diagnosis.gain
         oracle = open_loop_errors(gain.comparison.problem, case.theta(effects))
         if shares := excess_shares(gain.errors | {"oracle": oracle}, gain.noise_floor, config.seed):
             result |= {"oracle": [shares["oracle"].value, *shares["oracle"].ci95]}
@@ -141,9 +143,9 @@ def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.nd
 
     Parameters `taken` are projected out of every signature.
     """
-    P, owner, whole = partial_out(H, taken), evidence.problem.owner, np.diag(H)
+    P, owner, information = partial_out(H, taken), evidence.problem.owner, np.diag(H)
     H = P.T @ H @ P
-    own = np.diag(H) > CONDITION * whole
+    own = np.diag(H) > CONDITION * information
     cosine = np.where(
         own & own[column], np.abs(H[column]) / np.sqrt(np.where(own, np.diag(H) * H[column, column], 1)), 0
     )

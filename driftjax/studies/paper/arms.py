@@ -39,7 +39,7 @@ def arms(cfg: PaperConfig) -> list[Arm]:
 
     Ablations drive all their GP laps and all their exploration laps, so that they differ in the one change only.
     """
-    found: list[Arm] = []
+    listed: list[Arm] = []
     for car in cfg.cars:
         base = load_learn_config(car)
         plants = min(QUICK_PLANTS, cfg.plants) if cfg.quick else cfg.plants
@@ -47,7 +47,7 @@ def arms(cfg: PaperConfig) -> list[Arm]:
             base, plants=plants, first_plant=cfg.first_plant, noise_seeds=cfg.noise_seeds, seed=cfg.seed,
             controllers=("path", "paper"), compare=True,
         )  # fmt: skip
-        found += [Arm(car, MAIN, "main comparison", main)] if cfg.main else []
+        listed += [Arm(car, MAIN, "main comparison", main)] if cfg.main else []
         small = dataclasses.replace(
             main, plants=min(cfg.ablation_plants, plants), noise_seeds=1, compare=False, converged=0.0,
             controllers=cfg.ablation_controllers, explore=dataclasses.replace(main.explore, fixed_laps=True),
@@ -55,8 +55,8 @@ def arms(cfg: PaperConfig) -> list[Arm]:
         for name in [name for name in ABLATIONS if cfg.ablations and name in (cfg.arms or ABLATIONS)]:
             words, change = ABLATIONS[name]
             arm = Arm(car, name, words, changed(small, change))
-            found.append(dataclasses.replace(arm, like=first_alike(arm, found)))
-    return found
+            listed.append(dataclasses.replace(arm, like=first_alike(arm, listed)))
+    return listed
 
 
 def first_alike(arm: Arm, before: list[Arm]) -> str | None:

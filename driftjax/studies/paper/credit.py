@@ -58,8 +58,8 @@ def credit(ablations: dict[str, Any]) -> dict[str, Any]:
     Lateral errors are mean lap errors [m]; gains are paired over plants, with 95 % intervals by Student's t.
     """
     controllers = dict.fromkeys(who for one in ablations.values() for who in one["methods"])
-    found = {who: _credit(ablations, who) for who in controllers}
-    return {who: one for who, one in found.items() if one["contrasts"]}
+    ladders = {who: _credit(ablations, who) for who in controllers}
+    return {who: one for who, one in ladders.items() if one["contrasts"]}
 
 
 def _credit(ablations: dict[str, Any], who: str) -> dict[str, Any]:
@@ -78,8 +78,8 @@ def _credit(ablations: dict[str, Any], who: str) -> dict[str, Any]:
         for name, (_, before, after) in CONTRASTS.items()
         if before in rungs and after in rungs
     }
-    found = {"rungs": rungs, "contrasts": contrasts}
+    ladder = {"rungs": rungs, "contrasts": contrasts}
     if all(name in rungs for name in SQUARE.values()):
         alone, beside = values("sets") - values("laps"), values("all") - values("correction")
-        found["interaction"] = difference(alone, beside)
-    return found
+        ladder["interaction"] = difference(alone, beside)
+    return ladder

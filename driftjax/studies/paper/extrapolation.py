@@ -16,13 +16,13 @@ def extrapolated(run: RunFolder, controller: str, section: tuple[float, float]) 
     for name in STAGES:
         if name not in run.finished():
             continue
-        data, found = run.read_stage(name), []
+        data, lap_values = run.read_stage(name), []
         for entry in np.flatnonzero(data["controller"].values == controller):
             lap = data.isel(lane=int(entry))
             inside = driven_steps(lap, section)
             z = np.stack([lap[key].values[inside] for key in ("V", "beta", "r", "delta", "Fxr")], axis=1)
-            found.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))
-        every = np.concatenate(found) if found else np.zeros(0)
+            lap_values.append(_faded(z, lap["gp_Z"].values[lap["gp_mask"].values.astype(bool)]))
+        every = np.concatenate(lap_values) if lap_values else np.zeros(0)
         shares[name] = float(np.mean(every)) if len(every) else float("nan")
     return shares
 

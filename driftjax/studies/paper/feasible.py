@@ -32,13 +32,13 @@ def feasible(run: RunFolder) -> dict[str, Any] | None:
     planned = tuple(map(jnp.asarray, (corner.V_b, corner.r_b, corner.beta, corner.R)))
     guess, branch = (scenario.x_eq, scenario.u_eq), jnp.asarray(scenario.branch)
     exists, steady, speed = map(np.asarray, call(drift_exists, residual, scenario.nominal, planned, guess, branch))
-    found: dict[str, Any] = {"V_b": float(corner.V_b), "r_b": float(corner.r_b)}
+    values: dict[str, Any] = {"V_b": float(corner.V_b), "r_b": float(corner.r_b)}
     for who in config.controllers:
         batch = np.array([entry.controller == who for entry in scenario.batch])
         ratio = speed[batch & steady] / corner.V_b
         ends = [float(f(ratio)) if len(ratio) else None for f in (np.mean, np.min, np.max)]
-        found[who] = {"exists": float(exists[batch].mean()), "steady": float(steady[batch].mean()), "speed": ends}
-    return found
+        values[who] = {"exists": float(exists[batch].mean()), "steady": float(steady[batch].mean()), "speed": ends}
+    return values
 
 
 def drift_exists(

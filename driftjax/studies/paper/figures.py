@@ -17,20 +17,20 @@ SHIFT = {"paper": -0.16, "path": 0.16}
 def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
     """Write `statistics_<car>` and `credit_<car>` as .png and .pdf, where they have content; return the PNGs."""
     cars = results["cars"].items()
-    compared = [_draw(car, found, folder) for car, found in cars if "methods" in found]
-    ladders = {car: {who: one for who, one in found["credit"].items() if "interaction" in one and
-                     all(step in one["contrasts"] for step in WATERFALL)} for car, found in cars}  # fmt: skip
+    compared = [_draw(car, result, folder) for car, result in cars if "methods" in result]
+    ladders = {car: {who: one for who, one in result["credit"].items() if "interaction" in one and
+                     all(step in one["contrasts"] for step in WATERFALL)} for car, result in cars}  # fmt: skip
     return compared + [_draw_credit(car, ladder, folder) for car, ladder in ladders.items() if ladder]
 
 
-def _draw(car: str, found: dict[str, Any], folder: Path) -> Path:
-    columns = 2 if found["ablations"] else 1
+def _draw(car: str, result: dict[str, Any], folder: Path) -> Path:
+    columns = 2 if result["ablations"] else 1
     figure, axes = new_figure(2, columns, (7.0 * columns, 8.0))
-    _methods(axes[0, 0], found["methods"])
-    _gains(axes[1, 0], found, TARGETS[car])
-    if found["ablations"]:
-        _ablations(axes[0, 1], found["ablations"], "gpr-best", "GPR, best setting again")
-        _ablations(axes[1, 1], found["ablations"], "explore-best", "explored, best setting again")
+    _methods(axes[0, 0], result["methods"])
+    _gains(axes[1, 0], result, TARGETS[car])
+    if result["ablations"]:
+        _ablations(axes[0, 1], result["ablations"], "gpr-best", "GPR, best setting again")
+        _ablations(axes[1, 1], result["ablations"], "explore-best", "explored, best setting again")
     figure.suptitle(f"{car}: means and 95 % intervals over plants")
     figure.legend(loc="outside lower center", ncols=3)
     return save(figure, folder, f"statistics_{car}")
@@ -78,15 +78,15 @@ def _methods(axis: Axes, methods: dict[str, Any]) -> None:
     axis.set_title("ticks: plants")
 
 
-def _gains(axis: Axes, found: dict[str, Any], aims: dict[str, float]) -> None:
+def _gains(axis: Axes, result: dict[str, Any], aims: dict[str, float]) -> None:
     words = {
         "gpr": "lateral error, GPR\nagainst nominal",
         "exploration": "lateral error, explored\nagainst GPR",
         "exploration_velocity": "speed RMSE, explored\nagainst GPR",
     }
     for y, name in enumerate(words):
-        for who in found["gains"]:
-            _point(axis, y + SHIFT[who], found["gains"][who][name], who)
+        for who in result["gains"]:
+            _point(axis, y + SHIFT[who], result["gains"][who][name], who)
         label = "Wu et al. 2025" if y == 0 else None
         axis.plot([aims[name]], [y], "D", color="black", mfc="none", ms=8, label=label, zorder=5)
     _named(axis, list(words.values()))
@@ -107,22 +107,22 @@ def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> N
 def _draw_credit(car: str, credit: dict[str, Any], folder: Path) -> Path:
     """Draw per controller the waterfall from nominal to explored and the interaction of speed and correction."""
     figure, axes = new_figure(len(credit), 2, (13.0, 4.2 * len(credit)), width_ratios=(2, 1))
-    for row, (who, found) in zip(axes, credit.items(), strict=True):
-        _waterfall(row[0], found)
-        _interaction(row[1], found)
+    for row, (who, ladder) in zip(axes, credit.items(), strict=True):
+        _waterfall(row[0], ladder)
+        _interaction(row[1], ladder)
         row[0].set_title(CONTROLLERS[who])
     figure.suptitle(f"{car}: who owns the gain; means and 95 % intervals over plants, of steps paired")
     return save(figure, folder, f"credit_{car}")
 
 
-def _waterfall(axis: Axes, found: dict[str, Any]) -> None:
-    level = {name: rung["lateral_error"]["mean"] for name, rung in found["rungs"].items()}
+def _waterfall(axis: Axes, ladder: dict[str, Any]) -> None:
+    level = {name: rung["lateral_error"]["mean"] for name, rung in ladder["rungs"].items()}
     axis.barh(0, level["nominal"], color=NOMINAL)
     for y, step in enumerate(WATERFALL, start=1):
         _, before, after = CONTRASTS[step]
         better = level[after] <= level[before]
         axis.barh(y, level[after] - level[before], left=level[before], color=GPR if better else EXPLORED)
-        low, high = found["contrasts"][step]["metres"]["ci95"]
+        low, high = ladder["contrasts"][step]["metres"]["ci95"]
         if low is not None:
             axis.plot([level[before] + low, level[before] + high], [y, y], color="black", lw=1.2)
         axis.plot([level[before]] * 2, [y - 1, y], color="black", lw=0.6)
@@ -133,9 +133,9 @@ def _waterfall(axis: Axes, found: dict[str, Any]) -> None:
     axis.set_xlabel("mean lateral error [m]; blue: less, red: more")
 
 
-def _interaction(axis: Axes, found: dict[str, Any]) -> None:
+def _interaction(axis: Axes, ladder: dict[str, Any]) -> None:
     for correction, colour, shift in (("off", NOMINAL, -0.03), ("on", EXPLORED, 0.03)):
-        cells = [found["rungs"][SQUARE[speed, correction]]["lateral_error"] for speed in ("planned", "sets")]
+        cells = [ladder["rungs"][SQUARE[speed, correction]]["lateral_error"] for speed in ("planned", "sets")]
         x = [shift, 1 + shift]
         axis.plot(x, [cell["mean"] for cell in cells], "o-", color=colour, label=f"correction of the path {correction}")
         for at, cell in zip(x, cells, strict=True):

@@ -20,7 +20,7 @@ def per_plant(data: xr.Dataset, controller: str, section: tuple[float, float]) -
     of = {
         plant: [row for row, name in zip(rows, plants, strict=True) if name == plant] for plant in dict.fromkeys(plants)
     }
-    return {name: np.array([_mean([row[name] for row in found]) for found in of.values()]) for name in rows[0]}
+    return {name: np.array([_mean([row[name] for row in laps]) for laps in of.values()]) for name in rows[0]}
 
 
 def driven_steps(lap: xr.Dataset, section: tuple[float, float]) -> np.ndarray:
@@ -41,8 +41,8 @@ def _lap(lap: xr.Dataset, section: tuple[float, float]) -> dict[str, float]:
     start = inside & (at["s"] <= section[0] + ENTRY * (section[1] - section[0]))
     rms = lambda a, b: _over(inside, (at[a] - at[b]) ** 2) ** 0.5
     completed = bool(lap["completed"].values)
-    found = {name: float(lap[name].values) for name in ("lateral_error", "lateral_error_max", "velocity_rmse")}
-    return found | {
+    errors = {name: float(lap[name].values) for name in ("lateral_error", "lateral_error_max", "velocity_rmse")}
+    return errors | {
         "beta_rmse": rms("beta", "beta_ref"),
         "r_rmse": rms("r", "r_ref"),
         "lap_time": float(lap["t"].values[lap["alive"].values][-1]) if completed else float("nan"),

@@ -28,10 +28,19 @@ DIAGNOSIS = "diagnosis"  # folder below that of the car
 Report = Callable[[str, float, int], None]
 
 
+def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
+    """Open the run folder `path` of a comparison, or create it; raises `BadInput` where it has other options."""
+    there, config = (path / "config.yaml").is_file(), to_dict(cfg)
+    folder = RunFolder.open(path) if there else RunFolder.create(path, config, "paper")
+    if folder.config != config:
+        raise BadInput(f"{path}: holds a comparison with other options; give another --out.")
+    return folder
+
+
 def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
     """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg
-    todo, done, found = arms(cfg), [], {}
+    todo, done, results = arms(cfg), [], {}
     for number, arm in enumerate(todo):
         say = lambda stage, done, of, arm=arm, number=number: report(
             f"{arm.folder}: {stage}", round(number + done / of, 2), len(todo)
@@ -40,10 +49,10 @@ def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_work
         if arm.name == MAIN:
             write_report(open_arm(arm, folder.path))
         done.append((arm, arm_results(arm, folder.path)))
-        found = write_results(cfg, done, folder)  # written after every run, whatever happens next
+        results = write_results(cfg, done, folder)  # written after every run, whatever happens next
     report("done", len(todo), len(todo))
-    write_figures(found, folder.path / "figures")
-    return found
+    write_figures(results, folder.path / "figures")
+    return results
 
 
 def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
@@ -53,9 +62,9 @@ def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
     if not done or (cfg.main and done[0].name != MAIN):
         first = "main comparison" if cfg.main else "first ablation"
         raise BadInput(f"{folder.path}: its {first} is not finished; go on with `driftjax paper --resume`.")
-    found = write_results(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
-    write_figures(found, folder.path / "figures")
-    return found
+    results = write_results(cfg, [(arm, arm_results(arm, folder.path)) for arm in done], folder)
+    write_figures(results, folder.path / "figures")
+    return results
 
 
 def drive_arm(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
@@ -98,11 +107,11 @@ def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
     run = open_arm(arm, out)
     if arm.name == MAIN:
         return {"settings": settings_hash(arm), **compare_methods(run, arm.car), "feasible": feasible(run)}
-    found = {"words": ABLATIONS[arm.name][0], **ablation_results(run)}
+    results = {"words": ABLATIONS[arm.name][0], **ablation_results(run)}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
-        found["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
-    return found
+        results["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
+    return results
 
 
 def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], folder: RunFolder) -> dict[str, Any]:
@@ -120,7 +129,7 @@ def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], fold
     numbers = [*range(cfg.first_plant, cfg.first_plant + first.plants)]
     split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": first.noise_seeds,
              "development": [0, cfg.plants - 1], "held_out": [cfg.plants, 2 * cfg.plants - 1]}  # fmt: skip
-    found = {"options": to_dict(cfg), "split": split, "cars": cars}
-    folder.write_json("results", found)
-    (folder.path / "results.md").write_text(paper_page(found), encoding="utf-8")
-    return found
+    results = {"options": to_dict(cfg), "split": split, "cars": cars}
+    folder.write_json("results", results)
+    (folder.path / "results.md").write_text(paper_page(results), encoding="utf-8")
+    return results

@@ -37,19 +37,19 @@ DRIFTED = 0.95  # of its laps that are to be completed, sideways over half of th
 def compare_methods(run: RunFolder, car: str) -> dict[str, Any]:
     """Return methods, gains, extrapolation and targets of one car."""
     section, stages = section_of(run), {name: run.read_stage(name) for name in run.finished()}
-    found: dict[str, dict[str, dict[str, np.ndarray]]] = {
+    figures: dict[str, dict[str, dict[str, np.ndarray]]] = {
         who: {
             name: per_plant(data, who if who in data["controller"] else name, section) for name, data in stages.items()
         }
         for who in CONTROLLERS
     }  # in older runs the LQR was a driver of its own
-    gains = {who: {name: paired_gain(found[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}
+    gains = {who: {name: paired_gain(figures[who], *spec) for name, spec in GAINS.items()} for who in CONTROLLERS}
     beyond = {who: extrapolated(run, who, section) for who in CONTROLLERS}
     return {
-        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in CONTROLLERS},
+        "methods": {who: {name: summarise_figures(rows) for name, rows in figures[who].items()} for who in CONTROLLERS},
         "gains": gains,
         "extrapolation": beyond,
-        "targets": targets(car, gains["paper"], found),
+        "targets": targets(car, gains["paper"], figures),
     }
 
 
@@ -88,9 +88,9 @@ def ablation_results(run: RunFolder) -> dict[str, Any]:
     """Return figures and gains of an ablation."""
     section, done, controllers = section_of(run), run.finished(), run.config["controllers"]
     stages = {name: run.read_stage(name) for name in ("nominal", "gpr-best", "explore-best") if name in done}
-    found = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in controllers}
+    figures = {who: {name: per_plant(data, who, section) for name, data in stages.items()} for who in controllers}
     return {
-        "methods": {who: {name: summarise_figures(rows) for name, rows in found[who].items()} for who in controllers},
-        "gains": {who: {name: paired_gain(found[who], *GAINS[name]) for name in ("gpr", "exploration", "all")}
+        "methods": {who: {name: summarise_figures(rows) for name, rows in figures[who].items()} for who in controllers},
+        "gains": {who: {name: paired_gain(figures[who], *GAINS[name]) for name in ("gpr", "exploration", "all")}
                   for who in controllers},
     }  # fmt: skip

@@ -38,14 +38,14 @@ def paper_page(results: dict[str, Any]) -> str:
         "paired and on the log ratio of means. (n/N): of the n plants of N that have the figure.",
         "",
     ]
-    for car, found in results["cars"].items():
+    for car, result in results["cars"].items():
         lines += [f"### {car}", ""]
-        if "methods" in found:
-            lines += [f"Settings: SHA-256 {found['settings'][:16]}.", ""]
-            lines += _targets(found["targets"]) + _methods(found["methods"]) + _parts(found)
-            lines += _feasible(found["feasible"]) if found["feasible"] else []
-        lines += _credit(found["credit"], car) if found["credit"] else []
-        lines += _ablations(found["ablations"]) if found["ablations"] else []
+        if "methods" in result:
+            lines += [f"Settings: SHA-256 {result['settings'][:16]}.", ""]
+            lines += _targets(result["targets"]) + _methods(result["methods"]) + _parts(result)
+            lines += _feasible(result["feasible"]) if result["feasible"] else []
+        lines += _credit(result["credit"], car) if result["credit"] else []
+        lines += _ablations(result["ablations"]) if result["ablations"] else []
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -77,13 +77,13 @@ def _methods(methods: dict[str, Any]) -> list[str]:
     return _rows(("method", *(words for words, _ in HEAD.values())), rows)
 
 
-def _parts(found: dict[str, Any]) -> list[str]:
+def _parts(result: dict[str, Any]) -> list[str]:
     """Return the parts of the lateral error, and how often the GP is evaluated far from its data."""
     rows = []
-    for who, stages in found["methods"].items():
+    for who, stages in result["methods"].items():
         for name in stages:
             if name not in ALONE:
-                far = found["extrapolation"][who].get(name)
+                far = result["extrapolation"][who].get(name)
                 parts = (format_interval(stages[name][part], ".3f") for part in PARTS)
                 error = format_interval(stages[name]["lateral_error"], ".3f")
                 rows.append((name, CONTROLLERS[who], error, *parts, "-" if far is None else f"{far:.2f}"))
@@ -92,16 +92,16 @@ def _parts(found: dict[str, Any]) -> list[str]:
     return _rows(head, rows)
 
 
-def _feasible(found: dict[str, Any]) -> list[str]:
+def _feasible(feasibility: dict[str, Any]) -> list[str]:
     """Return whether the plants, as learnt, can drive the planned speed and yaw rate."""
     rows = []
-    for who in (who for who in CONTROLLERS if who in found):
-        mean, low, high = (number(value, ".3f") for value in found[who]["speed"])
-        shares = (f"{found[who][name]:.2f}" for name in ("exists", "steady"))
+    for who in (who for who in CONTROLLERS if who in feasibility):
+        mean, low, high = (number(value, ".3f") for value in feasibility[who]["speed"])
+        shares = (f"{feasibility[who][name]:.2f}" for name in ("exists", "steady"))
         rows.append((CONTROLLERS[who], *shares, f"{mean} ({low} to {high})"))
     head = (
         "nominal car with the GP learnt on each plant",
-        f"share with a drift at V_b {found['V_b']:.2f} m/s and r_b {found['r_b']:.2f} rad/s",
+        f"share with a drift at V_b {feasibility['V_b']:.2f} m/s and r_b {feasibility['r_b']:.2f} rad/s",
         "share with one at the planned sideslip and radius",
         "its speed over V_b: mean (least to largest)",
     )
@@ -113,18 +113,18 @@ def _credit(credit: dict[str, Any], car: str) -> list[str]:
     rungs = [
         (RUNGS[name][0], CONTROLLERS[who], format_interval(cell["lateral_error"], ".3f"),
          format_interval(cell["velocity_rmse"], ".2f"), format_interval(cell["completed"], ".2f"))
-        for who, found in credit.items() for name, cell in found["rungs"].items()
+        for who, ladder in credit.items() for name, cell in ladder["rungs"].items()
     ]  # fmt: skip
     rows: list[tuple[str, ...]] = []
-    for who, found in credit.items():
-        for name, cell in found["contrasts"].items():
+    for who, ladder in credit.items():
+        for name, cell in ladder["contrasts"].items():
             aim = TARGETS[car].get(name.removesuffix("_gross")) if who == "paper" else None
             gains = (format_interval(cell[key], ".0f") for key in ("percent", "velocity_percent"))
             metres = format_interval(cell["metres"], "+.3f")
             rows.append((CONTRASTS[name].words, CONTROLLERS[who], metres, *gains, number(aim, "g")))
-        if "interaction" in found:
+        if "interaction" in ladder:
             words = "interaction: V-sets beside the correction less V-sets alone"
-            rows.append((words, CONTROLLERS[who], format_interval(found["interaction"], "+.3f"), "-", "-", "-"))
+            rows.append((words, CONTROLLERS[who], format_interval(ladder["interaction"], "+.3f"), "-", "-", "-"))
     text = [
         "Who owns the gain: all rows have the same plants and noise, as many GPR laps and, where explored, as many "
         "exploration laps. The single layer has as many laps of data as the double layer here; in the main comparison "
@@ -139,20 +139,20 @@ def _credit(credit: dict[str, Any], car: str) -> list[str]:
 
 def _ablations(ablations: dict[str, Any]) -> list[str]:
     rows = []
-    for found in ablations.values():
-        for who, stages in found["methods"].items():
+    for result in ablations.values():
+        for who, stages in result["methods"].items():
             cells = [format_interval(stages[name]["lateral_error"], ".3f") if name in stages else "-"
                      for name in ("nominal", "gpr-best", "explore-best")]  # fmt: skip
             ends = [stages[name]["completed"] for name in ("gpr-best", "explore-best") if name in stages]
             done = ", ".join(f"{end['mean']:.2f}" for end in ends)
-            gains = (format_interval(found["gains"][who][name], ".0f") for name in ("gpr", "exploration"))
-            rows.append((found["words"], CONTROLLERS[who], *cells, *gains, done))
+            gains = (format_interval(result["gains"][who][name], ".0f") for name in ("gpr", "exploration"))
+            rows.append((result["words"], CONTROLLERS[who], *cells, *gains, done))
     head = ("ablation", "controller", "nominal [m]", "GPR [m]", "explored [m]", "by GPR [%]", "by exploration [%]",
             "completed: GPR, explored")  # fmt: skip
     notes = [
-        f"{found['words'][0].upper()}{found['words'][1:]}, from 60 s of the car that the plants are drawn around: "
-        f"{found['diagnosis']['verdict']}. {found['diagnosis']['sentence']}"
-        for found in ablations.values()
-        if "diagnosis" in found
+        f"{result['words'][0].upper()}{result['words'][1:]}, from 60 s of the car that the plants are drawn around: "
+        f"{result['diagnosis']['verdict']}. {result['diagnosis']['sentence']}"
+        for result in ablations.values()
+        if "diagnosis" in result
     ]
     return _rows(head, rows) + [line for words in notes for line in (words, "")]

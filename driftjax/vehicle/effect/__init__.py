@@ -21,8 +21,8 @@ def default_catalogue(*names: str) -> tuple[Effect, ...]:
 
     Raises `BadInput` for an unknown name.
     """
-    asked = effects_by_name(names)
-    return tuple(effect for effect in EFFECTS.values() if not effect.on_request or effect in asked)
+    requested = effects_by_name(names)
+    return tuple(effect for effect in EFFECTS.values() if not effect.on_request or effect in requested)
 
 
 def effects_by_name(names: tuple[str, ...]) -> tuple[Effect, ...]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from types import FunctionType
 from typing import Any, Literal
 
+from driftjax.vehicle.effect.families import FAMILY_OF
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import G
 
@@ -104,9 +105,14 @@ class Effect:
     sensor_delay: bool = False
     """Whether its three parameters are delays of V, beta and r [s]: `apply` is exact for those of less than a step."""
     on_request: bool = False
-    """Whether a diagnosis looks for it only where it is asked for by name."""
+    """Whether a diagnosis includes it only when its name is given."""
     equation: str = ""
     """Equation and remarks; those of the module's docstring where left out."""
+
+    @property
+    def family(self) -> str:
+        """Return the part of the car or of the measurement that it belongs to, such as "steering" or "sensor"."""
+        return FAMILY_OF[self.name]
 
     def __repr__(self) -> str:
         """Return the fields, own functions by name: without addresses compiled programs can be reused."""

@@ -63,9 +63,9 @@ def test_nothing_is_named_where_nothing_is_hidden(case):
 
 @pytest.mark.parametrize("case", of("single pair"))
 def test_what_was_hidden_is_named_and_measured(case):
-    found = result(case.number)
-    assert found["verdict"] == "NAMED" and set(found["named"]) == set(case.truth), found["sentence"]
-    for cause in found["causes"]:
+    content = result(case.number)
+    assert content["verdict"] == "NAMED" and set(content["named"]) == set(case.truth), content["sentence"]
+    for cause in content["causes"]:
         assert abs(cause["theta"][0] - case.truth[cause["effect"]]) < ERROR
         assert cause["half_width"][0] < HALF_WIDTH
 
@@ -78,29 +78,29 @@ def test_what_the_catalogue_lacks_is_not_named_as_something_else(case):
 @functools.cache
 def foreign_cause() -> tuple[float, float]:
     """Height of the centre of mass [m] that moves load, as found in a drive of CommonRoad's drift model and as true."""
-    found = foreign(11)
-    cause = {one["effect"]: one for one in found["causes"]}["load_transfer_long"]
-    return cause["theta"][0] * cause["scale"][0], found["height"]
+    content = foreign(11)
+    cause = {one["effect"]: one for one in content["causes"]}["load_transfer_long"]
+    return cause["theta"][0] * cause["scale"][0], content["height"]
 
 
 def test_load_transfer_of_a_simulator_that_is_not_ours_is_named():
     """The nominal car has none; nothing of what else differs doubles the height or makes it vanish."""
-    found, true = foreign_cause()
-    assert 0.5 * true < found < 2 * true
+    estimated, true = foreign_cause()
+    assert 0.5 * true < estimated < 2 * true
 
 
 @pytest.mark.xfail(
     strict=True, reason="0.84 m found of 0.61 m: the small catalogue lacks what else differs, as wheel spin"
 )
 def test_the_height_of_the_simulator_that_is_not_ours_is_found_within_15_percent():
-    found, true = foreign_cause()
-    assert found == pytest.approx(true, rel=0.15)
+    estimated, true = foreign_cause()
+    assert estimated == pytest.approx(true, rel=0.15)
 
 
 def test_the_naive_baseline_names_fewer():
     """It is kept to show its bias."""
-    found = [result(case.number) for case in CASES if case.case().condition == "single"]
-    assert sum(map(criteria.naive_right, found)) < sum(map(criteria.named_first, found)) == len(found)
+    results = [result(case.number) for case in CASES if case.case().condition == "single"]
+    assert sum(map(criteria.naive_right, results)) < sum(map(criteria.named_first, results)) == len(results)
 
 
 @pytest.mark.slow

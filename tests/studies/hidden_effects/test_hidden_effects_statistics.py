@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis.cases import examined, whole
+from diagnosis.cases import diagnose_runs, runs_without_spin
 from diagnosis.recorded import NAMES
 from scipy.stats import binom
 
@@ -34,7 +34,7 @@ RIGHT, WRONG = 0.90, 0.15  # least share of right names, largest of false ones
 LEVEL = 0.01  # chance that a kind of few cases fails at its nominal rate
 
 
-def drawn(seed: int):
+def draw_all(seed: int):
     """Cases on both cars in random order."""
     half, few = CASES // 2, FEWER // 2
     numbers = CaseNumbers(
@@ -49,13 +49,13 @@ def sample():
     seed = int(os.environ.get("DRIFTJAX_SEED", np.random.default_rng().integers(2**31)))
     print(f"DRIFTJAX_SEED={seed} DRIFTJAX_CASES={CASES}")
     measured = origin()  # before the hours that follow, in which files may change
-    found: dict[str, list[criteria.Result]] = {}
-    for case in drawn(seed):
-        result = examined(case, whole(case))
+    results_of: dict[str, list[criteria.Result]] = {}
+    for case in draw_all(seed):
+        result = diagnose_runs(case, runs_without_spin(case))
         print(f"{case.line()} -> {result['verdict']} {result['named']}, {result['seconds']:.1f} s", flush=True)
-        found.setdefault(case.condition, []).append(result)
-    record(measured, seed, found)
-    return found
+        results_of.setdefault(case.condition, []).append(result)
+    record(measured, seed, results_of)
+    return results_of
 
 
 def origin() -> dict[str, str | bool]:
@@ -66,20 +66,26 @@ def origin() -> dict[str, str | bool]:
     return {"date": date, "commit": git("rev-parse", "HEAD"), "dirty": bool(changes)}
 
 
-def record(measured: dict[str, str | bool], seed: int, found: dict[str, list[criteria.Result]]) -> None:
+def record(measured: dict[str, str | bool], seed: int, results_of: dict[str, list[criteria.Result]]) -> None:
     """Append the rates to the file of all runs."""
     line: dict[str, Any] = dict(measured)
-    line |= {"seed": seed, "cases": {kind: len(results) for kind, results in found.items()}, "rates": rates(found)}
+    line |= {
+        "seed": seed,
+        "cases": {kind: len(results) for kind, results in results_of.items()},
+        "rates": rates(results_of),
+    }
     OUT.parent.mkdir(parents=True, exist_ok=True)
     with OUT.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(line) + "\n")
     print(f"rates: {OUT}")
 
 
-def rates(found: dict[str, list[criteria.Result]]) -> dict[str, float]:
+def rates(results_of: dict[str, list[criteria.Result]]) -> dict[str, float]:
     """Shares of the cases, and of intervals that hold the truth."""
-    share = lambda kind, what: float(np.mean([what(result) for result in found[kind]]))
-    inside = [one for kind in ("single", "pair") for result in found[kind] for one in criteria.interval_hits(result)]
+    share = lambda kind, what: float(np.mean([what(result) for result in results_of[kind]]))
+    inside = [
+        one for kind in ("single", "pair") for result in results_of[kind] for one in criteria.interval_hits(result)
+    ]
     return {
         "named first": share("single", criteria.named_first),
         "pair found": share("pair", criteria.named_all),

@@ -17,37 +17,37 @@ PLANTS = np.array([0.7, 0.9, 1.1, 1.3])  # the error of each is that many times 
 
 def ablations(*without: str) -> dict[str, Any]:
     """Ablations as in results.json, of which the rungs in `without` were not driven."""
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     for rung, error in ERRORS.items():
         _, name, stage = RUNGS[rung]
         if rung in without:
             continue
         figures = {"lateral_error": error * PLANTS, "velocity_rmse": 2 * error * PLANTS, "completed": np.ones(4)}
-        one = found.setdefault(name, {"words": name, "methods": {"paper": {}}, "gains": {"paper": {}}})
+        one = content.setdefault(name, {"words": name, "methods": {"paper": {}}, "gains": {"paper": {}}})
         one["methods"]["paper"][stage] = summarise_figures(figures)
         one["gains"]["paper"] = dict.fromkeys(("gpr", "exploration"))
-    return found
+    return content
 
 
 def results(*without: str) -> dict[str, Any]:
     """Results of a comparison without its main part."""
-    found = ablations(*without)
+    content = ablations(*without)
     split = {"seed": 6, "half": "held_out", "plants": [4, 5, 6, 7], "noise_seeds": 1}
-    return {"split": split, "cars": {"sedan": {"ablations": found, "credit": credit(found)}}}
+    return {"split": split, "cars": {"sedan": {"ablations": content, "credit": credit(content)}}}
 
 
 def test_gains_are_paired_differences_of_the_rungs_between_which_they_lie():
-    found = credit(ablations())["paper"]
-    assert list(found["rungs"]) == list(RUNGS) and list(found["contrasts"]) == list(CONTRASTS)
+    ladder = credit(ablations())["paper"]
+    assert list(ladder["rungs"]) == list(RUNGS) and list(ladder["contrasts"]) == list(CONTRASTS)
     for name, (_, before, after) in CONTRASTS.items():
-        cell, change = found["contrasts"][name], ERRORS[after] - ERRORS[before]
+        cell, change = ladder["contrasts"][name], ERRORS[after] - ERRORS[before]
         assert cell["metres"]["mean"] == pytest.approx(change) and cell["metres"]["pairs"] == 4
         half = 3.18245 * abs(change) * PLANTS.std(ddof=1) / 2  # Student's t with three degrees of freedom
         np.testing.assert_allclose(cell["metres"]["ci95"], [change - half, change + half], rtol=1e-4)
         for figure in ("percent", "velocity_percent"):  # the same share on every plant: nothing left to vary
             assert cell[figure]["value"] == pytest.approx(-100 * change / ERRORS[before])
             assert np.ptp(cell[figure]["ci95"]) < 1e-6
-    assert found["interaction"]["mean"] == pytest.approx((0.12 - 0.1) - (0.24 - 0.25))
+    assert ladder["interaction"]["mean"] == pytest.approx((0.12 - 0.1) - (0.24 - 0.25))
 
 
 def test_the_waterfall_leads_from_nominal_to_explored_without_a_gap():
@@ -59,10 +59,10 @@ def test_the_waterfall_leads_from_nominal_to_explored_without_a_gap():
 
 
 def test_what_was_not_driven_is_credited_with_nothing():
-    found = credit(ablations("lags", "sets"))["paper"]
-    assert "interaction" not in found
+    ladder = credit(ablations("lags", "sets"))["paper"]
+    assert "interaction" not in ladder
     left = {name for name, (_, *ends) in CONTRASTS.items() if not {"lags", "sets"} & set(ends)}
-    assert set(found["contrasts"]) == left
+    assert set(ladder["contrasts"]) == left
     assert credit({}) == {} and credit(ablations(*(name for name in RUNGS if name != "lags"))) == {}
 
 

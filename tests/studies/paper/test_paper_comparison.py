@@ -55,7 +55,9 @@ def laps(errors: list[list[float]], completed: list[list[bool]]) -> xr.Dataset:
 def test_halves_share_no_plant_and_all_else_is_the_same():
     of = {half: arms(PaperConfig(half=half)) for half in ("held_out", "development")}
     for car in ("sedan", "rc"):
-        mains = {half: next(arm for arm in found if arm.car == car and arm.name == MAIN) for half, found in of.items()}
+        mains = {
+            half: next(arm for arm in listed if arm.car == car and arm.name == MAIN) for half, listed in of.items()
+        }
         numbers = [set(range(m.learn.first_plant, m.learn.first_plant + m.learn.plants)) for m in mains.values()]
         assert len(numbers[0] | numbers[1]) == 32
         assert len({settings_hash(arm) for arm in mains.values()}) == 1
@@ -63,41 +65,43 @@ def test_halves_share_no_plant_and_all_else_is_the_same():
 
 
 def test_an_ablation_differs_in_what_it_says_only():
-    found = [arm for arm in arms(PaperConfig(cars=("rc",))) if arm.name != MAIN]
-    assert [arm.name for arm in found] == list(ABLATIONS)
-    base = to_dict(found[0].learn)
-    assert ABLATIONS[found[0].name][1] == {}
+    ablations = [arm for arm in arms(PaperConfig(cars=("rc",))) if arm.name != MAIN]
+    assert [arm.name for arm in ablations] == list(ABLATIONS)
+    base = to_dict(ablations[0].learn)
+    assert ABLATIONS[ablations[0].name][1] == {}
     flat = lambda d, above="": (
         {above + k: v for k, v in d.items() if not isinstance(v, dict)}
         | {key: v for k, d in d.items() if isinstance(d, dict) for key, v in flat(d, f"{above}{k}.").items()}
     )
-    for arm in (arm for arm in found[1:] if arm.name != EXTENDED):  # whose car is made when it is driven
+    for arm in (arm for arm in ablations[1:] if arm.name != EXTENDED):  # whose car is made when it is driven
         new, old = flat(to_dict(arm.learn)), flat(base)
         change = flat(ABLATIONS[arm.name][1])
         apart = {key for key in new if new[key] != old[key]}
         assert apart and apart <= set(change)
-        assert len({settings_hash(arm), settings_hash(found[0])}) == 2
+        assert len({settings_hash(arm), settings_hash(ablations[0])}) == 2
 
 
 def test_runs_that_share_laps_differ_in_exploration_only():
-    found = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
-    alike = {name: arm.like for name, arm in found.items() if arm.like}
+    arms_of = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
+    alike = {name: arm.like for name, arm in arms_of.items() if arm.like}
     exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "sets_uncorrected")
     assert alike == dict.fromkeys((*exploring, "planned_uncorrected"), "rc/as_it_is")
     for name in alike:
-        without = [dataclasses.replace(found[one].learn, explore=ExploreConfig()) for one in (name, "as_it_is")]
+        without = [dataclasses.replace(arms_of[one].learn, explore=ExploreConfig()) for one in (name, "as_it_is")]
         assert without[0] == without[1]
-        assert found[name].learn.explore.num_sets == found["as_it_is"].learn.explore.num_sets  # of one shape
+        assert arms_of[name].learn.explore.num_sets == arms_of["as_it_is"].learn.explore.num_sets  # of one shape
 
 
 def test_a_choice_of_arms_needs_no_main_comparison_and_shares_among_its_own():
     chosen = ("planned_uncorrected", "planned", "lags")
-    found = arms(PaperConfig(cars=("rc",), main=False, arms=chosen, ablation_plants=16, ablation_controllers=("path",)))
-    assert [(arm.name, arm.like) for arm in found] == [
+    chosen_arms = arms(
+        PaperConfig(cars=("rc",), main=False, arms=chosen, ablation_plants=16, ablation_controllers=("path",))
+    )
+    assert [(arm.name, arm.like) for arm in chosen_arms] == [
         ("lags", None), ("planned", None), ("planned_uncorrected", "rc/planned"),
     ]  # fmt: skip
-    assert all(arm.learn.plants == 16 and arm.learn.first_plant == 16 for arm in found)
-    assert all(arm.learn.controllers == ("path",) and arm.learn.noise_seeds == 1 for arm in found)
+    assert all(arm.learn.plants == 16 and arm.learn.first_plant == 16 for arm in chosen_arms)
+    assert all(arm.learn.controllers == ("path",) and arm.learn.noise_seeds == 1 for arm in chosen_arms)
     bad: list[tuple[dict[str, Any], str]] = [
         ({"arms": ("lag",)}, "names 'lag'; choose among as_it_is"),
         ({"main": False, "ablations": False}, "nothing to drive"),
@@ -111,8 +115,8 @@ def test_a_choice_of_arms_needs_no_main_comparison_and_shares_among_its_own():
 
 def test_arms_drive_as_many_laps_and_differ_step_by_step():
     """The ladder adds one thing at a time; the square of speed and correction has all else in common."""
-    found = {arm.name: arm.learn for arm in arms(PaperConfig(cars=("sedan",)))}
-    ladder = [found[name] for name in ("nominal", "lags", "arrival", "gp_reference", "gp_mpc", "as_it_is")]
+    options = {arm.name: arm.learn for arm in arms(PaperConfig(cars=("sedan",)))}
+    ladder = [options[name] for name in ("nominal", "lags", "arrival", "gp_reference", "gp_mpc", "as_it_is")]
     assert [(a.gp.lags, a.measured_arrival, a.layers) for a in ladder] == [
         (False, False, "none"), (True, False, "none"), (True, True, "none"),
         (True, True, "reference"), (True, True, "mpc"), (True, True, "both"),
@@ -120,7 +124,7 @@ def test_arms_drive_as_many_laps_and_differ_step_by_step():
     bare = [dataclasses.replace(a, gp=ladder[0].gp, measured_arrival=True, layers="both", explore=ExploreConfig())
             for a in ladder]  # fmt: skip
     assert all(a == bare[0] for a in bare) and bare[0].converged == 0
-    square = [found[name].explore for name in ("planned_uncorrected", "planned", "sets_uncorrected", "as_it_is")]
+    square = [options[name].explore for name in ("planned_uncorrected", "planned", "sets_uncorrected", "as_it_is")]
     assert [(one.speeds, one.correction) for one in square] == [
         ("planned", False), ("planned", True), ("sets", False), ("sets", True),
     ]  # fmt: skip
@@ -158,28 +162,28 @@ def test_the_extended_car_is_found_once_and_is_all_that_changes(tmp_path, monkey
 
 
 def test_quick_is_small_and_asks_for_the_main_comparison_only():
-    found = arms(PaperConfig(quick=True).reduced())
-    assert [(arm.car, arm.name) for arm in found] == [("sedan", MAIN), ("rc", MAIN)]
-    assert all(arm.learn.plants == 4 and arm.learn.noise_seeds == 1 for arm in found)
+    quick = arms(PaperConfig(quick=True).reduced())
+    assert [(arm.car, arm.name) for arm in quick] == [("sedan", MAIN), ("rc", MAIN)]
+    assert all(arm.learn.plants == 4 and arm.learn.noise_seeds == 1 for arm in quick)
 
 
 def test_figures_of_a_plant_are_means_over_its_seeds():
-    found = per_plant(laps([[0.2, 0.4], [1.0, 3.0]], [[True, True], [True, False]]), "paper", SECTION)
-    np.testing.assert_allclose(found["lateral_error"], [0.3, 2.0])
-    np.testing.assert_allclose(found["completed"], [1.0, 0.5])
-    np.testing.assert_allclose(found["drifted"], [1.0, 0.5])
-    np.testing.assert_allclose(found["lap_time"], [3.0, 3.0])
-    np.testing.assert_allclose(found["beta_rmse"], 0.1)
-    np.testing.assert_allclose(found["r_rmse"], 0.3)
-    np.testing.assert_allclose(found["entry"], 0.5)
-    np.testing.assert_allclose(found["reference"], 0.1)
-    np.testing.assert_allclose(found["tracking"], (4 * 0.6 + 7 * 0.1) / 11)
+    figures = per_plant(laps([[0.2, 0.4], [1.0, 3.0]], [[True, True], [True, False]]), "paper", SECTION)
+    np.testing.assert_allclose(figures["lateral_error"], [0.3, 2.0])
+    np.testing.assert_allclose(figures["completed"], [1.0, 0.5])
+    np.testing.assert_allclose(figures["drifted"], [1.0, 0.5])
+    np.testing.assert_allclose(figures["lap_time"], [3.0, 3.0])
+    np.testing.assert_allclose(figures["beta_rmse"], 0.1)
+    np.testing.assert_allclose(figures["r_rmse"], 0.3)
+    np.testing.assert_allclose(figures["entry"], 0.5)
+    np.testing.assert_allclose(figures["reference"], 0.1)
+    np.testing.assert_allclose(figures["tracking"], (4 * 0.6 + 7 * 0.1) / 11)
 
 
 def test_a_plant_without_a_completed_lap_has_no_lap_time_and_the_mean_is_of_the_others():
-    found = per_plant(laps([[0.2], [3.0]], [[True], [False]]), "paper", SECTION)
-    assert np.isnan(found["lap_time"][1])
-    cell = summarise_figures(found)["lap_time"]
+    figures = per_plant(laps([[0.2], [3.0]], [[True], [False]]), "paper", SECTION)
+    assert np.isnan(figures["lap_time"][1])
+    cell = summarise_figures(figures)["lap_time"]
     assert cell["mean"] == pytest.approx(3.0) and np.isnan(cell["per_plant"][1])
 
 
@@ -200,17 +204,17 @@ def test_a_gain_is_shown_by_its_size_and_its_interval(value, ci95, met):
     gain = {"value": value, "ci95": ci95}
     rows = ends(0.5, 0.3, 0.2, 0.01)
     gains = {name: gain for name in GAINS}
-    found = {row["name"]: row for row in targets("sedan", gains, {"paper": rows})}
-    assert found["gpr"]["met"] is met and found["gpr"]["aim"] == 52.8
-    assert found["best_error"]["of"] == ("paper", "explore-best") and found["best_error"]["met"]
-    assert found["best_error"]["value"] == pytest.approx(float(rows["explore-best"]["lateral_error"].mean()))
+    rows_of = {row["name"]: row for row in targets("sedan", gains, {"paper": rows})}
+    assert rows_of["gpr"]["met"] is met and rows_of["gpr"]["aim"] == 52.8
+    assert rows_of["best_error"]["of"] == ("paper", "explore-best") and rows_of["best_error"]["met"]
+    assert rows_of["best_error"]["value"] == pytest.approx(float(rows["explore-best"]["lateral_error"].mean()))
 
 
 def test_gains_are_paired_over_plants():
     rows = ends(0.5, 0.3, 0.2, 0.05)
     rows["gpr-best"]["lateral_error"] = 0.5 * rows["nominal"]["lateral_error"]  # half on every plant: no doubt is left
-    found = paired_gain(rows, "nominal", "gpr-best", "lateral_error")
-    assert found["value"] == pytest.approx(50) and np.ptp(found["ci95"]) < 1e-9
+    gain = paired_gain(rows, "nominal", "gpr-best", "lateral_error")
+    assert gain["value"] == pytest.approx(50) and np.ptp(gain["ci95"]) < 1e-9
     assert paired_gain(rows, "nominal", "single-layer", "lateral_error")["value"] is None
 
 
@@ -244,9 +248,9 @@ def test_the_page_keeps_rows_that_were_missed_and_tables_are_even():
 
 
 def test_every_car_has_its_figure(tmp_path):
-    found = results()
-    bare = found["cars"]["rc"] | {"ablations": {}}
-    paths = write_figures({"cars": {"rc": found["cars"]["rc"], "sedan": bare}}, tmp_path)
+    content = results()
+    bare = content["cars"]["rc"] | {"ablations": {}}
+    paths = write_figures({"cars": {"rc": content["cars"]["rc"], "sedan": bare}}, tmp_path)
     assert [path.name for path in paths] == ["statistics_rc.png", "statistics_sedan.png"]
     assert all(path.with_suffix(kind).stat().st_size > 10000 for path in paths for kind in (".png", ".pdf"))
 
@@ -285,15 +289,15 @@ def test_a_comparison_goes_on_where_it_stopped(tmp_path):
     cfg = dataclasses.replace(PaperConfig(), cars=("sedan",), plants=1, noise_seeds=1, ablations=False)
     options = ["--cars", "sedan", "--plants", "1", "--noise-seeds", "1", "--no-ablations", "--half", "development"]
     assert main(["paper", *options, "--out", str(out), "--workers", "2"]) == 0
-    whole = json.loads((out / "results.json").read_text())
-    assert whole["split"]["plants"] == [0] and cfg.first_plant == 1
+    content = json.loads((out / "results.json").read_text())
+    assert content["split"]["plants"] == [0] and cfg.first_plant == 1
     run = RunFolder.open(out / "sedan/main")
     stages = run.finished()
     for path in (out / "sedan/main/stages").glob(f"[0-9][0-9]_{stages[-1]}.*"):
         path.unlink()
     (out / "sedan/main/results.json").unlink()
     assert main(["paper", "--resume", str(out), "--workers", "1"]) == 0
-    assert json.loads((out / "results.json").read_text()) == whole
+    assert json.loads((out / "results.json").read_text()) == content
     (out / "results.md").unlink()
-    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(whole)
+    assert main(["report", str(out)]) == 0 and (out / "results.md").read_text() == paper_page(content)
     assert (out / "figures/statistics_sedan.pdf").exists() and (out / "sedan/main/report.html").exists()
