@@ -12,7 +12,7 @@ copyright = author
 extensions = ["myst_nb", "reference"]
 exclude_patterns = ["_build", "_ext", "generated/api.md", "generated/configuration.md", "generated/effects.md",
                     "generated/variables.md", "generated/learn.md", "generated/real-logs.md",
-                    "generated/hidden-effects-statistics.md"]  # fmt: skip
+                    "generated/hidden-effects-statistics.md", "generated/table-*.md"]  # fmt: skip
 suppress_warnings = ["config.cache"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]

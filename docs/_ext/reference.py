@@ -8,7 +8,7 @@ from catalogue import effects_page, variables_page
 from docutils import nodes
 from docutils.utils.math import latex2mathml
 from options import command_pages, configuration_page
-from results import learn_tables, real_log_tables, statistics_table
+from results import learn_tables, real_log_tables, recorded_tables, statistics_table
 from sphinx.application import Sphinx
 
 BAR = re.compile(r"<mo[^>]*>([|‖])</mo>")
@@ -22,7 +22,8 @@ def write_pages(app: Sphinx) -> None:
     pages |= {"api": api_page(), "configuration": configuration_page(), "effects": effects_page()}
     pages |= {"variables": variables_page(), "learn": learn_tables(Path(app.srcdir)),
               "real-logs": real_log_tables(Path(app.srcdir)),
-              "hidden-effects-statistics": statistics_table(Path(app.srcdir))}  # fmt: skip
+              "hidden-effects-statistics": statistics_table(Path(app.srcdir)),
+              **recorded_tables(Path(app.srcdir))}  # fmt: skip
     for old in folder.glob("*.md"):
         if old.stem not in pages:
             old.unlink()

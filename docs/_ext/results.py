@@ -72,6 +72,29 @@ def statistics_table(docs: Path) -> str:
     return table(("measured", "seed", *(words for words, _ in RATES.values())), rows)
 
 
+def recorded_tables(docs: Path) -> dict[str, str]:
+    """Return each table of docs/results/PAGE-tables.json with its origin, by the name table-PAGE-KEY.
+
+    Cells are text, so that no digit of a measurement is lost. A commit, command or device that is null was not recorded.
+    """
+    pages = {}
+    for path in sorted((docs / "results").glob("*-tables.json")):
+        page = path.stem.removesuffix("-tables")
+        for key, found in json.loads(path.read_text(encoding="utf-8")).items():
+            wrong = [row for row in found["rows"] if len(row) != len(found["head"])]
+            assert not wrong, f"{path.name}, {key}: {wrong} have not as many cells as the head"
+            pages[f"table-{page}-{key}"] = f"{_measured(found['measured'])}\n\n{table(found['head'], found['rows'])}"
+    return pages
+
+
+def _measured(origin: dict[str, str | None]) -> str:
+    words = [f"Measured {origin['date']}"]
+    words += [f"at commit {origin['commit']}"] if origin["commit"] else []
+    words += [f"on {origin['device']}"] if origin["device"] else []
+    words += [f"with `{origin['command']}`"] if origin["command"] else []
+    return " ".join(words) + f". {origin.get('note') or ''}".rstrip()
+
+
 def _statistics_row(run: dict[str, Any]) -> tuple[str, ...]:
     changed = " with changes" * bool(run.get("dirty"))
     cells = [f"{run['date'][:10]} at {run['commit'][:7]}{changed}", str(run["seed"])]
