@@ -75,7 +75,7 @@ def statistics_table(docs: Path) -> str:
 def recorded_tables(docs: Path) -> dict[str, str]:
     """Return each table of docs/results/PAGE-tables.json with its origin, by the name table-PAGE-KEY.
 
-    Cells are text, so that no digit of a measurement is lost. A commit, command or device that is null was not recorded.
+    Cells are text, so that no digit is lost; a commit, command or device that is null was not recorded.
     """
     pages = {}
     for path in sorted((docs / "results").glob("*-tables.json")):

@@ -1,4 +1,4 @@
-"""Tables on the pages of results come from committed files, which say when and with which command they were measured."""
+"""Tables on the pages of results come from committed files, which say when and how they were measured."""
 
 import json
 import re
