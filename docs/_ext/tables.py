@@ -1,7 +1,12 @@
 """Markdown tables."""
 
+import re
+
+MEASURED = re.compile(r"[<>=]*\s*-?[\d./]+( [a-zA-Z%/^2]+)?( \[[^\]]*\])?")  # a number, its unit and interval
+
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Return a Markdown table."""
-    lines = [head, tuple("---" for _ in head), *rows]
+    """Return a Markdown table; a number stays on one line with its unit and interval."""
+    whole = lambda cell: cell.replace(" ", "\u00a0") if MEASURED.fullmatch(cell) else cell
+    lines = [head, tuple("---" for _ in head), *(map(whole, row) for row in rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in lines) + "\n"

@@ -1,6 +1,7 @@
 """Shared by the verbs: flags over files, work inside a run folder, progress."""
 
 import argparse
+import shutil
 import sys
 import threading
 import time
@@ -21,7 +22,9 @@ from driftjax.store import RunFolder
 T = TypeVar("T")
 Report = Callable[[str, float, int], None]
 
-BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}{postfix}, {rate_fmt}]"
+BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}{postfix}]"
+BAR_WITH_RATE = BAR.replace("]", ", {rate_fmt}]")  # where at least one part was done
+BESIDE = 55  # columns that a terminal keeps for bar, numbers and times beside the text
 SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
@@ -111,6 +114,12 @@ class TimeLeft:
         return f"{tqdm.format_interval(left)} left"
 
 
+def shortened(text: str, width: int) -> str:
+    """Return `text` cut to `width` characters, at least 20, so that the bar beside it is still seen."""
+    width = max(width, 20)
+    return text if len(text) <= width else text[: width - 3].rstrip(" ,:") + "..."
+
+
 @contextmanager
 def progress() -> Iterator[Report]:
     """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
@@ -123,13 +132,14 @@ def progress() -> Iterator[Report]:
     from tqdm import tqdm
 
     ended, clock = threading.Event(), TimeLeft()
-    with tqdm(total=1, bar_format=BAR) as bar:
+    with tqdm(total=1, bar_format="{desc} [{elapsed}]", desc="start") as bar:
 
         def show(text: str, done: float, total: int) -> None:
             clock.count(done)
             bar.total, bar.n, bar.initial = total, done, clock.first
+            bar.unit, bar.bar_format = "%" if total == 100 else "step", BAR_WITH_RATE if clock.each else BAR
             bar.set_postfix_str(clock.text(total), refresh=False)
-            bar.set_description(text)
+            bar.set_description(shortened(text, shutil.get_terminal_size().columns - BESIDE))
 
         def tick() -> None:
             while not ended.wait(1.0):  # a stage may take minutes, in which the time goes on

@@ -103,7 +103,7 @@ def describe_worst(summary: ForceSummary, vehicle: VehicleConfig) -> str:
     )
     clear = summary.p_value < LEVEL
     force = int(np.argmax((systematic if clear else summary.rms) / size))
-    amount = f"{summary.rms[force]:.3g} N RMS ({100 * summary.rms[force] / size[force]:.2g} % of mu Fz)"
+    amount = f"{float(f'{summary.rms[force]:.3g}'):g} N RMS ({100 * summary.rms[force] / size[force]:.2g} % of mu Fz)"
     if not clear:
         text = f"No residual force goes with anything looked at (p = {summary.p_value:.2f}); the largest is "
         return text + f"{DESCRIPTIONS[FORCES[force]]}, {amount}."

@@ -74,15 +74,16 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
-    report("plan", len(folder.finished()), len(names) + 1)
+    report("plan: compile or load, then solve", len(folder.finished()), len(names) + 1)
     with process_executor(num_workers) as executor:
         scenario = build_scenario(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
-        say = lambda name: report(f"compile, or load from the cache: {name}", len(done) + 1, len(names) + 1)
+        say = lambda name: report(f"compile or load the programs: {name}", len(done) + 1, len(names) + 1)
         compile_stages(scenario, [name for name in names if name not in done], say)
-        before_stage = lambda name: report(name, names.index(name) + 1, len(names) + 1)
+        seen = {name.partition("-")[0] for name in names} if executor.pool else set[str]()  # kinds that are compiled
+        before_stage = lambda name: report(_stage_text(name, seen), names.index(name) + 1, len(names) + 1)
         for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
     summary = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
@@ -90,6 +91,14 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     folder.write_laps()
     report("done", len(names) + 1, len(names) + 1)
     return summary
+
+
+def _stage_text(name: str, seen: set[str]) -> str:
+    """Return what is done at the begin of a stage; its kind is added to those `seen`, whose programs are there."""
+    kind = name.partition("-")[0]
+    text = name if kind in seen else f"{name}: compile or load, then drive"
+    seen.add(kind)
+    return text
 
 
 def drive_stages(

@@ -93,15 +93,25 @@ def draw_road(axis: Axes, plan: xr.Dataset) -> None:
 def add_car(axis: Axes, strip: Axes, drive: CarDrive, times: Sequence[float], ghost: bool) -> AnimatedCar:
     """Create the artists of a car."""
     states = [drive.at(t) for t in times]
-    points = [(one["x"], one["y"], *strip_point(one)) if one else (np.nan,) * 4 for one in states]
+    points = np.array([(one["x"], one["y"], *strip_point(one)) if one else (np.nan,) * 4 for one in states])
+    begun = np.searchsorted([piece["t"][0] for piece in drive.pieces], times, side="right")
+    points[1:][np.diff(begun) > 0] = np.nan  # no line from the end of one prediction to the start of the next
     colour, alpha = DRIVES[drive.kind], 0.4 if ghost else 1.0
     body = Polygon(np.zeros((6, 2)), closed=True, fc=colour, ec="white", lw=0.8, alpha=alpha, zorder=5)
     wheels = [Polygon(np.zeros((4, 2)), closed=True, fc=TYRE, alpha=alpha, zorder=6) for _ in range(4)]
     for patch in (body, *wheels):
         axis.add_patch(patch)
     (trail,) = axis.plot([], [], color=colour, lw=1.0 if ghost else 2.2, zorder=3)
-    (curve,) = strip.plot([], [], color=colour, lw=1.4 if drive.kind == "measured" else 2.0)
-    return AnimatedCar(states, np.array(points), body, wheels, trail, curve)
+    (curve,) = strip.plot([], [], color=colour, lw=1.4 if drive.kind == "measured" else 2.0, label=drive.name)
+    return AnimatedCar(states, points, body, wheels, trail, curve)
+
+
+def label_curves(strip: Axes) -> None:
+    """Name the colours of the curves above the strip, each once."""
+    handles, names = strip.get_legend_handles_labels()
+    named = dict(zip(names, handles, strict=True))
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+    strip.legend(named.values(), named.keys(), ncols=len(named), frameon=False, **place)
 
 
 def build_animation(
@@ -128,11 +138,14 @@ def build_animation(
             "\n".join(filter(None, (drives[-1].name, drives[-1].note))), color=DRIVES[drives[-1].kind], fontsize=11
         )
         cars = [add_car(axis, strip, drive, times, k > 0) for k, drive in enumerate(drives)]
-        place = (0.5, 0.5) if plan is not None else (0.5, 0.02)
+        place = (0.5, 0.5) if plan is not None else (0.5, 0.04)
         words = axis.text(
-            *place, "", transform=axis.transAxes, ha="center", va="center", fontsize=9.5, family="monospace"
-        )
+            *place, "", transform=axis.transAxes, ha="center", va="center", fontsize=9.5, family="monospace", zorder=7,
+            bbox={"fc": figure.get_facecolor(), "ec": "none", "pad": 2.0} if plan is None else None,
+        )  # fmt: skip
         panels.append(Panel(axis, cars, words, plan is None))
+    if plan is None:
+        label_curves(strip)
     seen = np.concatenate([panel.cars[0].points[:, 2:] for panel in panels])
     low, high = np.minimum(np.nanmin(seen, axis=0), [np.inf, 0.0]), np.maximum(np.nanmax(seen, axis=0), [-np.inf, 1e-3])
     strip.set(xlim=(low[0], high[0]), ylim=(1.1 * low[1], 1.1 * high[1]))

@@ -47,6 +47,14 @@ NEXT = {
     "UNKNOWN": "Look at the variables that the rest goes with, below, and add the physics that is missing.",
     "DATA_INSUFFICIENT": "Record more: longer runs, with stronger steering and drive.",
 }  # where no manoeuvre is proposed
+MODELS = {
+    "nominal": "nominal car",
+    "retuned": "re-tuned tyres",
+    "extended": "extended car",
+    "gp": "Gaussian process",
+    "extended_gp": "extended car with a Gaussian process",
+    "noise_floor": "a right model: noise floor",
+}  # in the words of the legends
 
 
 def write_diagnosis(run: RunFolder) -> Path:
@@ -264,7 +272,7 @@ def _gain(gain: dict[str, Any]) -> list[str]:
     head, *rows = gain_rows(gain)
     cells = [
         [
-            row[0],
+            MODELS.get(row[0], row[0]),
             row[1],
             *(
                 Cell(text, f"diagnosis.json: gain.rmse.{row[0]}.{c}", _float(text))

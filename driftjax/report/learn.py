@@ -96,7 +96,7 @@ def learn_page(run: RunFolder, pictures: list[Path]) -> str:
     data = {
         "player": player,
         "results": results,
-        "labels": {name: stage_label(name) for name in names},
+        "labels": {name: "paper's MPC" if name == "paper" else stage_label(name) for name in names},
         "kinds": {name: stage_kind(name) for name in names},
         "controllers": CONTROLLERS,
     }

@@ -51,7 +51,19 @@ def test_a_terminal_has_a_bar_with_rate_and_time_left(monkeypatch):
         report("nominal", 3, 4)
     last = err.getvalue().strip().split("\r")[-1]
     assert out.getvalue() == "" and last.startswith("nominal:  75%")
-    assert "3/4" in last and " left" in last and ("it/s" in last or "s/it" in last)
+    assert "3/4" in last and " left" in last and ("step/s" in last or "s/step" in last)
+    assert "?" not in err.getvalue() and "0/1" not in err.getvalue()  # no rate, nor a count, that is not known yet
+
+
+def test_a_long_text_leaves_room_for_the_bar(monkeypatch):
+    out, err = Terminal(), Terminal()
+    monkeypatch.setattr("sys.stdout", out)
+    monkeypatch.setattr("sys.stderr", err)
+    with console.progress() as report:
+        report("noise and nominal car: compile or load its roll-outs, predictions and derivatives", 25, 100)
+    last = err.getvalue().strip().split("\r")[-1]
+    assert last.startswith("noise and nominal car") and "...:" in last and "25%|" in last and "25/100" in last
+    assert console.shortened("naming: steer_lag", 25) == "naming: steer_lag"
 
 
 def test_a_pipe_gets_lines_though_errors_go_to_a_terminal(monkeypatch, capsys):

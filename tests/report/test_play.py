@@ -14,9 +14,11 @@ from synthetic import synthetic_run
 
 from driftjax.cli import main
 from driftjax.report import player
-from driftjax.report.drives import integrated_pose, lap_drives
+from driftjax.report.animation import add_car
+from driftjax.report.drives import CarDrive, integrated_pose, lap_drives
 from driftjax.report.html import embedded_json, pack
 from driftjax.report.player import player_data
+from driftjax.report.style import new_figure
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
@@ -91,6 +93,20 @@ def test_what_a_car_lacks_is_not_zero_in_mcap(tmp_path):
     assert np.isnan(by_topic["/predicted_nominal/state"][0][2].Fxr) and np.isfinite(
         by_topic["/measured/state"][0][2].Fxr
     )
+
+
+def test_no_line_joins_the_end_of_a_prediction_to_the_start_of_the_next():
+    times = np.arange(0.0, 4.0, 0.25)
+    piece = lambda start, x: (
+        {"t": np.array([start, start + 1.5]), "x": np.full(2, x)}
+        | {name: np.zeros(2) for name in ("y", "psi", "V", "beta", "r")}
+    )
+    drive = CarDrive("run", "predicted, nominal", "nominal", "", "", [piece(0.0, 1.0), piece(1.5, 9.0)])
+    axis, strip = new_figure(1, 2, (4.0, 2.0))[1][0]
+    x = add_car(axis, strip, drive, times.tolist(), True).points[:, 0]
+    assert {1.0, 9.0} == set(x[np.isfinite(x)])
+    assert not any({a, b} == {1.0, 9.0} for a, b in zip(x, x[1:], strict=False))
+    assert [handle.get_label() for handle in strip.get_lines()] == ["predicted, nominal"]
 
 
 def test_gif_has_a_frame_per_step_of_the_corner(run, tmp_path, monkeypatch):
