@@ -192,9 +192,9 @@ def calibrate(
     if lost:
         needs = " and ".join(EFFECTS[lost[0]].needs or ("Fxr",))
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
-    report("noise and nominal car: compile or load its roll-outs")
+    report("noise and nominal car: compile roll-outs")
     loose, columns = with_nominal_noise(problem), problem.columns(selected)
-    report("fit: compile or load the derivatives")
+    report("fit: compile derivatives")
     if staged:
         problem, fit, stages = fit_staged(loose, selected, lambda text: report(f"fit: {text}"))
         at = stages.weigh(linearise(problem, fit))

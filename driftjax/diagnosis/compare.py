@@ -153,7 +153,7 @@ def compare(
             text = f"Log {name} holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."
             return LogComparison(vehicle, logs, config, Judgement(Verdict.DATA_INSUFFICIENT, text))
     effects = default_catalogue(*(one.effect for one in vehicle.effects)) if effects is None else effects
-    report("noise and naming: compile or load the programs")
+    report("noise and naming: compile")
     problems, selections = _name_both(vehicle, logs, config, effects, report)
     report("differences")
     pair, selected = find_differences(problems, selections, config)

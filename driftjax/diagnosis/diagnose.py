@@ -181,7 +181,7 @@ def diagnose(
         return Diagnosis(vehicle, log, config, Judgement(Verdict.DATA_INSUFFICIENT, text), None)
     if any(lost := count_outliers(log.runs, vehicle.a + vehicle.b).values()):
         report(f"noise and nominal car: {sum(lost)} outliers left out")
-    report("noise and nominal car: compile or load its roll-outs, predictions and derivatives")
+    report("noise and nominal car: compile roll-outs and derivatives")
     if effects is None:
         effects = default_catalogue(*config.beside, *(one.effect for one in vehicle.effects))
     initial = initial_problem(vehicle, effects, log.runs, config.without)

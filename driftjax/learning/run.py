@@ -74,13 +74,13 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
-    report("plan: compile or load, then solve", len(folder.finished()), len(names) + 1)
+    report("plan: compile, solve", len(folder.finished()), len(names) + 1)
     with process_executor(num_workers) as executor:
         scenario = build_scenario(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
-        say = lambda name: report(f"compile or load the programs: {name}", len(done) + 1, len(names) + 1)
+        say = lambda name: report(f"compile: {name}", len(done) + 1, len(names) + 1)
         compile_stages(scenario, [name for name in names if name not in done], say)
         seen = {name.partition("-")[0] for name in names} if executor.pool else set[str]()  # kinds that are compiled
         before_stage = lambda name: report(_stage_text(name, seen), names.index(name) + 1, len(names) + 1)
@@ -96,7 +96,7 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 def _stage_text(name: str, seen: set[str]) -> str:
     """Return what is done at the begin of a stage; its kind is added to those `seen`, whose programs are there."""
     kind = name.partition("-")[0]
-    text = name if kind in seen else f"{name}: compile or load, then drive"
+    text = name if kind in seen else f"{name}: compile, drive"
     seen.add(kind)
     return text
 

@@ -60,7 +60,7 @@ def test_a_long_text_leaves_room_for_the_bar(monkeypatch):
     monkeypatch.setattr("sys.stdout", out)
     monkeypatch.setattr("sys.stderr", err)
     with console.progress() as report:
-        report("noise and nominal car: compile or load its roll-outs, predictions and derivatives", 25, 100)
+        report("noise and nominal car: compile roll-outs and derivatives", 25, 100)
     last = err.getvalue().strip().split("\r")[-1]
     assert last.startswith("noise and nominal car") and "...:" in last and "25%|" in last and "25/100" in last
     assert console.shortened("naming: steer_lag", 25) == "naming: steer_lag"
