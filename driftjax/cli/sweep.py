@@ -28,7 +28,7 @@ class Sweep:
     """Address of a Ray cluster to run on instead: `auto`, HOST:PORT, or `local` for one on this machine."""
     hosts: bool = False
     """This is one of several processes of a job (Slurm, Open MPI, or JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and
-    JAX_PROCESS_ID): each runs a share of the trials, into one --out that all see."""
+    JAX_PROCESS_ID): each runs a share of the trials, into one `--out` that all see."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "workers")
