@@ -91,32 +91,42 @@ def decide_verdict(
     if large and (remaining.significant or remaining.simpler or named):
         return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:
-        share = detectable_share(problem, selection.scores.H)
-        if share < MIN_DETECTABLE_SHARE:
-            text = f"These {duration:.0f} s hardly excite the car: only {100 * share:.0f} % of the effects would show."
-            return Judgement(Verdict.DATA_INSUFFICIENT, text + " Record drifts and cornering with changing drive.")
-        text = f"Nothing is missing that {duration:.0f} s of these data could show"
-        if remaining.significant:
-            text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
-        return Judgement(Verdict.NOTHING, text + ".")
+        return _nothing_named(problem, selection, remaining, duration)
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
-    stand_in = remaining.significant and remaining.share > tolerated
-    certain = all(map(sure, claimed)) and not remaining.simpler and not stand_in
+    doubt = _doubt(remaining, tolerated)
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
-    if remaining.simpler:
-        words.append(f"Together they explain no more than {_words(remaining.simpler)} would.")
-    elif stand_in:
-        add = f"explains {100 * remaining.share:.0f} % of the misfit that both explain"
-        words.append(f"The catalogue may lack the cause: beside these names {_words(remaining.term)} {add}.")
-    verdict = Verdict.NAMED if certain else Verdict.SET
+    if doubt:
+        words.append(doubt)
+    verdict = Verdict.NAMED if all(map(sure, claimed)) and not doubt else Verdict.SET
     if not problem.data.force_known:
         words.append("The drive force was estimated, and its errors may stand for these effects.")
         verdict = Verdict.UNKNOWN
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
+
+
+def _nothing_named(problem: Problem, selection: Selection, remaining: Unexplained, duration: float) -> Judgement:
+    share = detectable_share(problem, selection.scores.H)
+    if share < MIN_DETECTABLE_SHARE:
+        text = f"These {duration:.0f} s hardly excite the car: only {100 * share:.0f} % of the effects would show."
+        return Judgement(Verdict.DATA_INSUFFICIENT, text + " Record drifts and cornering with changing drive.")
+    text = f"Nothing is missing that {duration:.0f} s of these data could show"
+    if remaining.significant:
+        text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
+    return Judgement(Verdict.NOTHING, text + ".")
+
+
+def _doubt(remaining: Unexplained, tolerated: float) -> str:
+    """Return why the named effects may stand for a cause that the catalogue lacks; empty where nothing says so."""
+    if remaining.simpler:
+        return f"Together they explain no more than {_words(remaining.simpler)} would."
+    if not (remaining.significant and remaining.share > tolerated):
+        return ""
+    share = f"explains {100 * remaining.share:.0f} % of the misfit that both explain"
+    return f"The catalogue may lack the cause: beside these names {_words(remaining.term)} {share}."
 
 
 def describe_cause(problem: Problem, cause: Cause) -> str:

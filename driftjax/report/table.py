@@ -75,14 +75,16 @@ def results_table(results: dict[str, Any]) -> str:
     rows: list[tuple[str, ...]] = [HEAD]
     for stage in results.get("stages") or []:
         rows += [result_row(stage["name"], controller, cell) for controller, cell in stage["controllers"].items()]
-    lines = aligned(rows)
-    lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section.",
-              "In brackets: 95 % interval over plants by Student's t, of reductions on the log ratio of means.",
-              "(n/N): of the n plants of N that reached the section."]  # fmt: skip
     summary = results.get("summary") or {}
-    if summary:
-        lines += ["", *aligned(_reductions(summary))]
-    return "\n".join(lines)
+    reductions = _reductions(summary) if summary else []
+    cells = [cell for row in (*rows[1:], *reductions[1:]) for cell in row]
+    lines = aligned(rows)
+    lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section."]
+    if any("[" in cell for cell in cells):
+        lines += ["In brackets: 95 % interval over plants by Student's t, of reductions on the log ratio of means."]
+    if any("/" in cell and cell.endswith(")") for cell in cells):
+        lines += ["(n/N): of the n plants of N that reached the section."]
+    return "\n".join([*lines, "", *aligned(reductions)] if reductions else lines)
 
 
 def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:

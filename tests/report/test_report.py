@@ -68,6 +68,7 @@ def test_table_has_a_row_per_stage_and_controller_with_failures_by_code(run):
     cell = results["stages"][2]["controllers"]["path"]["lateral_error"]
     assert f"{cell['mean']:.2f} [{cell['ci95'][0]:.2f}, {cell['ci95'][1]:.2f}]" in nominal[0]
     (reduction,) = [line for line in lines if line.startswith("lateral error, GPR")]
+    assert any("In brackets" in line for line in lines) and not any("(n/N)" in line for line in lines)
     assert reduction.split()[-1] == "52.8" and "57.1 [51.1, 63.1]" in reduction
 
 
@@ -82,6 +83,7 @@ def test_missing_numbers_are_dashes_not_crashes():
     empty = {"lateral_error": {"mean": None, "ci95": [None, None], "per_plant": {"a": None}}, "velocity_rmse": None,
              "drift_share": None, "completed": [0, 2], "codes": {"SPUN": 1, "OFF_TRACK": 1}}  # fmt: skip
     text = results_table({"stages": [{"name": "nominal", "controllers": {"path": empty}}], "summary": {"path": {}}})
+    assert "In brackets" not in text and "(n/N)" not in text
     assert "0/2" in text and "1 spun, 1 off track" in text and "nan" not in text.lower().replace("nominal", "")
 
 
