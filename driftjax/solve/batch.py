@@ -237,8 +237,8 @@ def solve_batch(
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
     `options.max_steps` is the number of SQP iterations: 1 for a real-time iteration, whose program is solved to the
-    tolerance. An entry's `result` is `successful` only where its KKT residual and violation are below the tolerance, and
-    `infeasible` where dynamics and limits of its last linearisation were proven to have no common point near the
+    tolerance. An entry's `result` is `successful` only where its KKT residual and violation are below the tolerance,
+    and `infeasible` where dynamics and limits of its last linearisation were proven to have no common point near the
     iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
     """
