@@ -19,24 +19,24 @@ from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
-from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
-from driftjax.solve.batch_qp import (
+from driftjax.solve.batch_conditions import (
     BatchIterate,
     OptimalityError,
     QPModel,
     bound_constraints,
     changes,
     constraint_values,
-    next_barrier,
     optimality_error,
-    qp_step,
 )
+from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
+from driftjax.solve.batch_qp import next_barrier, qp_step
 from driftjax.solve.component_derivatives import Entry, hessian, total
 from driftjax.solve.compute_once import compute_once
-from driftjax.solve.interior_point import SLACK_FLOOR, split
+from driftjax.solve.interior_point import split
 from driftjax.solve.ocp import Options
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
+SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
@@ -53,6 +53,7 @@ class BatchSolution(eqx.Module):
     violation: Float[Array, " batch"]  # worst defect or violation of a limit
     qp_error: Float[Array, " batch"]  # worst of both, of the last quadratic program
     num_steps: Array  # SQP iterations (batch,)
+    qp_steps: Array  # interior-point iterations in all of them (batch,)
     result: RESULTS
 
 
@@ -62,7 +63,22 @@ class _Loop(NamedTuple):
     error: OptimalityError  # of the problem
     qp_error: Array  # error of the last program
     num_steps: Array
+    qp_steps: Array
+    infeasible: Array  # whether the last program was proven to have no feasible point
     open: Array  # whether the iterate is still to be judged
+
+
+class _Program(NamedTuple):
+    """Iteration of a quadratic program; `_Loop` has the meaning of what both hold."""
+
+    model: QPModel
+    iterate: BatchIterate
+    barrier: Array
+    qp_error: Array
+    qp_steps: Array
+    infeasible: Array
+    open: Array  # whether the program is still to be improved
+    iteration: Array
 
 
 class _Batch(NamedTuple):
@@ -156,7 +172,8 @@ def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     model, more, error = compute_once(lambda it, expansion: _linearise(batch, it, expansion))(it, expansion)
     error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
     worst = _worst(error)
-    open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & (loop.num_steps < batch.max_steps)
+    open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & ~loop.infeasible
+    open_ = open_ & (loop.num_steps < batch.max_steps)
     loop = loop._replace(error=error, open=open_)
     return jax.lax.cond(jnp.any(open_), lambda: _step_open(batch, loop, model, more), lambda: loop)
 
@@ -167,25 +184,29 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loo
     share = jnp.maximum(jnp.minimum(FORCING * worst, COARSE), FINE * batch.tolerance)
     accuracy = jnp.where(last, batch.tolerance, share)
 
-    def step(
-        model: QPModel, it: BatchIterate, barrier: Array, open_: Array
-    ) -> tuple[QPModel, BatchIterate, Array, OptimalityError]:
-        model, it, length = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
+    def step(model: QPModel, it: BatchIterate, barrier: Array, open_: Array):
+        model, it, length, infeasible = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
         lower = jnp.where(open_, next_barrier(it, barrier, length, batch.tolerance), barrier)
-        return model, it, lower, optimality_error(batch.ocp, batch.u_before, model, it)
+        return model, it, lower, optimality_error(batch.ocp, batch.u_before, model, it), infeasible
 
-    def improve(state: tuple) -> tuple:
-        model, it, barrier, qp_error, open_, count = state
-        model, it, barrier, error = compute_once(step)(model, it, barrier, open_)
-        qp_error = jnp.where(open_, _worst(error), qp_error)
-        more_steps = count + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
-        open_ = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & more_steps
-        return model, it, barrier, qp_error, open_, count + 1
+    def improve(state: _Program) -> _Program:
+        open_ = state.open
+        model, it, barrier, error, proven = compute_once(step)(state.model, state.iterate, state.barrier, open_)
+        qp_error = jnp.where(open_, _worst(error), state.qp_error)
+        infeasible = jnp.where(open_, proven, state.infeasible)
+        more_steps = state.iteration + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
+        steps = state.qp_steps + open_
+        open_ = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & ~infeasible & more_steps
+        return _Program(model, it, barrier, qp_error, steps, infeasible, open_, state.iteration + 1)
 
     model = compute_once(lambda it, model, more: _with_curvature(batch, it, model, more))(loop.iterate, model, more)
-    start = (model, loop.iterate, loop.barrier, loop.qp_error, loop.open, 0)
-    _, it, barrier, qp_error, *_ = jax.lax.while_loop(lambda state: jnp.any(state[4]), improve, start)
-    return loop._replace(iterate=it, barrier=barrier, qp_error=qp_error, num_steps=loop.num_steps + loop.open)
+    start = _Program(
+        model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, loop.open, jnp.asarray(0)
+    )
+    end = jax.lax.while_loop(lambda state: jnp.any(state.open), improve, start)
+    _, it, barrier, qp_error, qp_steps, infeasible, *_ = end
+    return loop._replace(iterate=it, barrier=barrier, qp_error=qp_error, num_steps=loop.num_steps + loop.open,
+                         qp_steps=qp_steps, infeasible=infeasible)  # fmt: skip
 
 
 def _start(
@@ -193,13 +214,14 @@ def _start(
 ) -> BatchIterate:
     X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
     values = constraint_values(bound_constraints(ocp), U, changes(U, u_before), [x[1:] for x in X])
-    slack = [jnp.maximum(value, SLACK_FLOOR) for value in values]
+    slack = [jnp.maximum(value, SLACK_FLOOR * jnp.sqrt(barrier)) for value in values]
     return BatchIterate(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
 
-def _result(worst: Array, tolerance: Array) -> RESULTS:
-    failed = RESULTS.where(jnp.isfinite(worst), RESULTS.not_converged, RESULTS.non_finite)  # pyright: ignore[reportArgumentType]
-    return RESULTS.where(worst <= tolerance, RESULTS.successful, failed)  # pyright: ignore[reportArgumentType]
+def _result(worst: Array, infeasible: Array, tolerance: Array) -> RESULTS:
+    result = RESULTS.where(jnp.isfinite(worst), RESULTS.not_converged, RESULTS.non_finite)  # pyright: ignore[reportArgumentType]
+    result = RESULTS.where(infeasible, RESULTS.infeasible, result)  # pyright: ignore[reportArgumentType]
+    return RESULTS.where(worst <= tolerance, RESULTS.successful, result)  # pyright: ignore[reportArgumentType]
 
 
 def solve_batch(
@@ -215,7 +237,9 @@ def solve_batch(
     """Solve a batch from the guess `X`, `U`; leaves of `params` are (N+1, batch) or (N+1, 1), the last row for the end.
 
     `options.max_steps` is the number of SQP iterations: 1 for a real-time iteration, whose program is solved to the
-    tolerance. An entry's `result` is `successful` only where its KKT residual and violation are below the tolerance.
+    tolerance. An entry's `result` is `successful` only where its KKT residual and violation are below the tolerance,
+    and `infeasible` where dynamics and limits of its last linearisation were proven to have no common point near the
+    iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
     """
     dtype = U[0].dtype
@@ -226,10 +250,12 @@ def solve_batch(
     batch = _Batch(ocp, stages, last, list(u_before), tolerance, wide(options.max_steps, jnp.int32))
     start = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier)
     open_ = wide(True, bool) if needed is None else needed
-    loop = _Loop(start, barrier, OptimalityError(large, large), large, wide(0, jnp.int32), open_)
+    none, never = wide(0, jnp.int32), wide(False, bool)
+    loop = _Loop(start, barrier, OptimalityError(large, large), large, none, none, never, open_)
     end = _solve_open(batch, loop)
     it = end.iterate
-    result = jax.vmap(_result)(_worst(end.error), tolerance)
+    result = jax.vmap(_result)(_worst(end.error), end.infeasible, tolerance)
     dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), dtype)
     X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
-    return BatchSolution(X, U, costates, dual, _objective(batch, it), *end.error, end.qp_error, end.num_steps, result)
+    counts, cost = (end.num_steps, end.qp_steps), _objective(batch, it)
+    return BatchSolution(X, U, costates, dual, cost, *end.error, end.qp_error, *counts, result)

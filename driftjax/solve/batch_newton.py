@@ -1,0 +1,123 @@
+"""Newton system of the quadratic programs of a batch, slacks and duals eliminated: Riccati sweeps over the stages."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from driftjax.solve.batch_conditions import (
+    BatchIterate,
+    QPModel,
+    bound_constraints,
+    change_gradient,
+    filled,
+    terms_of,
+)
+from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
+from driftjax.solve.component_derivatives import Entry, Matrix, dot, total
+from driftjax.solve.compute_once import compute_once
+from driftjax.solve.riccati_componentwise import (
+    CostGradient,
+    CostHessian,
+    StageFactors,
+    StageSystem,
+    StageTerms,
+    factor_stage,
+    forward_stage,
+    gradient_stage,
+)
+
+
+class NewtonSystem(NamedTuple):
+    """Matrices of the Newton system; entries (N, batch)."""
+
+    stages: StageSystem
+    state: list[Entry]  # second derivatives in the state after each stage, of its limits
+    end: Matrix  # in the last state, of the terminal cost (batch,)
+
+
+class NewtonTerms(NamedTuple):
+    """Right-hand side of the Newton system."""
+
+    stages: StageTerms
+    state: list[Entry]  # first derivatives in the state after each stage, of its limits
+    end: list[Entry]  # in the last state, of the terminal cost (batch,)
+
+
+class Policy(NamedTuple):
+    """Right-hand side treated backwards."""
+
+    k: Components  # constant parts of the steps of the inputs
+    p: Components  # gradients of the cost-to-go after each stage
+    c: Components  # defects
+
+
+def newton_system(ocp: AbstractBatchOCP, model: QPModel, stiff: Components) -> NewtonSystem:
+    """Build the system from a model and the second derivatives `stiff` of the limits' barrier in their values."""
+    gaps, nx, nu = bound_constraints(ocp), len(model.c), len(model.h) - len(model.c)
+    weight, like = ocp.rate_weight() or [0.0] * nu, model.c[0]
+    of = lambda family, i: terms_of(gaps, family, i, stiff)
+    H = [[total((model.H[i][j], *(of("input", i - nx) if i == j >= nx else ()))) for j in range(nx + nu)]
+         for i in range(nx + nu)]  # fmt: skip
+    rate = [total((2 * weight[l] + jnp.zeros_like(like), *of("change", l))) for l in range(nu)]
+    stages = StageSystem([row[:nx] for row in model.M], [row[nx:] for row in model.M], H, rate)
+    state = [total(of("state", i)) for i in range(nx)]
+    stages, state = _wide((stages, state), like)
+    return NewtonSystem(stages, state, model.HN)
+
+
+def newton_terms(
+    ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, push: Components
+) -> NewtonTerms:
+    """Build the right-hand side from a model and the first derivatives `push` of the limits' barrier."""
+    gaps, nx = bound_constraints(ocp), len(it.X)
+    signed = [gap.sign * p for gap, p in zip(gaps, push, strict=True)]
+    of = lambda family, i: terms_of(gaps, family, i, signed)
+    h = [total((h, *(of("input", i - nx) if i >= nx else ()))) for i, h in enumerate(model.h)]
+    pull = [total((g, *of("change", l))) for l, g in enumerate(change_gradient(ocp, u_before, it))]
+    state = [total(of("state", i)) for i in range(nx)]
+    stages = StageTerms(list(model.c), h, pull)
+    stages, state = _wide((stages, state), it.U[0])
+    return NewtonTerms(stages, state, model.hN)
+
+
+def _wide(entries, like: Array):
+    return jax.tree.map(lambda e: jnp.broadcast_to(e, like.shape), entries)
+
+
+def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFactors, Policy]:
+    """Factorise the system and treat one right-hand side, in one sweep from the last stage to the first."""
+    zero = jnp.zeros_like(terms.stages.c[0][0])
+    nx, nu = len(terms.stages.c), len(terms.stages.pull)
+
+    def back(carry: tuple[CostHessian, CostGradient], s: tuple):
+        (value, gradient), (stage, stiff, terms, push) = carry, s
+        P = [[total((value.P[i][j], stiff[i] if i == j else None)) for j in range(nx)] for i in range(nx)]
+        gradient = gradient._replace(p=[total(pair) for pair in zip(gradient.p, push, strict=True)])
+        value, factors = factor_stage(value._replace(P=P), stage)
+        before, k = gradient_stage(gradient, factors, stage, terms)
+        return filled((value, before), zero), filled((factors, k, gradient.p), zero)
+
+    blank = lambda n: [[zero] * nu for _ in range(n)]
+    P, p = jax.tree.map(lambda e: e + zero, filled((system.end, terms.end), zero))
+    begin = CostHessian(P, blank(nx), blank(nu)), CostGradient(p, [zero] * nu)
+    stages = (system.stages, system.state, terms.stages, terms.state)
+    factors, k, p = jax.lax.scan(compute_once(back), begin, stages, reverse=True)[1]
+    return factors, Policy(k, p, terms.stages.c)
+
+
+def solve_forward(
+    system: NewtonSystem, factors: StageFactors, policy: Policy
+) -> tuple[Components, Components, Components]:
+    """Return the steps of later states and of inputs, and the costates after the step; the first state stays."""
+    zero = jnp.zeros_like(policy.c[0][0])
+    nx, nu = len(policy.c), len(policy.k)
+
+    def forth(carry: tuple[Components, Components], s: tuple):
+        factors, stage, (k, p, c) = s
+        dx, du = forward_stage(factors, k, stage, c, *carry)
+        costate = [total((p[i], dot(factors.P[i], dx), dot(factors.S[i], du))) for i in range(nx)]
+        return (dx, du), (dx, du, costate)
+
+    return jax.lax.scan(compute_once(forth), ([zero] * nx, [zero] * nu), (factors, system.stages, policy))[1]
