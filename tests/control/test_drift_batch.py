@@ -140,20 +140,20 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     assert done.returncode == 0, done.stderr
     found = np.load(out)
     assert found["num_steps"][0] == 0  # not needed
-    assert (found["kkt"][1:] <= 1e-7).all() and (found["kkt_alone"][1:] <= 1e-7).all()
+    assert (found["kkt"][1:] <= 1e-8).all() and (found["kkt_alone"][1:] <= 1e-8).all()
     np.testing.assert_allclose(found["U"][1:] / UNIT, found["U_alone"][1:] / UNIT, atol=1e-6)
     np.testing.assert_allclose(found["X"][1:], found["X_alone"][1:], atol=1e-6)
 
 
 def answer(out: str) -> None:
     """Batched and fallback solutions of entries with different residuals; the first is not needed."""
-    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-7, max_steps=60)
+    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-8, max_steps=60)
     problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(num)]
     ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
     x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (num, 5))
     wide = lambda a: jnp.broadcast_to(a, (num, *np.shape(a)))
     before = wide(BEFORE * UNIT)
-    options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
+    options = Options(*(jnp.full(num, value) for value in (1e-8, 1.0, 60, 1.0)))
     problem = MPCProblem(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
     together = eqx.filter_jit(solve_mpc_batch)(ocp, problem, jnp.arange(num) > 0)
