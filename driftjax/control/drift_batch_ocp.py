@@ -21,6 +21,7 @@ from driftjax.solve.component_derivatives import (
     dot,
     midpoint_curvature,
     runge_kutta,
+    runge_kutta_curvature,
     times,
     total,
 )
@@ -122,11 +123,25 @@ class DriftBatchOCP(AbstractBatchOCP):
         return [[*row[:3], *[None] * (len(self.Q) - 3), *row[3:]] for row in J]
 
     def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
+        """Return second derivatives of the step (see `runge_kutta_curvature`)."""
+        rates, inputs = self._held(x, u, p, more)
+        H = runge_kutta_curvature(rates, x[: len(self.Q)], inputs, self.dt, costate[: len(self.Q)])
+        return self._curvature_by_state_and_input(H, costate, more)
+
+    def early_curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
         """Return second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
-        (y, M, expansion), n = more, len(self.Q)
-        held = [] if expansion is None else expansion.d
-        acting = self._actuated(x, u)[0]
-        H = midpoint_curvature(self._rates(p.kappa), x[:n], [*acting, *held], (y, M), self.dt, costate[:n])
+        rates, inputs = self._held(x, u, p, more)
+        H = midpoint_curvature(rates, x[: len(self.Q)], inputs, more[:2], self.dt, costate[: len(self.Q)])
+        return self._curvature_by_state_and_input(H, costate, more)
+
+    def _held(self, x: Components, u: Components, p: Reference, more: PyTree) -> tuple[Callable, Components]:
+        """Return the rates of the tracked state and their arguments that are held over a step."""
+        expansion = more[2]
+        return self._rates(p.kappa), [*self._actuated(x, u)[0], *([] if expansion is None else expansion.d)]
+
+    def _curvature_by_state_and_input(self, H: Matrix, costate: Components, more: PyTree) -> Matrix:
+        """Return second derivatives by (x, u) from those by (tracked, acting, residual's rates)."""
+        (_, M, expansion), n = more, len(self.Q)
         if expansion is not None:
             weight = [dot(costate[:n], column(M, n + len(self.R) + k)) for k in range(3)]
             H = self._with_residual(H, expansion, weight)

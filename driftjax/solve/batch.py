@@ -3,12 +3,14 @@
 Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
 a few interior-point iterations on the quadratic program, which touch the matrices only (`batch_qp`); primal and dual
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
-al. 2005), whose program is solved to the tolerance. Full steps are taken: nearly all entries of a tracking problem
-converge from a fair guess, the others say so in `result`, and the safeguarded `solve` takes them. An l1 merit function
-with backtracking rejected good steps of a Gaussian process's dynamics and doubled their iterations. Everything is
+al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second
+derivatives in the later iterations all entries of a tracking problem converge, from far guesses too; one that does not
+says so in `result`, and the safeguarded `solve` takes it. An l1 merit function with backtracking rejected good steps of
+a Gaussian process's dynamics and doubled their iterations. Everything is
 elementwise along the batch, so that a CPU fills its vector registers with batch entries.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -30,7 +32,7 @@ from driftjax.solve.batch_conditions import (
 )
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
-from driftjax.solve.component_derivatives import Entry, hessian, total
+from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
 from driftjax.solve.compute_once import compute_once
 from driftjax.solve.interior_point import split
 from driftjax.solve.ocp import Options
@@ -38,6 +40,7 @@ from driftjax.solve.ocp import Options
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
 SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
+EARLY = 8  # iterations with the cheaper second derivatives of a problem that has them: most entries need no more
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
@@ -153,12 +156,22 @@ def _objective(batch: _Batch, it: BatchIterate) -> Array:
     return cost
 
 
-def _with_curvature(batch: _Batch, it: BatchIterate, model: QPModel, more: PyTree) -> QPModel:
-    """Return the model with second derivatives of the dynamics."""
-    bend = batch.ocp.curvature([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
-    return model._replace(
-        H=[[total(pair) for pair in zip(*rows, strict=True)] for rows in zip(model.H, bend, strict=True)]
-    )
+def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
+    """Return the model with second derivatives of the dynamics: cheaper ones in the first iterations, if there are."""
+    it = loop.iterate
+    args = ([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
+
+    def with_those(curvature: Callable[..., Matrix | None]) -> Callable[[], QPModel]:
+        def add(model: QPModel, args: tuple) -> QPModel:
+            rows = zip(model.H, curvature(*args) or [], strict=True)
+            return model._replace(H=[_full([total(pair) for pair in zip(*row, strict=True)], it.U[0]) for row in rows])
+
+        return lambda: compute_once(add)(model, args)
+
+    exact, early = with_those(batch.ocp.curvature), batch.ocp.early_curvature
+    if jax.eval_shape(early, *args) is None:
+        return exact()
+    return jax.lax.cond(jnp.any(loop.open & (loop.num_steps >= EARLY)), exact, with_those(early))
 
 
 def _worst(error: OptimalityError) -> Array:
@@ -199,7 +212,7 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loo
         open_ = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & ~infeasible & more_steps
         return _Program(model, it, barrier, qp_error, steps, infeasible, open_, state.iteration + 1)
 
-    model = compute_once(lambda it, model, more: _with_curvature(batch, it, model, more))(loop.iterate, model, more)
+    model = _with_curvature(batch, loop, model, more)
     start = _Program(
         model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, loop.open, jnp.asarray(0)
     )

@@ -76,9 +76,14 @@ class AbstractBatchOCP(eqx.Module):
         return *jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u), None
 
     def curvature(self, x: Components, u: Components, costate: Components, p: PyTree, more: PyTree) -> Matrix:
-        """Return the second derivatives of `costate @ step` in (x, u).
-
-        Cheaper second derivatives change the speed of the solver, never the solution.
-        """
+        """Return the second derivatives of `costate @ step` in (x, u)."""
         weighed = lambda *z: dot(costate, self.step(list(z[: len(x)]), list(z[len(x) :]), p))
         return hessian(weighed, *x, *u)[1]
+
+    def early_curvature(
+        self, x: Components, u: Components, costate: Components, p: PyTree, more: PyTree
+    ) -> Matrix | None:
+        """Return cheaper second derivatives for the first iterations; None for those of `curvature`.
+
+        They change the speed of the solver, never the solution.
+        """

@@ -124,6 +124,45 @@ def runge_kutta(
     return ends, M
 
 
+def runge_kutta_curvature(
+    rates: Callable[..., Sequence[Array]],
+    x: Sequence[Array],
+    u: Sequence[Array],
+    dt: Array | float,
+    costate: Sequence[Array],
+) -> Matrix:
+    """Return the second derivatives in (x, u) of `costate @ next state` of the step of `runge_kutta`, exactly.
+
+    The slopes' Hessians, each weighed by how the next state depends on that slope, are carried to (x, u) by the
+    derivatives of the point of evaluation.
+    """
+    nx, nz, zero = len(x), len(x) + len(u), jnp.zeros_like(x[0])
+    shape = _shape_of_slopes(rates, x, u)
+    none = _filled([[None] * nz for _ in range(nx)], shape, zero)
+
+    def ahead(carry: tuple, into: Array) -> tuple[tuple, tuple]:
+        slope, K = carry
+        into = dt * into.astype(zero.dtype)
+        at = [xi + into * s for xi, s in zip(x, slope, strict=True)]
+        S = [[total((times(into, K[i][j]), zero + 1 if i == j else None)) for j in range(nz)] for i in range(nx)]
+        slope, J = jacobian(rates, *at, *u)
+        pull = [[times(into, e) for e in row[:nx]] for row in J]
+        return (list(slope), _filled(_chain(J, S, nx), shape, zero)), (at, S, pull)
+
+    def back(carry: tuple, s: tuple) -> tuple[tuple, None]:
+        (after, H), (weight, at, S, pull) = carry, s
+        nu = [dt * weight.astype(zero.dtype) * c + a for c, a in zip(costate, after, strict=True)]
+        bend = _congruence(hessian(lambda *z: dot(nu, rates(*z)), *at, *u)[1], S, nx, nz)
+        H = [[total((H[i][j], bend[i][i + j])) for j in range(nz - i)] for i in range(nz)]
+        return ([total((zero, dot(nu, column(pull, i)))) for i in range(nx)], H), None
+
+    points = jax.lax.scan(compute_once(ahead), ([zero] * nx, none), jnp.asarray(RK4.into))[1]
+    upper = [[zero] * (nz - i) for i in range(nz)]
+    steps = (jnp.asarray(RK4.weights), *points)
+    (_, H), _ = jax.lax.scan(compute_once(back), ([zero] * nx, upper), steps, reverse=True)
+    return [[H[min(i, j)][abs(i - j)] for j in range(nz)] for i in range(nz)]
+
+
 def _chain(J: Matrix, S: Matrix, nx: int) -> Matrix:
     """Return the derivatives of a slope by (x, u) from those by (evaluation point, u)."""
     direct = lambda i, j: J[i][j] if j >= nx else None

@@ -54,8 +54,14 @@ def batched_values(batched, z, costate, p):
     x, u = [z[i : i + 1] for i in range(len(z) - 2)], [z[-2:-1], z[-1:]]
     expansion = batched.local_expansion(x, u, p)
     y, M, more = batched.linearise(x, u, p, expansion)
-    bend = batched.curvature(x, u, [c[None] for c in costate], p, more)
-    return (y, M), batched.step(x, u, p), batched.cost(x, u, p), bend
+    args = (x, u, [c[None] for c in costate], p, more)
+    return (
+        (y, M),
+        batched.step(x, u, p),
+        batched.cost(x, u, p),
+        batched.curvature(*args),
+        batched.early_curvature(*args),
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -83,8 +89,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
     costate = np.random.default_rng(1).normal(size=len(kept))
 
-    (y, M), after, cost, _ = batched_values(batched, z, costate, p)
-    dense = lambda rows: np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in rows])
+    (y, M), after, cost, *_ = batched_values(batched, z, costate, p)
     np.testing.assert_allclose(np.ravel(y), value(z)[0], rtol=1e-12)
     np.testing.assert_allclose(np.ravel(after), value(z)[0], rtol=1e-12)
     exact = jax.jit(jax.jacfwd(lambda z: value(z)[0]))(z)
@@ -93,24 +98,28 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_second_derivatives_become_exact_with_short_steps(name):
+def test_second_derivatives_are_exact_and_the_early_ones_become_so_with_short_steps(name):
     weights, learnt = CASES[name]
     problem = lambda dt: drift_batch_ocp(replace(CONFIG, dt=dt), weights, CAR, learnt)
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
     z = np.array([*X[: len(problem(CONFIG.dt).Q)], *([] if learnt is None else [-0.22, 6.3]), *U])
     costate = np.random.default_rng(1).normal(size=len(z) - 2)
 
-    def error(dt: float) -> float:
-        """Largest, over the largest second derivative; of what is multiplied by dt."""
+    def errors(dt: float) -> list[float]:
+        """Largest, over the largest second derivative; of what is multiplied by dt; of exact and early ones."""
         batched, steps = problem(dt), 1e-5 * np.eye(len(z))
         slope = lambda z: pulled(batched_values(batched, z, costate, p)[0][1], costate)
         bend = np.array([slope(z + step) - slope(z - step) for step in steps]) / 2e-5
-        H = batched_values(batched, z, costate, p)[3]
-        values = np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in H])
-        return np.abs(values - bend).max() / np.abs(bend).max()
+        return [np.abs(dense(H) - bend).max() / np.abs(bend).max() for H in batched_values(batched, z, costate, p)[3:]]
 
-    assert error(0.05) < 0.2
-    assert error(0.005) < error(0.02) / 10
+    (exact, early), (_, middle), (_, short) = map(errors, (0.05, 0.02, 0.005))
+    assert exact < 1e-6
+    assert early < 0.2
+    assert short < middle / 10
+
+
+def dense(rows) -> np.ndarray:
+    return np.array([[0.0 if e is None else np.ravel(e)[0] for e in row] for row in rows])
 
 
 def pulled(M, costate) -> np.ndarray:
@@ -131,20 +140,20 @@ def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
     assert done.returncode == 0, done.stderr
     results = np.load(out)
     assert results["num_steps"][0] == 0  # not needed
-    assert (results["kkt"][1:] <= 1e-7).all() and (results["kkt_alone"][1:] <= 1e-7).all()
+    assert (results["kkt"][1:] <= 1e-8).all() and (results["kkt_alone"][1:] <= 1e-8).all()
     np.testing.assert_allclose(results["U"][1:] / UNIT, results["U_alone"][1:] / UNIT, atol=1e-6)
     np.testing.assert_allclose(results["X"][1:], results["X_alone"][1:], atol=1e-6)
 
 
 def answer(out: str) -> None:
     """Batched and fallback solutions of entries with different residuals; the first is not needed."""
-    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-7, max_steps=60)
+    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-8, max_steps=60)
     problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(num)]
     ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
     x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (num, 5))
     wide = lambda a: jnp.broadcast_to(a, (num, *np.shape(a)))
     before = wide(BEFORE * UNIT)
-    options = Options(*(jnp.full(num, value) for value in (1e-7, 1.0, 60, 1.0)))
+    options = Options(*(jnp.full(num, value) for value in (1e-8, 1.0, 60, 1.0)))
     problem = MPCProblem(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
     together = eqx.filter_jit(solve_mpc_batch)(ocp, problem, jnp.arange(num) > 0)

@@ -90,6 +90,20 @@ def test_a_bounded_pendulum_is_swung_as_scipy_swings_it():
         np.testing.assert_allclose(plans.U[0, :, entry], scipys(ocp, entry), atol=2e-5)
 
 
+class Straight(Pendulum):
+    """Leaves the curvature of the dynamics out of the first iterations."""
+
+    def early_curvature(self, x, u, costate, p, more):
+        return [[None] * 3 for _ in range(3)]
+
+
+def test_cheaper_second_derivatives_lead_to_the_same_plan_later():
+    exact, cheap = (solved(ocp, problem(), Options(1e-10)) for ocp in (Pendulum(), Straight()))
+    assert bool(jnp.all(cheap.result == RESULTS.successful))
+    assert bool(jnp.any(cheap.num_steps > exact.num_steps))  # else the cheaper ones would not have been used
+    np.testing.assert_allclose(cheap.U, exact.U, atol=1e-8)
+
+
 def test_single_precision_finds_the_same_plan():
     double = solved(Pendulum(), problem(), Options(1e-8))
     single = solved(Pendulum(), problem(np.float32), Options(1e-4))

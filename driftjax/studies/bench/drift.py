@@ -42,11 +42,11 @@ def config(horizon: int = HORIZON) -> MPCConfig:
     return MPCConfig(horizon=horizon, dt=0.05, R=(10.0, 0.001), Fxr_unit=1000.0, tolerance=TOLERANCE, max_steps=60)
 
 
-def starts(num: int = 256) -> Starts:
+def starts(num: int = 256, spread: float = SPREAD) -> Starts:
     """Return `num` states and last commands around the drift; up to 256, the first ones do not depend on `num`."""
     rng, num_drawn = np.random.default_rng(0), max(num, 256)
-    x = X_REF + SPREAD * rng.uniform(-1, 1, (num_drawn, 3)) * X_SPREAD
-    previous = U_REF + SPREAD * rng.uniform(-1, 1, (num_drawn, 2)) * U_SPREAD
+    x = X_REF + spread * rng.uniform(-1, 1, (num_drawn, 3)) * X_SPREAD
+    previous = U_REF + spread * rng.uniform(-1, 1, (num_drawn, 2)) * U_SPREAD
     return Starts(x[:num], previous[:num])
 
 

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from driftjax.studies.bench.config import PEERS, BenchConfig, Dtype, Solver, missing
-from driftjax.studies.bench.drift import HORIZON, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
+from driftjax.studies.bench.drift import HORIZON, SPREAD, TOLERANCE, WEIGHTS, X_REF, Starts, car, config, starts
 from driftjax.studies.bench.mpc import TOLERANCES, Kind, Solved, example_gp, mpc_solves
 from driftjax.studies.bench.rows import (
     PartResult,
@@ -20,6 +21,9 @@ from driftjax.studies.bench.rows import (
     timed,
 )
 
+if TYPE_CHECKING:
+    from driftjax.studies.bench.casadi_mpc import CasadiSolution
+
 NAMES: dict[Kind, str] = {"rti": "real-time iteration", "converged": "converged"}
 # FATROP's converged solve over acados' time for each kind, measured where both could be installed
 ACADOS: dict[Kind, float] = {"rti": 21.7, "converged": 1.73}
@@ -29,6 +33,7 @@ BATCH: dict[Kind, dict[Dtype, float]] = {
 }
 ALONE: dict[Kind, float] = {"rti": 8.7, "converged": 1.73}
 GP_SIZE, GP_TARGET = 200, 4.0
+WIDE, SAME = 3 * SPREAD, 1e-3  # spread of the wide starts; relative difference of costs at one optimum
 QUICK_HORIZON = 4  # the peers' C is compiled in seconds
 BATCHES, HORIZONS, GP_SIZES = (1, 4, 16, 64, 256, 1024), (10, 20, 40, 80), (0, 50, 100, 200, 400)
 
@@ -64,9 +69,13 @@ class Peer:
         self._solver = CasadiMPC(solver, car(), config(horizon), WEIGHTS, X_REF, TOLERANCE)
         self.costs, self.success = np.zeros(len(problems.x)), 0.0
 
+    def solve(self, problems: Starts) -> "list[CasadiSolution]":
+        """Solve others."""
+        return [self._solver.solve(x, u) for x, u in zip(*problems, strict=True)]
+
     def run(self) -> float:
         """Return the median time of a solve [s]."""
-        answers = [self._solver.solve(x, u) for x, u in zip(*self._problems, strict=True)]
+        answers = self.solve(self._problems)
         self.costs = np.array([one.cost for one in answers])
         self.success = float(np.mean([one.success for one in answers]))
         return float(np.median([one.seconds for one in answers]))
@@ -90,14 +99,37 @@ def _rows(cfg: BenchConfig, problems: Starts, horizon: int) -> list[Row]:
     runs: dict[SolveCase | Solver, Callable[[], float]] = {case: timed(call, case.num) for case, call in mine.items()}
     runs |= {name: peer.run for name, peer in peers.items()}
     times = alternate(cfg.repeats, runs)
-    return [row for case, call in mine.items() for row in _case_rows(case, call.last, peers, times, horizon)]
+    wide = {case: _wide_facts(case, cfg, peers, horizon) for case in cases if case.kind == "converged" and case.num > 1}
+    return [
+        row
+        for case, call in mine.items()
+        for row in _case_rows(case, _facts(case.kind, call.last, peers) | wide.get(case, {}), peers, times, horizon)
+    ]
+
+
+def _wide_facts(
+    case: SolveCase, cfg: BenchConfig, peers: dict[Solver, Peer], horizon: int
+) -> dict[str, float | int | str]:
+    """Return the share solved from wider starts, and of these the share whose cost is not above that of IPOPT."""
+    problems = starts(case.num, WIDE)
+    batch = mpc_solves(case.kind, problems, case.dtype, horizon=horizon, threads=cfg.threads)()
+    solved = np.asarray(batch.solved)
+    facts: dict[str, float | int | str] = {"solved_wide": float(solved.mean())}
+    if "ipopt" in peers:
+        theirs = np.array([one.cost for one in peers["ipopt"].solve(problems)])
+        facts["at_ipopts_wide"] = float(np.mean(np.asarray(batch.cost)[solved] <= (1 + SAME) * theirs[solved]))
+    return facts
 
 
 def _case_rows(
-    case: SolveCase, solved: Solved, peers: dict[Solver, Peer], times: dict[SolveCase | Solver, Timing], horizon: int
+    case: SolveCase,
+    facts: dict[str, float | int | str],
+    peers: dict[Solver, Peer],
+    times: dict[SolveCase | Solver, Timing],
+    horizon: int,
 ) -> list[Row]:
     """Return the rows of one case against FATROP, IPOPT where both converge, and the derived time of acados."""
-    facts = _facts(case.kind, solved, peers) | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
+    facts = facts | {"batch": case.num, "dtype": case.dtype, "horizon": horizon}
     facts["kkt"] = TOLERANCES[case.dtype]
     fatrop, factor = times.get("fatrop"), ACADOS[case.kind]
     against: list[tuple[str, Timing | None, float | None]] = [(PEERS["fatrop"], fatrop, case.target)]

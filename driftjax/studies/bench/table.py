@@ -9,6 +9,8 @@ UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 HEAD = ("part", "what", "time", "against", "its time", "ratio", "target", "met", "remarks")
 WORDS = {
     "solved": "solved to the tolerance {:.4g}",
+    "solved_wide": "from starts three times as wide {:.4g}",
+    "at_ipopts_wide": "of these {:.4g} at IPOPT's optimum or a better one",
     "cost_difference_fatrop": "optimal cost apart by at most {:.1e}",
     "cost_difference_ipopt": "optimal cost apart by at most {:.1e}",
     "difference": "states apart by at most {:.1e}",
