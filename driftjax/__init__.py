@@ -114,7 +114,7 @@ MODULES = {
         "load_vehicle",
         "with_effects",
         "write_vehicle",
-    ),  # fmt: skip
+    ),
 }
 PUBLIC = {name: f"driftjax.{module}" for module, names in MODULES.items() for name in names}
 __all__ = ["setup", *PUBLIC]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -60,6 +60,10 @@ class DriftBatchOCP(AbstractBatchOCP):
 
         return rates
 
+    def _rate_inputs(self, acting: Components, expansion: ResidualDerivatives | None) -> Components:
+        """Return the arguments of the rates that are constant over a step: mean inputs, the residual's rates if any."""
+        return [*acting, *([] if expansion is None else expansion.d)]
+
     def _actuated(self, x: Components, u: Components) -> tuple[Components, Components]:
         """Return the mean input over a step, and the actuator outputs at its end."""
         if self.lags is None:
@@ -86,8 +90,8 @@ class DriftBatchOCP(AbstractBatchOCP):
         """Return the next state by one RK4 step."""
         n, (acting, end) = len(self.Q), self._actuated(x, u)
         expansion, rates = self.local_expansion(x, u, p), self._rates(p.kappa)
-        held = [] if expansion is None else expansion.d
-        return [*rk4_step(lambda y: rates(*y, *acting, *held), list(x[:n]), self.dt), *end]
+        inputs = self._rate_inputs(acting, expansion)
+        return [*rk4_step(lambda y: rates(*y, *inputs), list(x[:n]), self.dt), *end]
 
     def local_expansion(self, x: Components, u: Components, p: Reference) -> ResidualDerivatives | None:
         """Return the residual at all stages."""
@@ -101,8 +105,8 @@ class DriftBatchOCP(AbstractBatchOCP):
     ) -> tuple[Components, Matrix, PyTree]:
         """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
         acting, end = self._actuated(x, u)
-        held = [] if expansion is None else expansion.d
-        y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], [*acting, *held], self.dt)
+        inputs = self._rate_inputs(acting, expansion)
+        y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt)
         return [*y, *end], self._by_state_and_input(M, x, expansion), (y, M, expansion)
 
     def _by_state_and_input(self, M: Matrix, x: Components, expansion: ResidualDerivatives | None) -> Matrix:
@@ -124,20 +128,15 @@ class DriftBatchOCP(AbstractBatchOCP):
 
     def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
         """Return second derivatives of the step (see `runge_kutta_curvature`)."""
-        rates, inputs = self._held(x, u, p, more)
-        H = runge_kutta_curvature(rates, x[: len(self.Q)], inputs, self.dt, costate[: len(self.Q)])
+        inputs = self._rate_inputs(self._actuated(x, u)[0], more[2])
+        H = runge_kutta_curvature(self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt, costate[: len(self.Q)])
         return self._curvature_by_state_and_input(H, costate, more)
 
     def early_curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
         """Return second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
-        rates, inputs = self._held(x, u, p, more)
-        H = midpoint_curvature(rates, x[: len(self.Q)], inputs, more[:2], self.dt, costate[: len(self.Q)])
+        inputs, n = self._rate_inputs(self._actuated(x, u)[0], more[2]), len(self.Q)
+        H = midpoint_curvature(self._rates(p.kappa), x[:n], inputs, more[:2], self.dt, costate[:n])
         return self._curvature_by_state_and_input(H, costate, more)
-
-    def _held(self, x: Components, u: Components, p: Reference, more: PyTree) -> tuple[Callable, Components]:
-        """Return the rates of the tracked state and their arguments that are held over a step."""
-        expansion = more[2]
-        return self._rates(p.kappa), [*self._actuated(x, u)[0], *([] if expansion is None else expansion.d)]
 
     def _curvature_by_state_and_input(self, H: Matrix, costate: Components, more: PyTree) -> Matrix:
         """Return second derivatives by (x, u) from those by (tracked, acting, residual's rates)."""

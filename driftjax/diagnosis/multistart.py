@@ -54,7 +54,7 @@ def search_multistart(
         penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
         best = close if late is None or penalised(close) <= penalised(late) else late
         too_noisy = bool(best.selected) and disturbance_ratio(problem, best).min() < LEAST_DISTURBANCE
-        return search_with_own_noise(problem, best, problem, seed, most, report) if too_noisy else (problem, best)
+        return search_with_own_noise(problem, best, seed, most, report) if too_noisy else (problem, best)
     anew, selection = search_from_far(problem, seed, most, report)
     if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
         return problem, close
@@ -93,7 +93,7 @@ def search_from_far(
     loose = with_nominal_noise(problem)
     start = require_finite_cost(nominal_fit(loose))
     rough = search(loose, start, seed, most=most, report=report)
-    return search_with_own_noise(problem, rough, loose, seed, most, report)
+    return search_with_own_noise(problem, rough, seed, most, report)
 
 
 def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
@@ -111,11 +111,11 @@ def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
 
 
 def search_with_own_noise(
-    problem: Problem, rough: Selection, base: Problem, seed: int, most: int, report: Callable[[str], None]
+    problem: Problem, rough: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> tuple[Problem, Selection]:
-    """Search again with the noise of the car fitted in `rough`, from its effects; `rough` was searched in `base`."""
+    """Search again with the noise of the car fitted in `rough`, from its effects; what is nominal stays as there."""
     own = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(own, evaluate_fit(own, rough.fit.theta), own.columns(rough.selected))[0]
     selection = search(own, require_finite_cost(fit), seed, rough.selected, most, report)
-    nominal = {"nominal": rough.nominal, "nominal_scores": rough.nominal_scores, "free": rough.free}
-    return own, selection._replace(base=base, **nominal)
+    kept = {name: getattr(rough, name) for name in ("base", "nominal", "nominal_scores", "free")}
+    return own, selection._replace(**kept)

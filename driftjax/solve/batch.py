@@ -3,11 +3,11 @@
 Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
 a few interior-point iterations on the quadratic program, which touch the matrices only (`batch_qp`); primal and dual
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
-al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second
-derivatives in the later iterations all entries of a tracking problem converge, from far guesses too; one that does not
-says so in `result`, and the safeguarded `solve` takes it. An l1 merit function with backtracking rejected good steps of
-a Gaussian process's dynamics and doubled their iterations. Everything is
-elementwise along the batch, so that a CPU fills its vector registers with batch entries.
+al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second derivatives in the later
+iterations all entries of a tracking problem converge, from far guesses too; one that does not says so in `result`, and
+the safeguarded `solve` takes it. An l1 merit function with backtracking rejected good steps of a Gaussian process's
+dynamics and doubled their iterations. Everything is elementwise along the batch, so that a CPU fills its vector
+registers with batch entries.
 """
 
 from collections.abc import Callable
@@ -217,9 +217,10 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loo
         model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, loop.open, jnp.asarray(0)
     )
     end = jax.lax.while_loop(lambda state: jnp.any(state.open), improve, start)
-    _, it, barrier, qp_error, qp_steps, infeasible, *_ = end
-    return loop._replace(iterate=it, barrier=barrier, qp_error=qp_error, num_steps=loop.num_steps + loop.open,
-                         qp_steps=qp_steps, infeasible=infeasible)  # fmt: skip
+    return loop._replace(
+        iterate=end.iterate, barrier=end.barrier, qp_error=end.qp_error, num_steps=loop.num_steps + loop.open,
+        qp_steps=end.qp_steps, infeasible=end.infeasible,
+    )  # fmt: skip
 
 
 def _start(

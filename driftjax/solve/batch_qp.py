@@ -56,17 +56,17 @@ def qp_step(
 
 
 def _infeasible(
-    ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, newton: BatchIterate, asked: Array
+    ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, newton: BatchIterate, tested: Array
 ) -> Array:
-    """Return whether the program of an `asked` entry is proven to have no feasible point.
+    """Return whether the program of a `tested` entry is proven to have no feasible point.
 
     Without one steps become short and multipliers grow, those of the full Newton step towards a proof.
     """
     full = lambda values, steps: [v + d for v, d in zip(values, steps, strict=True)]
     dual = [jnp.maximum(z, 0.0) for z in full(it.dual, newton.dual)]
     proof = it._replace(costates=full(it.costates, newton.costates), dual=dual)
-    prove = lambda: asked & proves_infeasible(ocp, u_before, model, proof)
-    return jax.lax.cond(jnp.any(asked), prove, lambda: jnp.zeros_like(asked))
+    prove = lambda: tested & proves_infeasible(ocp, u_before, model, proof)
+    return jax.lax.cond(jnp.any(tested), prove, lambda: jnp.zeros_like(tested))
 
 
 def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:

@@ -42,26 +42,29 @@ def test_a_log_file_has_a_line_per_stage_and_the_time_left(clock, capsys):
     ]
 
 
-def test_a_terminal_has_a_bar_with_rate_and_time_left(monkeypatch):
+def bars(monkeypatch, *reports: tuple[str, int, int]) -> list[str]:
+    """Return what a terminal is shown for these reports, the last bar at the end; nothing goes to stdout."""
     out, err = Terminal(), Terminal()
     monkeypatch.setattr("sys.stdout", out)
     monkeypatch.setattr("sys.stderr", err)
     with console.progress() as report:
-        report("plan", 0, 4)
-        report("nominal", 3, 4)
-    last = err.getvalue().strip().split("\r")[-1]
-    assert out.getvalue() == "" and last.startswith("nominal:  75%")
+        for one in reports:
+            report(*one)
+    assert out.getvalue() == ""
+    return err.getvalue().strip().split("\r")
+
+
+def test_a_terminal_has_a_bar_with_rate_and_time_left(monkeypatch):
+    shown = bars(monkeypatch, ("plan", 0, 4), ("nominal", 3, 4))
+    last = shown[-1]
+    assert last.startswith("nominal:  75%")
     assert "3/4" in last and " left" in last and ("step/s" in last or "s/step" in last)
-    assert "?" not in err.getvalue() and "0/1" not in err.getvalue()  # no rate, nor a count, that is not known yet
+    text = "\r".join(shown)
+    assert "?" not in text and "0/1" not in text  # no rate, nor a count, that is not known yet
 
 
 def test_a_long_text_leaves_room_for_the_bar(monkeypatch):
-    out, err = Terminal(), Terminal()
-    monkeypatch.setattr("sys.stdout", out)
-    monkeypatch.setattr("sys.stderr", err)
-    with console.progress() as report:
-        report("noise and nominal car: compile roll-outs and derivatives", 25, 100)
-    last = err.getvalue().strip().split("\r")[-1]
+    last = bars(monkeypatch, ("noise and nominal car: compile roll-outs and derivatives", 25, 100))[-1]
     assert last.startswith("noise and nominal car") and "...:" in last and "25%|" in last and "25/100" in last
     assert console.shortened("naming: steer_lag", 25) == "naming: steer_lag"
 

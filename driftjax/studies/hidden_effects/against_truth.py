@@ -1,7 +1,6 @@
 """Compare the search of a diagnosis with the true effects: their scores at the nominal car, and penalised costs."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -31,14 +30,18 @@ def nominal_scores(evidence: Evidence, names: set[str]) -> dict[str, dict[str, f
 
 def penalised_costs(
     evidence: Evidence, truth: dict[str, dict[str, float]], unknown: Sequence[str] = ()
-) -> dict[str, Any]:
+) -> dict[str, float]:
     """Return the penalised costs of the `named` effects and of the `truth`, both with fitted parameters.
 
     `truth` maps effect -> parameter -> value, SI. Effects that act too, but with `unknown` parameters, start at their
     typical size.
     """
+    return costs_against(evidence, *_true_start(evidence.problem, truth, unknown))
+
+
+def costs_against(evidence: Evidence, start: np.ndarray, members: tuple[int, ...]) -> dict[str, float]:
+    """Return the penalised costs of the `named` effects and of the true `members`, refitted from `start` (K,)."""
     problem, selection = evidence.problem, evidence.selection
-    start, members = _true_start(problem, truth, unknown)
     fit = evaluate_fit(problem, start)
     fit = refit_to_convergence(problem, fit, problem.columns(members))[0] if members else fit
     return {

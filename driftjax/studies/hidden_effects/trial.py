@@ -8,14 +8,13 @@ import numpy as np
 
 from driftjax.core.config import to_dict
 from driftjax.diagnosis.diagnose import Diagnosis, Evidence, diagnose
-from driftjax.diagnosis.fit import evaluate_fit, refit_to_convergence
 from driftjax.diagnosis.gain import excess_shares, open_loop_errors
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.score import CONDITION, partial_out
-from driftjax.diagnosis.select import penalised_cost
 from driftjax.diagnosis.serialise import unexplained_json
 from driftjax.logs import Log, Run
 from driftjax.manoeuvres.campaign import LATER, Campaign, record_runs
+from driftjax.studies.hidden_effects.against_truth import costs_against
 from driftjax.studies.hidden_effects.case import FOREIGN, Case
 from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle, height
 from driftjax.studies.hidden_effects.naive import naive_gains
@@ -89,7 +88,9 @@ def diagnose_case(
         if shares := excess_shares(gain.errors | {"oracle": oracle}, gain.noise_floor, config.seed):
             result |= {"oracle": [shares["oracle"].value, *shares["oracle"].ci95]}
     if set(result["named"]) != set(case.names):
-        result |= {"prices": penalised_costs(evidence, case)}
+        problem = evidence.problem
+        members = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
+        result |= {"prices": costs_against(evidence, case.theta(problem.effects), members)}
     return result
 
 
@@ -153,15 +154,3 @@ def nearest_effects(evidence: Evidence, H: np.ndarray, column: int, taken: np.nd
     of = {i: float(cosine[owner == i].max()) for i in set(owner.tolist()) if i != owner[column]}
     result = {max(of, key=lambda i: of[i]), *(c.effect for c in evidence.causes)} & set(of)
     return {evidence.problem.effects[i].name: of[i] for i in result}
-
-
-def penalised_costs(evidence: Evidence, case: Case) -> dict[str, float]:
-    """Return the penalised costs of the named effects and of the refitted truth, to separate search from evidence."""
-    problem = evidence.problem
-    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in case.names)
-    true = evaluate_fit(problem, case.theta(problem.effects))
-    true = refit_to_convergence(problem, true, problem.columns(selected))[0]
-    return {
-        "named": penalised_cost(problem, evidence.selection.fit, evidence.selection.selected),
-        "truth": penalised_cost(problem, true, selected),
-    }
