@@ -41,9 +41,8 @@ def test_a_lost_observer_is_no_end():
     truth = hidden(friction_rear=1.4)
     problem = build_problem(sedan(), EFFECTS, recorded(truth, 5, 7, disturbed=0.0))
     noise = initial_noise(problem.data)
-    trusting = with_noise(
-        problem, 0 * truth, noise._replace(sigma=noise.sigma / 2, disturbance=1e-4 * noise.disturbance)
-    )
+    small = noise._replace(sigma=noise.sigma / 2, disturbance=1e-4 * noise.disturbance, slow=1e-4 * noise.slow)
+    trusting = with_noise(problem, 0 * truth, small)
     assert misfit(trusting, nominal_fit(trusting)) > LOST_MISFIT
     anew, selection = search_multistart(trusting)
     assert [ORDER[i] for i in selection.selected] == ["friction_rear"] and anew is not trusting
