@@ -34,8 +34,8 @@ from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
 from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
 from driftjax.solve.compute_once import compute_once
-from driftjax.solve.interior_point import split
 from driftjax.solve.ocp import Options
+from driftjax.solve.solution_derivative import objective, solution_tangent, split
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
 SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
@@ -147,31 +147,23 @@ def _full(entries: list[Entry], like: Array) -> list[Array]:
     return [jnp.zeros_like(like) if e is None else jnp.broadcast_to(e, like.shape) for e in entries]
 
 
-def _objective(batch: _Batch, it: BatchIterate) -> Array:
-    ocp = batch.ocp
-    cost = jnp.sum(ocp.cost([x[:-1] for x in it.X], it.U, batch.stages), axis=0)
-    cost = cost + ocp.terminal([x[-1] for x in it.X], batch.last)
-    for change, weight in zip(changes(it.U, batch.u_before), ocp.rate_weight(), strict=False):
-        cost = cost + weight * jnp.sum(change**2, axis=0)
-    return cost
-
-
 def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
     """Return the model with second derivatives of the dynamics: cheaper ones in the first iterations, if there are."""
     it = loop.iterate
     args = ([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
 
     def with_those(curvature: Callable[..., Matrix | None]) -> Callable[[], QPModel]:
-        def add(model: QPModel, args: tuple) -> QPModel:
-            rows = zip(model.H, curvature(*args) or [], strict=True)
-            return model._replace(H=[_full([total(pair) for pair in zip(*row, strict=True)], it.U[0]) for row in rows])
-
-        return lambda: compute_once(add)(model, args)
+        return lambda: compute_once(lambda model, args: _add(model, curvature(*args) or [], it.U[0]))(model, args)
 
     exact, early = with_those(batch.ocp.curvature), batch.ocp.early_curvature
     if jax.eval_shape(early, *args) is None:
         return exact()
     return jax.lax.cond(jnp.any(loop.open & (loop.num_steps >= EARLY)), exact, with_those(early))
+
+
+def _add(model: QPModel, curvature: Matrix, like: Array) -> QPModel:
+    rows = zip(model.H, curvature, strict=True)
+    return model._replace(H=[_full([total(pair) for pair in zip(*row, strict=True)], like) for row in rows])
 
 
 def _worst(error: OptimalityError) -> Array:
@@ -255,21 +247,67 @@ def solve_batch(
     and `infeasible` where dynamics and limits of its last linearisation were proven to have no common point near the
     iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
+
+    `X`, `U` and `cost` are differentiable in `ocp`, `x0`, `u_before` and `params`, in both modes, as exactly as the
+    tolerance; guess, options and residuals carry no derivative. Where the residuals exceed `options.implicit`
+    tolerances, or the point is no strict minimum, all derivatives are NaN.
     """
-    dtype = U[0].dtype
+    return _differentiable(ocp, x0, u_before, params, X, U, options, needed)
+
+
+@eqx.filter_custom_jvp
+def _differentiable(ocp, x0, u_before, params, X, U, options, needed) -> BatchSolution:
+    return _solve(ocp, x0, u_before, params, X, U, options, needed)[0]
+
+
+@_differentiable.def_jvp
+def _tangent(primals, tangents):
+    ocp, x0, u_before, params, *_, options, _ = primals
+    d_ocp, d_x0, d_before, d_params, *_ = tangents
+    solution, it = _solve(*primals)
+    batch = _Batch(ocp, *split(params), list(u_before), *options_of_entries(options, it.U[0]))
+    x, stages = [x[:-1] for x in it.X], batch.stages
+    model, more, _ = _linearise(batch, it, ocp.local_expansion(x, it.U, stages))
+    model = _add(model, ocp.curvature(x, it.U, it.costates, stages, more), it.U[0])
+    start = list(jnp.zeros_like(x0) if d_x0 is None else d_x0)
+    d_theta = (d_ocp, [None] * len(it.U) if d_before is None else list(d_before), d_params)
+    dX, dU, d_cost, strict = solution_tangent(model, it, (ocp, list(u_before), params), d_theta, start)
+    reached = jnp.maximum(solution.kkt, solution.violation) <= options.implicit * options.tolerance  # False on NaN
+    mark = jnp.where(reached & strict, 1.0, jnp.nan).astype(x0.dtype)
+    none = jax.tree.map(lambda _: None, solution)
+    moved = lambda s: (s.X, s.U, s.cost)
+    tangent = (mark * jnp.stack(dX), mark * jnp.stack(dU), mark * d_cost)
+    return solution, eqx.tree_at(moved, none, tangent, is_leaf=lambda leaf: leaf is None)
+
+
+def options_of_entries(options: Options, like: Array) -> tuple[Array, Array]:
+    """Return tolerance and largest number of steps of each entry of (N, batch) arrays."""
+    wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), like[0].shape)
+    return wide(options.tolerance, like.dtype), wide(options.max_steps, jnp.int32)
+
+
+def _solve(
+    ocp: AbstractBatchOCP,
+    x0: Array,
+    u_before: Array,
+    params: PyTree,
+    X: Array,
+    U: Array,
+    options: Options,
+    needed: Array | None,
+) -> tuple[BatchSolution, BatchIterate]:
     large = jnp.full_like(U[0][0], jnp.inf)
     wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), large.shape)
-    tolerance, barrier = wide(options.tolerance, dtype), wide(options.barrier, dtype)
-    stages, last = split(params)
-    batch = _Batch(ocp, stages, last, list(u_before), tolerance, wide(options.max_steps, jnp.int32))
+    barrier = wide(options.barrier, large.dtype)
+    batch = _Batch(ocp, *split(params), list(u_before), *options_of_entries(options, U[0]))
     start = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier)
     open_ = wide(True, bool) if needed is None else needed
     none, never = wide(0, jnp.int32), wide(False, bool)
     loop = _Loop(start, barrier, OptimalityError(large, large), large, none, none, never, open_)
     end = _solve_open(batch, loop)
     it = end.iterate
-    result = jax.vmap(_result)(_worst(end.error), end.infeasible, tolerance)
-    dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), dtype)
+    result = jax.vmap(_result)(_worst(end.error), end.infeasible, batch.tolerance)
+    dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), large.dtype)
     X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
-    counts, cost = (end.num_steps, end.qp_steps), _objective(batch, it)
-    return BatchSolution(X, U, costates, dual, cost, *end.error, end.qp_error, *counts, result)
+    counts, cost = (end.num_steps, end.qp_steps), objective(ocp, params, list(u_before), it.X, it.U)
+    return BatchSolution(X, U, costates, dual, cost, *end.error, end.qp_error, *counts, result), it

@@ -7,10 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.solve.batch_conditions import (
-    BatchIterate,
     QPModel,
     bound_constraints,
-    change_gradient,
     filled,
     terms_of,
 )
@@ -67,18 +65,16 @@ def newton_system(ocp: AbstractBatchOCP, model: QPModel, stiff: Components) -> N
     return NewtonSystem(stages, state, model.HN)
 
 
-def newton_terms(
-    ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, push: Components
-) -> NewtonTerms:
-    """Build the right-hand side from a model and the first derivatives `push` of the limits' barrier."""
-    gaps, nx = bound_constraints(ocp), len(it.X)
+def newton_terms(ocp: AbstractBatchOCP, model: QPModel, of_changes: Components, push: Components) -> NewtonTerms:
+    """Build the right-hand side from first derivatives: of a model, of the cost of changes, `push` of the barrier."""
+    gaps, nx = bound_constraints(ocp), len(model.c)
     signed = [gap.sign * p for gap, p in zip(gaps, push, strict=True)]
     of = lambda family, i: terms_of(gaps, family, i, signed)
     h = [total((h, *(of("input", i - nx) if i >= nx else ()))) for i, h in enumerate(model.h)]
-    pull = [total((g, *of("change", l))) for l, g in enumerate(change_gradient(ocp, u_before, it))]
+    pull = [total((g, *of("change", l))) for l, g in enumerate(of_changes)]
     state = [total(of("state", i)) for i in range(nx)]
     stages = StageTerms(list(model.c), h, pull)
-    stages, state = _wide((stages, state), it.U[0])
+    stages, state = _wide((stages, state), model.c[0])
     return NewtonTerms(stages, state, model.hN)
 
 
@@ -107,12 +103,29 @@ def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFacto
     return factors, Policy(k, p, terms.stages.c)
 
 
+def substitute(system: NewtonSystem, factors: StageFactors, terms: NewtonTerms) -> Policy:
+    """Treat another right-hand side of a factorised system; linear in `terms`."""
+    zero = jnp.zeros_like(terms.stages.c[0][0])
+
+    def back(after: CostGradient, s: tuple):
+        factors, stage, terms, push = s
+        after = after._replace(p=[total(pair) for pair in zip(after.p, push, strict=True)])
+        before, k = gradient_stage(after, factors, stage, terms)
+        return filled(before, zero), filled((k, after.p), zero)
+
+    begin = CostGradient([e + zero for e in filled(terms.end, zero)], [zero] * len(terms.stages.pull))
+    k, p = jax.lax.scan(back, begin, (factors, system.stages, terms.stages, terms.state), reverse=True)[1]
+    return Policy(k, p, terms.stages.c)
+
+
 def solve_forward(
-    system: NewtonSystem, factors: StageFactors, policy: Policy
+    system: NewtonSystem, factors: StageFactors, policy: Policy, start: tuple[Components, Components]
 ) -> tuple[Components, Components, Components]:
-    """Return the steps of later states and of inputs, and the costates after the step; the first state stays."""
-    zero = jnp.zeros_like(policy.c[0][0])
-    nx, nu = len(policy.c), len(policy.k)
+    """Return the steps of later states and of inputs, and the costates after the step.
+
+    `start` holds the steps of the first state and of the input before it.
+    """
+    nx = len(policy.c)
 
     def forth(carry: tuple[Components, Components], s: tuple):
         factors, stage, (k, p, c) = s
@@ -120,4 +133,4 @@ def solve_forward(
         costate = [total((p[i], dot(factors.P[i], dx), dot(factors.S[i], du))) for i in range(nx)]
         return (dx, du), (dx, du, costate)
 
-    return jax.lax.scan(compute_once(forth), ([zero] * nx, [zero] * nu), (factors, system.stages, policy))[1]
+    return jax.lax.scan(compute_once(forth), start, (factors, system.stages, policy))[1]

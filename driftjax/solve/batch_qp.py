@@ -14,6 +14,7 @@ from driftjax.solve.batch_conditions import (
     BatchIterate,
     QPModel,
     bound_constraints,
+    change_gradient,
     changes,
     proves_infeasible,
     slack_residuals,
@@ -93,8 +94,9 @@ def _newton_step(
     stiff = [z * i for z, i in zip(it.dual, inverse, strict=True)]
     push = [w * r - barrier * i for w, r, i in zip(stiff, residual, inverse, strict=True)]
     system = newton_system(ocp, model, stiff)
-    factors, policy = solve_backward(system, newton_terms(ocp, u_before, model, it, push))
-    dX, dU, costates = solve_forward(system, factors, policy)
+    terms = newton_terms(ocp, model, change_gradient(ocp, u_before, it), push)
+    factors, policy = solve_backward(system, terms)
+    dX, dU, costates = solve_forward(system, factors, policy, ([zero] * len(it.X), [zero] * nu))
     of = {"input": dU, "change": changes(dU, [zero] * nu), "state": dX}
     d_slack = [gap.sign * of[gap.family][gap.entry] + r for gap, r in zip(gaps, residual, strict=True)]
     d_dual = [(barrier - z * ds) / s - z for s, z, ds in zip(it.slack, it.dual, d_slack, strict=True)]

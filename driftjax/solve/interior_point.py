@@ -19,6 +19,7 @@ from jaxtyping import Float, PyTree
 from driftjax.core import RESULTS
 from driftjax.solve.ocp import AbstractOCP, Options, Solution
 from driftjax.solve.riccati import Direction, Quadratic, newton_direction
+from driftjax.solve.solution_derivative import split
 
 BOUNDARY_FRACTION = 0.995  # of the way to a bound that one step may take
 MAX_BACKTRACKS = 8  # halvings before a direction is given up
@@ -65,11 +66,6 @@ class IterationState(NamedTuple):
     violation: Array
     length: Array  # of the last step; 0 where none was taken
     open: Array  # whether to go on
-
-
-def split(params: PyTree) -> tuple[PyTree, PyTree]:
-    """Return the rows of the stages and of the end, of parameters with N+1 rows."""
-    return jax.tree.map(lambda p: p[:-1], params), jax.tree.map(lambda p: p[-1], params)
 
 
 class OCPInstance(eqx.Module):

@@ -55,18 +55,21 @@ class StageFactors(NamedTuple):
     inverse: Matrix
     P: Matrix
     S: Matrix
+    convex: Array  # whether the input Hessian is positive definite
 
 
-def inverse_absolute_entries(Q: Matrix) -> tuple[Matrix, Matrix]:
-    """Invert a 1x1 or 2x2 symmetric matrix with absolute eigenvalues; as `riccati.inverse_absolute`.
+def inverse_absolute(Q: Matrix) -> tuple[Matrix, Matrix, Array]:
+    """Invert a 1x1 or 2x2 symmetric matrix after replacing its eigenvalues by their absolute values.
 
-    Returns the inverse, and the matrix with absolute eigenvalues less the matrix: zero where this is positive definite.
+    Along a direction of negative curvature the step is then as long as the curvature is weak, not unbounded as it
+    would be with a small floor (Dauphin et al. 2014). Returns the inverse, the matrix with absolute eigenvalues less
+    the matrix, and whether the matrix is positive definite: then nothing is changed.
     """
     floor = FLOOR * jnp.finfo(Q[0][0].dtype).eps
     scale = [1 / jnp.sqrt(jnp.maximum(jnp.abs(Q[i][i]), 1e-12)) for i in range(len(Q))]
     if len(Q) == 1:
         inverse = scale[0] ** 2 / jnp.maximum(jnp.abs(Q[0][0] * scale[0] ** 2), floor)
-        return [[inverse]], [[jnp.abs(Q[0][0]) - Q[0][0]]]
+        return [[inverse]], [[jnp.abs(Q[0][0]) - Q[0][0]]], Q[0][0] > 0
     a, b, d = Q[0][0] * scale[0] ** 2, Q[0][1] * scale[0] * scale[1], Q[1][1] * scale[1] ** 2
     signed = a * d - b**2
     determinant = jnp.abs(signed)
@@ -79,7 +82,7 @@ def inverse_absolute_entries(Q: Matrix) -> tuple[Matrix, Matrix]:
     convex = (signed > 0) & (a > 0)
     raised = lambda new, old, i, j: jnp.where(convex, 0.0, (new - old) / (scale[i] * scale[j]))
     cross = raised(q, b, 0, 1)
-    return inverse, [[raised(p, a, 0, 0), cross], [cross, raised(r, d, 1, 1)]]
+    return inverse, [[raised(p, a, 0, 0), cross], [cross, raised(r, d, 1, 1)]], convex
 
 
 def _symmetric(n: int, entry) -> Matrix:
@@ -99,7 +102,7 @@ def factor_stage(V: CostHessian, s: StageSystem) -> tuple[CostHessian, StageFact
         dot(column(s.B, i), column(PB, j)), dot(column(V.S, i), column(s.B, j)), V.T[i][j], s.H[n + i][n + j],
         s.rate[i] if i == j else None,
     )))  # fmt: skip
-    inverse, raised = inverse_absolute_entries(Quu)
+    inverse, raised, convex = inverse_absolute(Quu)
     minus = [[-e for e in row] for row in inverse]
     Kx = [[dot(minus[l], column(Qux, j)) for j in X] for l in U]
     Kw = [[times(inverse[l][q], s.rate[q]) for q in U] for l in U]
@@ -109,7 +112,7 @@ def factor_stage(V: CostHessian, s: StageSystem) -> tuple[CostHessian, StageFact
         S=[[dot(column(Qux, i), column(Kw, l)) for l in U] for i in X],
         T=_symmetric(m, lambda i, j: total((s.rate[i] if i == j else None, times(negated[i], Kw[i][j])))),
     )
-    return before, StageFactors(Kx, Kw, inverse, V.P, V.S)
+    return before, StageFactors(Kx, Kw, inverse, V.P, V.S, convex)
 
 
 def _hessian_along_policy(V: CostHessian, s: StageSystem, raised: Matrix, Kx: Matrix) -> Matrix:
