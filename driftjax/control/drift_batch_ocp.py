@@ -19,6 +19,8 @@ from driftjax.solve.component_derivatives import (
     Matrix,
     column,
     dot,
+    jacobian,
+    jacobian_together,
     midpoint_curvature,
     runge_kutta,
     runge_kutta_curvature,
@@ -26,7 +28,7 @@ from driftjax.solve.component_derivatives import (
     total,
 )
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import AnyCar, Residual, VehicleConfig, beyond_peak, no_residual
+from driftjax.vehicle import AnyCar, Residual, SingleTrack, VehicleConfig, beyond_peak, no_residual
 
 
 class DriftBatchOCP(AbstractBatchOCP):
@@ -49,14 +51,19 @@ class DriftBatchOCP(AbstractBatchOCP):
     lags: Sequence[Array] | None  # time constants of steering and drive [s]; None where commands act at once
     Fxr_unit: Array  # [N]
 
+    @property
+    def _model(self) -> AnyCar:
+        """Return the car with the batch on the last axis of its parameters."""
+        return jax.tree.map(jnp.transpose, self.car)
+
     def _rates(self, kappa: Array) -> Callable[..., list[Array]]:
         """Return the rates of the tracked state as a function of state, inputs, and the residual's rates if any."""
-        n = len(self.Q)
+        n, car = len(self.Q), self._model
 
         def rates(*w: Array) -> list[Array]:
-            found = list(self.car(State(w[0], w[1], w[2]), Control(w[n], self.Fxr_unit * w[n + 1])))
-            found = [a + b for a, b in zip(found, w[n + 2 :], strict=True)] if len(w) > n + 2 else found
-            return found if n == 3 else [*found, *curvilinear_rates(w[0], w[1], w[2], w[3], w[4], kappa)[1:]]
+            dx = list(car(State(w[0], w[1], w[2]), Control(w[n], self.Fxr_unit * w[n + 1])))
+            dx = [a + b for a, b in zip(dx, w[n + 2 :], strict=True)] if len(w) > n + 2 else dx
+            return dx if n == 3 else [*dx, *curvilinear_rates(w[0], w[1], w[2], w[3], w[4], kappa)[1:]]
 
         return rates
 
@@ -86,6 +93,10 @@ class DriftBatchOCP(AbstractBatchOCP):
         return [*direct, *((n + i, share) for i, share in enumerate(mean)),
                 *((n + i, 1 - share) for i, share in enumerate(mean))]  # fmt: skip
 
+    def jacobian(self, function: Callable[..., Sequence[Array]], *z: Array) -> tuple[Components, Matrix]:
+        """Return values and derivatives; of a car with named effects, a long function, all at once."""
+        return (jacobian if isinstance(self.car, SingleTrack) else jacobian_together)(function, *z)
+
     def step(self, x: Components, u: Components, p: Reference) -> Components:
         """Return the next state by one RK4 step."""
         n, (acting, end) = len(self.Q), self._actuated(x, u)
@@ -106,7 +117,7 @@ class DriftBatchOCP(AbstractBatchOCP):
         """Return the next state and its derivatives, chained over the slopes of the RK4 step."""
         acting, end = self._actuated(x, u)
         inputs = self._rate_inputs(acting, expansion)
-        y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt)
+        y, M = runge_kutta(self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt, self.jacobian)
         return [*y, *end], self._by_state_and_input(M, x, expansion), (y, M, expansion)
 
     def _by_state_and_input(self, M: Matrix, x: Components, expansion: ResidualDerivatives | None) -> Matrix:
@@ -129,13 +140,15 @@ class DriftBatchOCP(AbstractBatchOCP):
     def curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
         """Return second derivatives of the step (see `runge_kutta_curvature`)."""
         inputs = self._rate_inputs(self._actuated(x, u)[0], more[2])
-        H = runge_kutta_curvature(self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt, costate[: len(self.Q)])
+        H = runge_kutta_curvature(
+            self._rates(p.kappa), x[: len(self.Q)], inputs, self.dt, costate[: len(self.Q)], self.jacobian
+        )
         return self._curvature_by_state_and_input(H, costate, more)
 
     def early_curvature(self, x: Components, u: Components, costate: Components, p: Reference, more: PyTree) -> Matrix:
         """Return second derivatives of the step, to the second order in dt (see `midpoint_curvature`)."""
         inputs, n = self._rate_inputs(self._actuated(x, u)[0], more[2]), len(self.Q)
-        H = midpoint_curvature(self._rates(p.kappa), x[:n], inputs, more[:2], self.dt, costate[:n])
+        H = midpoint_curvature(self._rates(p.kappa), x[:n], inputs, more[:2], self.dt, costate[:n], self.jacobian)
         return self._curvature_by_state_and_input(H, costate, more)
 
     def _curvature_by_state_and_input(self, H: Matrix, costate: Components, more: PyTree) -> Matrix:
@@ -169,7 +182,8 @@ class DriftBatchOCP(AbstractBatchOCP):
             return tracking
         delta, Fxr = self._actuated(x, u)[0]
         return (
-            tracking + self.front_slip * beyond_peak(self.car, State(*x[:3]), Control(delta, self.Fxr_unit * Fxr)) ** 2
+            tracking
+            + self.front_slip * beyond_peak(self._model, State(*x[:3]), Control(delta, self.Fxr_unit * Fxr)) ** 2
         )
 
     def terminal(self, x: Components, p: Reference) -> Array:

@@ -137,8 +137,8 @@ def _linearise(batch: _Batch, it: BatchIterate, expansion: PyTree) -> tuple[QPMo
     ocp, nx = batch.ocp, len(it.X)
     x, xN = [x[:-1] for x in it.X], [x[-1] for x in it.X]
     y, M, more = ocp.linearise(x, it.U, batch.stages, expansion)
-    h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U)
-    hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN)
+    h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U, jacobian=ocp.jacobian)
+    hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN, jacobian=ocp.jacobian)
     model = QPModel(M, H, HN, [a - b[1:] for a, b in zip(y, it.X, strict=True)], _full(h, it.U[0]), _full(hN, xN[0]))
     return model, more, optimality_error(ocp, batch.u_before, model, it)
 

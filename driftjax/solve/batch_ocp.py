@@ -1,7 +1,7 @@
 """Interface of the batched solver: optimal control problems whose functions act on components."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import equinox as eqx
@@ -60,6 +60,13 @@ class AbstractBatchOCP(eqx.Module):
         """Return the limits of each state of stages 1 to N; none by default."""
         return ()
 
+    def jacobian(self, function: Callable[..., Sequence[Array]], *z: Array) -> tuple[Components, Matrix]:
+        """Return values and derivatives of a function of components: entry by entry, or override by the other way.
+
+        `jacobian_together` compiles long functions in a fraction of the time, and is slower in large batches.
+        """
+        return jacobian(function, *z)
+
     def local_expansion(self, x: Components, u: Components, p: PyTree) -> PyTree:
         """Return the local expansion that `linearise` reads, None by default.
 
@@ -73,12 +80,12 @@ class AbstractBatchOCP(eqx.Module):
 
         Override for a cheaper computation.
         """
-        return *jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u), None
+        return *self.jacobian(lambda *z: self.step(list(z[: len(x)]), list(z[len(x) :]), p), *x, *u), None
 
     def curvature(self, x: Components, u: Components, costate: Components, p: PyTree, more: PyTree) -> Matrix:
         """Return the second derivatives of `costate @ step` in (x, u)."""
         weighed = lambda *z: dot(costate, self.step(list(z[: len(x)]), list(z[len(x) :]), p))
-        return hessian(weighed, *x, *u)[1]
+        return hessian(weighed, *x, *u, jacobian=self.jacobian)[1]
 
     def early_curvature(
         self, x: Components, u: Components, costate: Components, p: PyTree, more: PyTree

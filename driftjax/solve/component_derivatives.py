@@ -43,8 +43,37 @@ def column(A: Matrix, j: int) -> list[Entry]:
     return [row[j] for row in A]
 
 
+Jacobian = Callable[..., tuple[list[Array], Matrix]]  # `jacobian` or `jacobian_together`
+
+
+def jacobian_together(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[Array], Matrix]:
+    """Return what `jacobian` returns, with all tangents pushed through the function at once, on an axis of their own.
+
+    The program is as long as the function, not as long as function times inputs, so that long functions trace and
+    compile in a fraction of the time; entries that vanish are computed. Takes any primitive.
+    """
+    values, push = jax.linearize(lambda *z: list(function(*z)), *z)
+    depends = _dependence(jax.make_jaxpr(push)(*z).jaxpr)
+    one = jnp.eye(len(z), dtype=z[0].dtype)
+    tangents = [jnp.broadcast_to(one[i].reshape(-1, *[1] * a.ndim), (len(z), *a.shape)) for i, a in enumerate(z)]
+    columns = jax.vmap(push)(*tangents)
+    return values, [[c[j] if j in on else None for j in range(len(z))] for c, on in zip(columns, depends, strict=True)]
+
+
+def _dependence(jaxpr: Any) -> list[set[int]]:
+    """Return the numbers of the inputs on which each output of a linear program depends."""
+    known: dict[Any, set[int]] = {v: set() for v in jaxpr.constvars} | {v: {i} for i, v in enumerate(jaxpr.invars)}
+    read = lambda v: set() if isinstance(v, jex.Literal) else known[v]
+    for eqn in jaxpr.eqns:
+        known.update(dict.fromkeys(eqn.outvars, set().union(*map(read, eqn.invars))))
+    return [read(v) for v in jaxpr.outvars]
+
+
 def jacobian(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[Array], Matrix]:
-    """Return the values of `function(*z)` and their derivatives [output][input], in one pass over the function."""
+    """Return the values of `function(*z)` and their derivatives [output][input], in one pass over the function.
+
+    Entry by entry: least work in large batches.
+    """
     values, push = jax.linearize(lambda *z: list(function(*z)), *z)
     linear = jax.make_jaxpr(push)(*z)
     columns = []
@@ -54,7 +83,7 @@ def jacobian(function: Callable[..., Sequence[Array]], *z: Array) -> tuple[list[
     return values, [list(row) for row in zip(*columns, strict=True)]
 
 
-def hessian(function: Callable[..., Array], *z: Array) -> tuple[list[Entry], Matrix]:
+def hessian(function: Callable[..., Array], *z: Array, jacobian: Jacobian = jacobian) -> tuple[list[Entry], Matrix]:
     """Return gradient and second derivatives of a function of one output; symmetric entries are shared."""
     grad = jax.grad(lambda *z: jnp.sum(function(*z)), tuple(range(len(z))))
     gradient, H = jacobian(grad, *z)
@@ -96,7 +125,11 @@ def _push_tangents(jaxpr: Any, consts: Sequence[Array], tangents: Sequence[Entry
 
 
 def runge_kutta(
-    rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array], dt: Array | float
+    rates: Callable[..., Sequence[Array]],
+    x: Sequence[Array],
+    u: Sequence[Array],
+    dt: Array | float,
+    jacobian: Jacobian = jacobian,
 ) -> tuple[list[Array], Matrix]:
     """Return the state after one step of the classical method of order 4, and its derivatives in x and u.
 
@@ -104,7 +137,7 @@ def runge_kutta(
     by slope, in a loop: much less work than to differentiate the step, and a program of a quarter of its size.
     """
     nx, nz, zero = len(x), len(x) + len(u), jnp.zeros_like(x[0])
-    shape = _shape_of_slopes(rates, x, u)
+    shape = _shape_of_slopes(rates, x, u, jacobian)
 
     def chained(carry: tuple, share: tuple[Array, Array]) -> tuple[tuple, None]:
         slope, K, ends, M = carry
@@ -130,6 +163,7 @@ def runge_kutta_curvature(
     u: Sequence[Array],
     dt: Array | float,
     costate: Sequence[Array],
+    jacobian: Jacobian = jacobian,
 ) -> Matrix:
     """Return the second derivatives in (x, u) of `costate @ next state` of the step of `runge_kutta`, exactly.
 
@@ -137,7 +171,7 @@ def runge_kutta_curvature(
     derivatives of the point of evaluation.
     """
     nx, nz, zero = len(x), len(x) + len(u), jnp.zeros_like(x[0])
-    shape = _shape_of_slopes(rates, x, u)
+    shape = _shape_of_slopes(rates, x, u, jacobian)
     none = _filled([[None] * nz for _ in range(nx)], shape, zero)
 
     def ahead(carry: tuple, into: Array) -> tuple[tuple, tuple]:
@@ -152,7 +186,7 @@ def runge_kutta_curvature(
     def back(carry: tuple, s: tuple) -> tuple[tuple, None]:
         (after, H), (weight, at, S, pull) = carry, s
         nu = [dt * weight.astype(zero.dtype) * c + a for c, a in zip(costate, after, strict=True)]
-        bend = _congruence(hessian(lambda *z: dot(nu, rates(*z)), *at, *u)[1], S, nx, nz)
+        bend = _congruence(hessian(lambda *z: dot(nu, rates(*z)), *at, *u, jacobian=jacobian)[1], S, nx, nz)
         H = [[total((H[i][j], bend[i][i + j])) for j in range(nz - i)] for i in range(nz)]
         return ([total((zero, dot(nu, column(pull, i)))) for i in range(nx)], H), None
 
@@ -179,7 +213,9 @@ def _present(M: Matrix) -> list[list[bool]]:
     return [[e is not None for e in row] for row in M]
 
 
-def _shape_of_slopes(rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array]) -> list[list[bool]]:
+def _shape_of_slopes(
+    rates: Callable[..., Sequence[Array]], x: Sequence[Array], u: Sequence[Array], jacobian: Jacobian
+) -> list[list[bool]]:
     """Return which derivatives of the slopes by (x, u) can differ from zero."""
     nx = len(x)
     J = jax.eval_shape(lambda x, u: jacobian(rates, *x, *u)[1], list(x), list(u))
@@ -198,6 +234,7 @@ def midpoint_curvature(
     step: tuple[Sequence[Array], Matrix],
     dt: Array | float,
     costate: Sequence[Array],
+    jacobian: Jacobian = jacobian,
 ) -> Matrix:
     """Return the second derivatives of `costate @ next state` in (x, u), to second order in dt.
 
@@ -210,7 +247,7 @@ def midpoint_curvature(
     at = [mean(a, b) for a, b in zip(x, y, strict=True)]
     S = [[mean(M[i][j], one if i == j else None) for j in range(nz)] for i in range(nx)]
     nu = [dt * mean(c, dot(column(M, i), costate)) for i, c in enumerate(costate)]
-    return _congruence(hessian(lambda *z: dot(nu, rates(*z)), *at, *u)[1], S, nx, nz)
+    return _congruence(hessian(lambda *z: dot(nu, rates(*z)), *at, *u, jacobian=jacobian)[1], S, nx, nz)
 
 
 def _congruence(bend: Matrix, S: Matrix, nx: int, nz: int) -> Matrix:
