@@ -25,22 +25,21 @@ from driftjax.solve.batch_conditions import (
     BatchIterate,
     OptimalityError,
     QPModel,
-    bound_constraints,
-    changes,
-    constraint_values,
+    all_constraints,
     optimality_error,
 )
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
 from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
 from driftjax.solve.compute_once import compute_once
-from driftjax.solve.ocp import Options
+from driftjax.solve.ocp import Options, Solution
 from driftjax.solve.solution_derivative import objective, solution_tangent, split
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
 SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
-EARLY = 8  # iterations with the cheaper second derivatives of a problem that has them: most entries need no more
+EARLY = 8  # iterations of a batch of `MANY` with cheaper second derivatives: most entries need no more
+FURTHER = 10.0  # times the first barrier of the attempt before: a larger one often solves what stalls at the limits
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
@@ -49,8 +48,6 @@ class BatchSolution(eqx.Module):
 
     X: Float[Array, "nx N+1 batch"]
     U: Float[Array, "nu N batch"]
-    costates: Float[Array, "nx N batch"]
-    dual: Float[Array, "ng N batch"]
     cost: Float[Array, " batch"]  # objective at (X, U)
     kkt: Float[Array, " batch"]  # scaled stationarity and complementarity of the problem, not of a program [-]
     violation: Float[Array, " batch"]  # worst defect or violation of a limit
@@ -58,6 +55,13 @@ class BatchSolution(eqx.Module):
     num_steps: Array  # SQP iterations (batch,)
     qp_steps: Array  # interior-point iterations in all of them (batch,)
     result: RESULTS
+
+
+def plain(plans: BatchSolution) -> Solution:
+    """Return the solutions in plain shapes, the batch on the first axis."""
+    first = lambda a: jnp.moveaxis(a, -1, 0)
+    X, U = (jnp.swapaxes(first(a), 1, 2) for a in (plans.X, plans.U))
+    return Solution(X, U, plans.cost, plans.kkt, plans.violation, plans.num_steps, plans.result)
 
 
 class _Loop(NamedTuple):
@@ -139,7 +143,12 @@ def _linearise(batch: _Batch, it: BatchIterate, expansion: PyTree) -> tuple[QPMo
     y, M, more = ocp.linearise(x, it.U, batch.stages, expansion)
     h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U, jacobian=ocp.jacobian)
     hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN, jacobian=ocp.jacobian)
-    model = QPModel(M, H, HN, [a - b[1:] for a, b in zip(y, it.X, strict=True)], _full(h, it.U[0]), _full(hN, xN[0]))
+    g, G = ocp.jacobian(lambda *z: ocp.constraints(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U)
+    gN, GN = ocp.jacobian(lambda *x: ocp.terminal_constraints(list(x), batch.last), *xN)
+    model = QPModel(
+        M=M, H=H, HN=HN, G=G, GN=GN, c=[a - b[1:] for a, b in zip(y, it.X, strict=True)],
+        h=_full(h, it.U[0]), hN=_full(hN, xN[0]), g=g, gN=[value[None] for value in gN],
+    )  # fmt: skip
     return model, more, optimality_error(ocp, batch.u_before, model, it)
 
 
@@ -148,7 +157,10 @@ def _full(entries: list[Entry], like: Array) -> list[Array]:
 
 
 def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
-    """Return the model with second derivatives of the dynamics: cheaper ones in the first iterations, if there are."""
+    """Return the model with second derivatives of the dynamics: in large batches cheaper ones at first, if there are.
+
+    A small batch would lose more time compiling both.
+    """
     it = loop.iterate
     args = ([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
 
@@ -156,7 +168,7 @@ def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) ->
         return lambda: compute_once(lambda model, args: _add(model, curvature(*args) or [], it.U[0]))(model, args)
 
     exact, early = with_those(batch.ocp.curvature), batch.ocp.early_curvature
-    if jax.eval_shape(early, *args) is None:
+    if len(batch.tolerance) < MANY or jax.eval_shape(early, *args) is None:
         return exact()
     return jax.lax.cond(jnp.any(loop.open & (loop.num_steps >= EARLY)), exact, with_those(early))
 
@@ -215,11 +227,9 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loo
     )  # fmt: skip
 
 
-def _start(
-    ocp: AbstractBatchOCP, x0: Components, u_before: Components, X: Components, U: Components, barrier
-) -> BatchIterate:
+def _start(batch: _Batch, x0: Components, X: Components, U: Components, barrier: Array) -> BatchIterate:
     X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
-    values = constraint_values(bound_constraints(ocp), U, changes(U, u_before), [x[1:] for x in X])
+    values = all_constraints(batch.ocp, batch.u_before, batch.stages, batch.last, X, U)
     slack = [jnp.maximum(value, SLACK_FLOOR * jnp.sqrt(barrier)) for value in values]
     return BatchIterate(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
@@ -247,6 +257,8 @@ def solve_batch(
     and `infeasible` where dynamics and limits of its last linearisation were proven to have no common point near the
     iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
+    Where the residuals exceed `options.implicit` tolerances the entry is solved again, up to `options.restarts` times,
+    from its guess with a larger barrier.
 
     `X`, `U` and `cost` are differentiable in `ocp`, `x0`, `u_before` and `params`, in both modes, as exactly as the
     tolerance; guess, options and residuals carry no derivative. Where the residuals exceed `options.implicit`
@@ -300,14 +312,29 @@ def _solve(
     wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), large.shape)
     barrier = wide(options.barrier, large.dtype)
     batch = _Batch(ocp, *split(params), list(u_before), *options_of_entries(options, U[0]))
-    start = _start(ocp, list(x0), list(u_before), list(X), list(U), barrier)
-    open_ = wide(True, bool) if needed is None else needed
+    needed = wide(True, bool) if needed is None else needed
     none, never = wide(0, jnp.int32), wide(False, bool)
-    loop = _Loop(start, barrier, OptimalityError(large, large), large, none, none, never, open_)
-    end = _solve_open(batch, loop)
+
+    def begin(barrier: Array) -> _Loop:
+        start = _start(batch, list(x0), list(X), list(U), barrier)
+        return _Loop(start, barrier, OptimalityError(large, large), large, none, none, never, needed)
+
+    def left(loop: _Loop, attempt: Array) -> Array:
+        accepted = _worst(loop.error) <= wide(options.implicit, large.dtype) * batch.tolerance
+        return needed & ~accepted & ~loop.infeasible & (attempt <= wide(options.restarts, jnp.int32))
+
+    def again(state: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
+        last, attempt = state
+        open_, fresh = left(last, attempt), begin(barrier * FURTHER**attempt)
+        loop = jax.tree.map(lambda new, old: jnp.where(open_, new, old), fresh, last)
+        loop = _solve_open(batch, loop._replace(open=open_))
+        count = lambda new, old: jnp.where(open_, new + old, old)
+        counts = {name: count(getattr(loop, name), getattr(last, name)) for name in ("num_steps", "qp_steps")}
+        return loop._replace(**counts), attempt + 1
+
+    end, _ = jax.lax.while_loop(lambda s: jnp.any(left(*s)), again, (begin(barrier), jnp.asarray(0)))
     it = end.iterate
     result = jax.vmap(_result)(_worst(end.error), end.infeasible, batch.tolerance)
-    dual = jnp.stack(it.dual) if it.dual else jnp.zeros((0, *it.U[0].shape), large.dtype)
-    X, U, costates = (jnp.stack(v) for v in (it.X, it.U, it.costates))
+    X, U = jnp.stack(it.X), jnp.stack(it.U)
     counts, cost = (end.num_steps, end.qp_steps), objective(ocp, params, list(u_before), it.X, it.U)
-    return BatchSolution(X, U, costates, dual, cost, *end.error, end.qp_error, *counts, result), it
+    return BatchSolution(X, U, cost, *end.error, end.qp_error, *counts, result), it

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.component_derivatives import Entry, Matrix, column, dot, total
@@ -16,24 +17,34 @@ LimitTerms = Callable[[str, int], list[Array]]  # multiplier terms of the limits
 
 
 class BatchIterate(NamedTuple):
-    """Iterate of a batch, components (stages, batch); slacks and duals in the order of `bound_constraints`."""
+    """Iterate of a batch, components (stages, batch).
+
+    Slacks and duals are those of `bound_constraints`, of the stages' constraints, and of the end's (1, batch).
+    """
 
     X: Components  # (N+1, batch)
     U: Components  # (N, batch)
     costates: Components  # (N, batch), of the dynamics into x_1..x_N
-    slack: Components  # (N, batch)
+    slack: Components
     dual: Components
 
 
 class QPModel(NamedTuple):
-    """Quadratic model about an iterate, without limits and cost of input changes; entries (N, batch), None for zero."""
+    """Quadratic model about an iterate, without limits and cost of input changes; entries (N, batch), None for zero.
+
+    Those of the end are (batch,).
+    """
 
     M: Matrix  # of the next state in (x, u)
     H: Matrix  # of the Lagrangian, in (x, u)
-    HN: Matrix  # of the terminal cost, (batch,)
+    HN: Matrix  # of the terminal cost
+    G: Matrix  # of the constraints in (x, u)
+    GN: Matrix  # of the terminal constraints
     c: Components  # defects
     h: list[Entry]  # of the cost, in (x, u)
-    hN: list[Entry]  # of the terminal cost, (batch,)
+    hN: list[Entry]  # of the terminal cost
+    g: Components  # constraint values
+    gN: Components  # terminal constraint values, (1, batch)
 
 
 class OptimalityError(NamedTuple):
@@ -70,15 +81,30 @@ def constraint_values(gaps: list[BoundConstraint], u: Components, change: Compon
     return [gap.sign * (of[gap.family][gap.entry] - gap.bound) for gap in gaps]
 
 
+def all_constraints(
+    ocp: AbstractBatchOCP, u_before: Components, stages: PyTree, last: PyTree, X: Components, U: Components
+) -> Components:
+    """Evaluate limits, constraints and terminal constraints, in the order of slacks."""
+    values = constraint_values(bound_constraints(ocp), U, changes(U, u_before), [x[1:] for x in X])
+    values += ocp.constraints([x[:-1] for x in X], U, stages)
+    return values + [value[None] for value in ocp.terminal_constraints([x[-1] for x in X], last)]
+
+
 def changes(U: Components, u_before: Components) -> Components:
     """Return the change of the input at each stage (N, batch); `u_before` (batch,) is the one before the first."""
     return [u - jnp.concatenate([b[None], u[:-1]]) for u, b in zip(U, u_before, strict=True)]
 
 
-def slack_residuals(ocp: AbstractBatchOCP, u_before: Components, it: BatchIterate) -> Components:
-    """Return constraint value less slack of each limit."""
-    g = constraint_values(bound_constraints(ocp), it.U, changes(it.U, u_before), [x[1:] for x in it.X])
-    return [gap - slack for gap, slack in zip(g, it.slack, strict=True)]
+def slack_residuals(ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate) -> Components:
+    """Return constraint value less slack of each limit and constraint."""
+    bounds = constraint_values(bound_constraints(ocp), it.U, changes(it.U, u_before), [x[1:] for x in it.X])
+    return [value - slack for value, slack in zip((*bounds, *model.g, *model.gN), it.slack, strict=True)]
+
+
+def by_kind(model: QPModel, values: Components) -> tuple[Components, Components, Components]:
+    """Split values in the order of slacks: of limits, of constraints, of terminal constraints (batch,)."""
+    end, stage = len(values) - len(model.gN), len(values) - len(model.gN) - len(model.g)
+    return values[:stage], values[stage:end], [value[0] for value in values[end:]]
 
 
 def filled(entries: Any, like: Array) -> Any:
@@ -96,14 +122,14 @@ def optimality_error(ocp: AbstractBatchOCP, u_before: Components, model: QPModel
 
     Stationarity is scaled by the size of the multipliers (Waechter and Biegler 2006, Eq. 5).
     """
-    dynamics, of_limits = _constraint_terms(ocp, model, it)
-    slope = [total(pair) for pair in zip(model.h, dynamics, strict=True)]
-    unbalanced = _stationarity(slope, model.hN, change_gradient(ocp, u_before, it), it, of_limits)
+    stage, end, of_limits = _constraint_terms(ocp, model, it)
+    slope, end = ([total(pair) for pair in zip(*pairs, strict=True)] for pairs in ((model.h, stage), (model.hN, end)))
+    unbalanced = _stationarity(slope, end, change_gradient(ocp, u_before, it), it, of_limits)
     products = [slack * z for slack, z in zip(it.slack, it.dual, strict=True)]
-    size = _multiplier_size(it) / (it.costates[0].shape[0] * (len(it.X) + len(it.dual)))
+    size = _multiplier_size(it) / sum(len(v) for v in (*it.costates, *it.dual))
     return OptimalityError(
         _largest([*unbalanced, *products]) / jnp.maximum(1.0, size / 100),
-        _largest([*model.c, *slack_residuals(ocp, u_before, it)]),
+        _largest([*model.c, *slack_residuals(ocp, u_before, model, it)]),
     )
 
 
@@ -114,21 +140,26 @@ def proves_infeasible(ocp: AbstractBatchOCP, u_before: Components, model: QPMode
     positive at a feasible point (Farkas' lemma). Its value at the iterate must exceed what its gradient can take away
     within `NEAR` in each variable, and rounding.
     """
-    dynamics, of_limits = _constraint_terms(ocp, model, it)
-    gradient = _stationarity(dynamics, [None] * len(it.X), [jnp.zeros_like(u) for u in it.U], it, of_limits)
-    gaps = [r + s for r, s in zip(slack_residuals(ocp, u_before, it), it.slack, strict=True)]
+    stage, end, of_limits = _constraint_terms(ocp, model, it)
+    gradient = _stationarity(stage, end, [jnp.zeros_like(u) for u in it.U], it, of_limits)
+    gaps = [r + s for r, s in zip(slack_residuals(ocp, u_before, model, it), it.slack, strict=True)]
     value = _sum([y * c for y, c in zip(it.costates, model.c, strict=True)])
     value = value - _sum([z * g for z, g in zip(it.dual, gaps, strict=True)])
     size = _multiplier_size(it)
     return value > NEAR * _sum([jnp.abs(g) for g in gradient]) + jnp.finfo(size.dtype).eps ** 0.5 * size
 
 
-def _constraint_terms(ocp: AbstractBatchOCP, model: QPModel, it: BatchIterate) -> tuple[list[Entry], LimitTerms]:
-    """Return the multiplier terms of the Lagrangian's gradient: of the dynamics in (x, u), and of the limits."""
-    gaps = bound_constraints(ocp)
-    limit_terms = [-gap.sign * z for gap, z in zip(gaps, it.dual, strict=True)]
-    dynamics = [dot(column(model.M, i), it.costates) for i in range(len(it.X) + len(it.U))]
-    return dynamics, lambda family, i: terms_of(gaps, family, i, limit_terms)
+def _constraint_terms(
+    ocp: AbstractBatchOCP, model: QPModel, it: BatchIterate
+) -> tuple[list[Entry], list[Entry], LimitTerms]:
+    """Return the multiplier terms of the Lagrangian's gradient: in (x, u), in the last state, and of the limits."""
+    gaps, nx = bound_constraints(ocp), len(it.X)
+    bounds, stage, end = by_kind(model, [-z for z in it.dual])
+    limit_terms = [gap.sign * z for gap, z in zip(gaps, bounds, strict=True)]
+    dynamics = [total((dot(column(model.M, i), it.costates), dot(column(model.G, i), stage)))
+                for i in range(nx + len(it.U))]  # fmt: skip
+    ends = [dot(column(model.GN, i), end) for i in range(nx)]
+    return dynamics, ends, lambda family, i: terms_of(gaps, family, i, limit_terms)
 
 
 def _multiplier_size(it: BatchIterate) -> Array:

@@ -9,11 +9,12 @@ from jax import Array
 from driftjax.solve.batch_conditions import (
     QPModel,
     bound_constraints,
+    by_kind,
     filled,
     terms_of,
 )
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
-from driftjax.solve.component_derivatives import Entry, Matrix, dot, total
+from driftjax.solve.component_derivatives import Entry, Matrix, column, dot, times, total
 from driftjax.solve.compute_once import compute_once
 from driftjax.solve.riccati_componentwise import (
     CostGradient,
@@ -55,27 +56,33 @@ def newton_system(ocp: AbstractBatchOCP, model: QPModel, stiff: Components) -> N
     """Build the system from a model and the second derivatives `stiff` of the limits' barrier in their values."""
     gaps, nx, nu = bound_constraints(ocp), len(model.c), len(model.h) - len(model.c)
     weight, like = ocp.rate_weight() or [0.0] * nu, model.c[0]
-    of = lambda family, i: terms_of(gaps, family, i, stiff)
-    H = [[total((model.H[i][j], *(of("input", i - nx) if i == j >= nx else ()))) for j in range(nx + nu)]
-         for i in range(nx + nu)]  # fmt: skip
+    bounds, stage, end = by_kind(model, stiff)
+    of = lambda family, i: terms_of(gaps, family, i, bounds)
+    both = lambda G, i, j, stiff: total(times(w, row[i], row[j]) for w, row in zip(stiff, G, strict=True))
+    H = [[total((model.H[i][j], both(model.G, i, j, stage), *(of("input", i - nx) if i == j >= nx else ())))
+          for j in range(nx + nu)] for i in range(nx + nu)]  # fmt: skip
+    HN = [[total((model.HN[i][j], both(model.GN, i, j, end))) for j in range(nx)] for i in range(nx)]
     rate = [total((2 * weight[l] + jnp.zeros_like(like), *of("change", l))) for l in range(nu)]
     stages = StageSystem([row[:nx] for row in model.M], [row[nx:] for row in model.M], H, rate)
     state = [total(of("state", i)) for i in range(nx)]
     stages, state = _wide((stages, state), like)
-    return NewtonSystem(stages, state, model.HN)
+    return NewtonSystem(stages, state, HN)
 
 
 def newton_terms(ocp: AbstractBatchOCP, model: QPModel, of_changes: Components, push: Components) -> NewtonTerms:
     """Build the right-hand side from first derivatives: of a model, of the cost of changes, `push` of the barrier."""
     gaps, nx = bound_constraints(ocp), len(model.c)
-    signed = [gap.sign * p for gap, p in zip(gaps, push, strict=True)]
+    bounds, stage, end = by_kind(model, push)
+    signed = [gap.sign * p for gap, p in zip(gaps, bounds, strict=True)]
     of = lambda family, i: terms_of(gaps, family, i, signed)
-    h = [total((h, *(of("input", i - nx) if i >= nx else ()))) for i, h in enumerate(model.h)]
+    h = [total((h, dot(column(model.G, i), stage), *(of("input", i - nx) if i >= nx else ())))
+         for i, h in enumerate(model.h)]  # fmt: skip
+    hN = [total((h, dot(column(model.GN, i), end))) for i, h in enumerate(model.hN)]
     pull = [total((g, *of("change", l))) for l, g in enumerate(of_changes)]
     state = [total(of("state", i)) for i in range(nx)]
     stages = StageTerms(list(model.c), h, pull)
     stages, state = _wide((stages, state), model.c[0])
-    return NewtonTerms(stages, state, model.hN)
+    return NewtonTerms(stages, state, hN)
 
 
 def _wide(entries, like: Array):

@@ -20,11 +20,12 @@ class AbstractBatchOCP(eqx.Module):
     """A discrete-time optimal control problem with the first state and the input before it fixed.
 
     minimise sum_k cost(x_k, u_k, p_k) + sum_k rate_weight (u_k - u_{k-1})^2 + terminal(x_N, p_N)
-    subject to x_{k+1} = step(x_k, u_k, p_k), input, change and state limits.
+    subject to x_{k+1} = step(x_k, u_k, p_k), input, change and state limits,
+    constraints(x_k, u_k, p_k) >= 0, terminal_constraints(x_N, p_N) >= 0.
 
     All functions take components (one array per entry of x and u, of any one shape) and act on each element by itself.
-    Scale the variables to order one. At most two inputs. Arrays in a problem have a leading batch axis, of size 1
-    where all entries share them.
+    Constraints are affine in (x, u). Scale the variables to order one. At most two inputs. Arrays in a problem have a
+    leading batch axis, of size 1 where all entries share them.
     """
 
     def take(self, entries: Int[Array, " few"]) -> Self:
@@ -59,6 +60,14 @@ class AbstractBatchOCP(eqx.Module):
     def state_limits(self) -> Limits:
         """Return the limits of each state of stages 1 to N; none by default."""
         return ()
+
+    def constraints(self, x: Components, u: Components, p: PyTree) -> Components:
+        """Return the constraint values of one stage, feasible if not negative; none by default."""
+        return []
+
+    def terminal_constraints(self, x: Components, p: PyTree) -> Components:
+        """Return the constraint values of the last state; none by default."""
+        return []
 
     def jacobian(self, function: Callable[..., Sequence[Array]], *z: Array) -> tuple[Components, Matrix]:
         """Return values and derivatives of a function of components: entry by entry, or override by the other way.

@@ -16,14 +16,15 @@ from driftjax.solve.batch_conditions import (
     bound_constraints,
     change_gradient,
     changes,
+    filled,
     proves_infeasible,
     slack_residuals,
 )
 from driftjax.solve.batch_newton import newton_system, newton_terms, solve_backward, solve_forward
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.component_derivatives import dot, total
-from driftjax.solve.interior_point import BOUNDARY_FRACTION
 
+BOUNDARY_FRACTION = 0.995  # of the way to a bound that one step may take
 LEAST = 0.2  # least barrier, over the tolerance; products of this size still count as solved
 SHORT = 0.05  # length of a step to the limits below which infeasibility is looked for
 CENTRALITY = 10.0  # factor by which a product of slack and dual may differ from the barrier
@@ -45,15 +46,23 @@ def qp_step(
     new = BatchIterate(
         X, U, costates, slack, [_central(z, s, barrier, open_) for z, s in zip(dual, slack, strict=True)]
     )
-    z = [a - b for a, b in zip((*(x[:-1] for x in new.X), *new.U), (*(x[:-1] for x in it.X), *it.U), strict=True)]
-    dN = [a[-1] - b[-1] for a, b in zip(new.X, it.X, strict=True)]
+    moved = BatchIterate(*([a - b for a, b in zip(*pair, strict=True)] for pair in zip(new, it, strict=True)))
+    z, dN = stage_steps(moved)
+    affine = lambda values, rows, steps: [total((v, dot(row, steps))) for v, row in zip(values, rows, strict=True)]
     # all of this is affine in the step
     updated = model._replace(
         c=[(1 - step) * c for c in model.c],
-        h=[total((h, dot(row, z))) for h, row in zip(model.h, model.H, strict=True)],
-        hN=[total((h, dot(row, dN))) for h, row in zip(model.hN, model.HN, strict=True)],
+        h=affine(model.h, model.H, z),
+        hN=affine(model.hN, model.HN, dN),
+        g=affine(model.g, model.G, z),
+        gN=affine(model.gN, model.GN, dN),
     )
     return updated, new, jnp.minimum(step, dual_step), infeasible
+
+
+def stage_steps(step: BatchIterate) -> tuple[Components, Components]:
+    """Return the steps of state and input at each stage, and of the last state."""
+    return [*(x[:-1] for x in step.X), *step.U], [x[-1] for x in step.X]
 
 
 def _infeasible(
@@ -80,7 +89,7 @@ def next_barrier(it: BatchIterate, barrier: Array, length: Array, tolerance: Arr
     if not it.slack:
         return barrier
     products = sum(jnp.sum(s * z, axis=0) for s, z in zip(it.slack, it.dual, strict=True))
-    gap = products / (len(it.slack) * it.slack[0].shape[0])
+    gap = products / sum(len(s) for s in it.slack)
     return jnp.maximum(jnp.clip((1 - length) ** 2, 0.1, 0.8) * gap, LEAST * tolerance)
 
 
@@ -89,7 +98,7 @@ def _newton_step(
 ) -> BatchIterate:
     """Solve the Newton system: backwards for value and policy, forwards for the step; the first state stays."""
     gaps, nu, zero = bound_constraints(ocp), len(it.U), jnp.zeros_like(barrier)
-    residual = slack_residuals(ocp, u_before, it)
+    residual = slack_residuals(ocp, u_before, model, it)
     inverse = [1 / slack for slack in it.slack]
     stiff = [z * i for z, i in zip(it.dual, inverse, strict=True)]
     push = [w * r - barrier * i for w, r, i in zip(stiff, residual, inverse, strict=True)]
@@ -98,10 +107,15 @@ def _newton_step(
     factors, policy = solve_backward(system, terms)
     dX, dU, costates = solve_forward(system, factors, policy, ([zero] * len(it.X), [zero] * nu))
     of = {"input": dU, "change": changes(dU, [zero] * nu), "state": dX}
-    d_slack = [gap.sign * of[gap.family][gap.entry] + r for gap, r in zip(gaps, residual, strict=True)]
-    d_dual = [(barrier - z * ds) / s - z for s, z, ds in zip(it.slack, it.dual, d_slack, strict=True)]
     d_costates = [new - old for new, old in zip(costates, it.costates, strict=True)]
-    return BatchIterate([jnp.concatenate([zero[None], dx]) for dx in dX], dU, d_costates, d_slack, d_dual)
+    newton = BatchIterate([jnp.concatenate([zero[None], dx]) for dx in dX], dU, d_costates, [], [])
+    z, dN = stage_steps(newton)
+    d_values = [gap.sign * of[gap.family][gap.entry] for gap in gaps]
+    d_values += filled([dot(row, z) for row in model.G], dU[0])
+    d_values += [d[None] for d in filled([dot(row, dN) for row in model.GN], zero)]
+    d_slack = [d + r for d, r in zip(d_values, residual, strict=True)]
+    d_dual = [(barrier - z * ds) / s - z for s, z, ds in zip(it.slack, it.dual, d_slack, strict=True)]
+    return newton._replace(slack=d_slack, dual=d_dual)
 
 
 def max_step_length(values: Components, steps: Components, open_: Array) -> Array:

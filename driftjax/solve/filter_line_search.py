@@ -115,7 +115,8 @@ def _over_stages(function: Callable, *args) -> Any:
 def _linearise(problem: _Problem, w: Point) -> FilterDerivatives:
     ocp, stages = problem.ocp, problem.stages
     cost_x, cost_u = _over_stages(jax.grad(ocp.cost, (0, 1)), w.X[:-1], w.U, stages)
-    y, A, B = _over_stages(lambda x, u, p: ocp.linearise(x, u, p, None), w.X[:-1], w.U, stages)
+    step = lambda x, u, p: (lambda y: (y, y))(ocp.step(x, u, p))
+    (A, B), y = _over_stages(jax.jacfwd(step, (0, 1), has_aux=True), w.X[:-1], w.U, stages)
     grad_N = jax.grad(ocp.terminal)(w.X[-1], problem.last)
     return FilterDerivatives(cost_x, cost_u, grad_N, A, B, y - w.X[1:], problem.misfit(w))
 

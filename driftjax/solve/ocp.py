@@ -1,23 +1,13 @@
 """Interface of an optimal control problem, and the solver's options and result."""
 
 import abc
-from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.core import RESULTS, as_float
-
-
-class Linear(NamedTuple):
-    """A step and its derivatives."""
-
-    y: Float[Array, " nx"]  # next state
-    A: Float[Array, "nx nx"]
-    B: Float[Array, "nx nu"]
 
 
 class AbstractOCP(eqx.Module):
@@ -50,34 +40,15 @@ class AbstractOCP(eqx.Module):
         """Return the constraint values of the last state; none by default."""
         return jnp.zeros((0,), x.dtype)
 
-    def local_expansion(self, X: Float[Array, "N nx"], U: Float[Array, "N nu"], p: PyTree) -> PyTree:
-        """Return the local expansion that `linearise` and `curvature` read, N rows for all stages; None by default."""
-
-    def linearise(self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: PyTree, expansion: PyTree) -> Linear:
-        """Return the next state (nx,) and its derivatives (nx, nx), (nx, nu); override for a cheaper computation."""
-        step = lambda x, u: (lambda y: (y, y))(self.step(x, u, p))
-        (A, B), y = jax.jacfwd(step, (0, 1), has_aux=True)(x, u)
-        return Linear(y, A, B)
-
-    def curvature(
-        self, x: Float[Array, " nx"], u: Float[Array, " nu"], costate: Array, p: PyTree, expansion: PyTree
-    ) -> Array:
-        """Return the second derivative of `costate @ step` in (x, u), square of size nx + nu.
-
-        A cheaper model of it changes the speed of convergence, never the solution; but derivatives of the solution
-        are right with the exact one only.
-        """
-        bent = lambda w: costate @ self.step(w[: x.shape[0]], w[x.shape[0] :], p)
-        return jax.hessian(bent)(jnp.concatenate([x, u]))
-
 
 class Options(eqx.Module):
     """Solver options; all numbers are traced, so that a new value never causes a new compilation."""
 
     tolerance: Array = eqx.field(converter=as_float, default=1e-6)  # on the scaled KKT residual [-]
     barrier: Array = eqx.field(converter=as_float, default=1.0)  # first barrier parameter; small for warm starts
-    max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # iterations: interior-point, or SQP of a batch
-    implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which there are derivatives
+    max_steps: Array = eqx.field(converter=jnp.asarray, default=60)  # iterations
+    implicit: Array = eqx.field(converter=as_float, default=1.0)  # tolerances up to which a solution has derivatives
+    restarts: Array = eqx.field(converter=jnp.asarray, default=0)  # further attempts at what exceeds these
 
 
 class Solution(eqx.Module):
@@ -90,3 +61,8 @@ class Solution(eqx.Module):
     violation: Float[Array, ""]  # worst defect or constraint violation, 0 if feasible
     num_steps: Array  # iterations taken
     result: RESULTS
+
+
+def shift(sequence: Float[Array, "*batch N n"]) -> Float[Array, "*batch N n"]:
+    """Return the sequence shifted by one stage, last entry repeated: the warm start of the next solve."""
+    return jnp.concatenate([sequence[..., 1:, :], sequence[..., -1:, :]], axis=-2)

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.solve.component_derivatives import Entry, Matrix, column, dot, times, total
-from driftjax.solve.riccati import TINY
 
+TINY = 1e-30  # keeps a matrix of zeros finite
 FLOOR = 8.0  # roundings added to the eigenvalues of the input Hessian scaled to unit diagonal [-]
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
-from driftjax.solve.batch_conditions import BatchIterate, QPModel, bound_constraints, changes, constraint_values
+from driftjax.solve.batch_conditions import BatchIterate, QPModel, all_constraints, changes
 from driftjax.solve.batch_newton import newton_system, newton_terms, solve_backward, solve_forward, substitute
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 
@@ -67,12 +67,12 @@ def solution_tangent(
 
 def _conditions(it: BatchIterate, ocp: AbstractBatchOCP, u_before: Components, params: PyTree) -> tuple:
     """Return the gradient of the Lagrangian in states and inputs, defects and limits, at fixed variables."""
-    stages, gaps = split(params)[0], bound_constraints(ocp)
+    stages, last = split(params)
 
     def parts(X: Components, U: Components) -> tuple[Components, Components]:
         y = ocp.step([x[:-1] for x in X], U, stages)
         defects = [a - x[1:] for a, x in zip(y, X, strict=True)]
-        return defects, constraint_values(gaps, U, changes(U, u_before), [x[1:] for x in X])
+        return defects, all_constraints(ocp, u_before, stages, last, X, U)
 
     def lagrangian(X: Components, U: Components) -> Array:
         defects, limits = parts(X, U)

@@ -8,8 +8,6 @@ from jax import Array
 
 from driftjax.core import RESULTS
 from driftjax.solve import AbstractOCP, Options, solve
-from driftjax.solve.implicit import factorise_exactly
-from driftjax.solve.riccati import Quadratic
 
 N = 8
 
@@ -77,10 +75,3 @@ def test_a_solve_that_does_not_converge_has_no_derivative():
     slopes, (solution, _) = forward(AROUND, jnp.asarray(2))
     assert not bool(jnp.any(solution.result == RESULTS.successful))
     assert bool(jnp.all(jnp.isnan(slopes[:, :N])))
-
-
-def test_a_point_that_is_no_minimum_is_reported():
-    one, two = jnp.eye(2)[None], jnp.diag(jnp.array([1.0, -1.0]))[None]
-    none = jnp.zeros((1, 2))
-    make = lambda Huu: Quadratic(one, 0 * one, Huu, none, none, one, 0 * one, none, one[0], none[0])
-    assert bool(factorise_exactly(make(one)).convex) and not bool(factorise_exactly(make(two)).convex)
