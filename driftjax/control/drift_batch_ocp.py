@@ -1,4 +1,4 @@
-"""The drift MPC for batches, with the batch on the last axis: the problem of `mpc.DriftOCP` by components."""
+"""Equations of the drift MPC by components, with the batch on the last axis."""
 
 from collections.abc import Callable, Sequence
 

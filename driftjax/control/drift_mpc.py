@@ -10,7 +10,8 @@ from jax import Array
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from driftjax.control.mpc import DriftOCP, MPCConfig, MPCSolution, Reference, Weights, drift_ocp, solve_mpc
+from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
+from driftjax.control.mpc_solution import MPCProblem, MPCSolution, solve_mpc_batch
 from driftjax.core import as_float, require
 from driftjax.environment import require_float64
 from driftjax.gp import zero_gp
@@ -18,7 +19,7 @@ from driftjax.solve import Options, shift
 from driftjax.vehicle import Residual, VehicleConfig, no_residual
 
 BARRIER = 3.0  # first barrier parameter of a cold start
-WARM_BARRIER = 0.1  # of a warm start, which lies near the optimum
+WARM_BARRIER = 1e-4  # of a warm start, which lies near the optimum
 
 
 class MPCState(NamedTuple):
@@ -116,10 +117,11 @@ class DriftMPC(eqx.Module):
 
     @eqx.filter_jit
     def _solve(self, state: MPCState, reference: Reference, X: Array, U: Array, options: Options) -> MPCSolution:
-        def one(state: MPCState, reference: Reference, X: Array, U: Array) -> MPCSolution:
-            return solve_mpc(self.ocp, state.x, state.command, state.lagged_input, reference, X, U, options)
-
-        if state.x.ndim == 1:
-            return one(state, reference, X, U)
-        axes = (0, None if reference.V.ndim == 1 else 0, 0, 0)
-        return eqx.filter_vmap(one, in_axes=axes)(state, reference, X, U)
+        num = 1 if state.x.ndim == 1 else len(state.x)
+        wide = lambda a, ndim: jnp.broadcast_to(a, (num, *a.shape[a.ndim - ndim :]))
+        row = lambda a: wide(a, 1)
+        x, command, lagged_input = map(row, state)
+        rows = jax.tree.map(row, reference)
+        problem = MPCProblem(x, command, lagged_input, rows, wide(X, 2), wide(U, 2), options)
+        solution = solve_mpc_batch(jax.tree.map(lambda a: a[None], self.ocp), problem)
+        return jax.tree.map(lambda a: a[0], solution) if state.x.ndim == 1 else solution

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.batch_solve import MPCProblem, MPCResult, acceptable, solve_mpc_batch
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
+from driftjax.control.mpc_solution import MPCProblem, MPCSolution, acceptable, solve_mpc_batch
 from driftjax.control.pursuit import PurePursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, lag_step, require_at_least, require_positive
@@ -20,8 +20,8 @@ from driftjax.sim import Sensed, where_tree
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
-# First barrier parameter of every solve, which starts from the reference and not from the last answer.
-BARRIER = 3.0
+BARRIER = 3.0  # first barrier parameter of every solve, which starts from the reference and not from the last plan
+RESTARTS = 1  # attempts with a larger barrier at problems without an acceptable plan
 ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
 
@@ -115,27 +115,30 @@ class Driver(eqx.Module):
         u = u.at[0].set(jnp.clip(u[0], ahead - car.peaks[0], ahead + car.peaks[0]))
         return within_limits(self.ocp, u[None], memory.command, share=0.0)[0]
 
-    def mpc_problem(self, sensed: Sensed, memory: DriverState, needed: Array) -> MPCProblem:
+    def mpc_problem(self, sensed: Sensed, memory: DriverState) -> MPCProblem:
         """Build the drift MPC problem of this step, with the reference as initial guess.
 
         The guess decides which optimum is found: besides the wanted drift there is often one with the front wheel
         saturated and falling speed, hardly more expensive where the speed weight is small, and a solve warm-started
-        from the last one drifts into it. Where it is not `needed` no iteration is spent: an idle entry must not hold up
-        the batch.
+        from the last one drifts into it.
         """
         x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
         s = self.table.schedule(sensed.s, self.horizon, self.ocp.dt)
         reference, U = self.table.reference(s), self.table.inputs(s[:-1])
         X = reference.states().at[0].set(x)
-        options = Options(self.options.tolerance, BARRIER, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
+        options = Options(self.options.tolerance, BARRIER, self.options.max_steps, ACCEPTABLE, RESTARTS)
         return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
-    def apply_result(self, problem: MPCProblem, found: MPCResult, memory: DriverState) -> tuple[Decision, DriverState]:
+    def apply_solution(
+        self, problem: MPCProblem, solution: MPCSolution, memory: DriverState
+    ) -> tuple[Decision, DriverState]:
         """Return the command of the drift MPC; where the solve failed, that of the last good plan, one step later."""
-        solved = acceptable(found, problem.options)
+        solved, plan = acceptable(solution, problem.options), solution.plan
         good = jnp.where(memory.drifting, memory.good, problem.U)  # before the first solve: the reference's
-        good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
-        decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
+        good = jnp.where(solved, solution.U, within_limits(self.ocp, good, memory.command, share=0.0))
+        decision = Decision(
+            Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps.astype(int)
+        )
         return decision, DriverState(good[0], memory.lagged_input, shift(good), jnp.asarray(True))
 
 
@@ -157,9 +160,9 @@ def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -
 
     def drift():
         if drivers.kind == "mpc":
-            problem = vmap_batch(lambda d, x, m, needed: d.mpc_problem(x, m, needed))(drivers, sensed, memory, engaged)
-            found = solve_mpc_batch(drivers.ocp, problem, engaged)
-            return vmap_batch(lambda d, p, a, m: d.apply_result(p, a, m))(drivers, problem, found, memory)
+            problem = vmap_batch(lambda d, x, m: d.mpc_problem(x, m))(drivers, sensed, memory)
+            solution = solve_mpc_batch(drivers.ocp, problem, engaged)
+            return vmap_batch(lambda d, p, s, m: d.apply_solution(p, s, m))(drivers, problem, solution, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))

@@ -8,9 +8,12 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.mpc import DriftOCP
+from driftjax.control.drift_batch_ocp import to_batch_ocp
+from driftjax.control.mpc import DriftOCP, Reference
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, rk4_step
+from driftjax.solve.batch_conditions import filled
+from driftjax.solve.component_derivatives import hessian
 
 SWEEPS = 500  # Riccati iterations; drift equilibria converge in under 100
 
@@ -50,14 +53,19 @@ class ScheduledLQR(eqx.Module):
     """Gains along a reference, on the state of the drift MPC: motion, place, last command and actuator outputs."""
 
     s: Float[Array, " N"]  # arc length of each gain [m]
-    K: Float[Array, "N 2 9"]  # over the scales of the MPC
+    K: Float[Array, "N 2 9"]  # in the units of the MPC's solver
 
     def __call__(self, ocp: DriftOCP, s: Array, x: Float[Array, " 9"], x_ref: Float[Array, " 9"]) -> Float[Array, " 2"]:
         """Return the command (delta [rad], Fxr [N]) at arc length `s`, without limits; states in SI."""
         at = jnp.interp(s, self.s, jnp.arange(len(self.s), dtype=float))  # constant beyond the ends
         i = jnp.minimum(jnp.floor(at).astype(int), len(self.s) - 2)
         K = self.K[i] + (at - i) * (self.K[i + 1] - self.K[i])
-        return x_ref[5:7] - (K @ ((x - x_ref) / ocp.x_scale)) * ocp.u_scale
+        return x_ref[5:7] - (K @ ((x - x_ref) / _units(ocp))) * ocp.u_scale
+
+
+def _units(ocp: DriftOCP) -> Float[Array, " 9"]:
+    """Return the solver's units of the state: SI but for commands."""
+    return jnp.concatenate([jnp.ones(5), ocp.u_scale, ocp.u_scale])
 
 
 def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
@@ -67,15 +75,8 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, ra
     with `rate_factor` times the weight of input changes. The Riccati recursion runs backwards from the stationary
     solution of the last step (Anderson and Moore 1990, Sec. 2.4).
     """
-    ocp = eqx.tree_at(lambda o: o.R, ocp, rate_factor * ocp.R)
     s = table.schedule(table.drift_start - lead, num, ocp.dt)[:-1]
-    reference, U = table.reference(s), table.inputs(s)
-
-    def local(p, u):
-        x = jnp.concatenate([p.states(), u, u]) / ocp.x_scale
-        A, B = jax.jacfwd(ocp.step, (0, 1))(x, u / ocp.u_scale, p)
-        w = jnp.concatenate([x, u / ocp.u_scale])
-        return A, B, jax.hessian(lambda w: ocp.cost(w[:9], w[9:], p))(w) / 2
+    rows = _expansion(ocp, table.reference(s), table.inputs(s), rate_factor)
 
     def sweep(P, row):
         A, B, H = row
@@ -84,7 +85,25 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, ra
         P = H[:9, :9] + A.T @ P @ A - S.T @ K
         return (P + P.T) / 2, K
 
-    rows = jax.vmap(local)(reference, U)
     last = jax.tree.map(lambda a: a[-1], rows)
     P = jax.lax.fori_loop(0, SWEEPS, lambda _, P: sweep(P, last)[0], last[2][:9, :9])
     return ScheduledLQR(s, jax.lax.scan(sweep, P, rows, reverse=True)[1])
+
+
+def _expansion(
+    ocp: DriftOCP, reference: Reference, U: Float[Array, "N 2"], rate_factor: Array
+) -> tuple[Float[Array, "N 9 9"], Float[Array, "N 9 2"], Float[Array, "N 11 11"]]:
+    """Return the dynamics to first and half of the cost to second order about a reference, in the solver's units."""
+    one = jax.tree.map(lambda a: a[None], ocp)
+    batch = to_batch_ocp(one, one.u_scale[:, 1])
+    x = [column[:, None] for column in (*reference.states().T, *(U / ocp.u_scale).T)]
+    u, p, nx = x[5:], jax.tree.map(lambda a: a[:, None], reference), len(x)
+    M = batch.linearise(x, u, p, batch.local_expansion(x, u, p))[1]
+    H = hessian(lambda *z: batch.cost(list(z[:nx]), list(z[nx:]), p), *x, *u, jacobian=batch.jacobian)[1]
+    M, H = (jnp.moveaxis(jnp.asarray(filled(a, x[0])), (2, 3), (0, 1))[:, 0] for a in (M, H))
+    place = jnp.array([0, 1, 2, 3, 4, 7, 8, 9, 10])  # of the problem's variables among state and input
+    A = jnp.zeros((len(U), 9, 11)).at[:, place[:7, None], place].set(M).at[:, [5, 6], [9, 10]].set(1.0)
+    H = jnp.zeros((len(U), 11, 11)).at[:, place[:, None], place].set(H / 2)
+    change = jnp.eye(11)[9:] - jnp.eye(11)[5:7]
+    R = rate_factor * ocp.R * ocp.u_scale**2
+    return A[:, :, :9], A[:, :, 9:], H + (change.T * R) @ change

@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from jaxtyping import Float
 
 from driftjax.gp import bound_mean
 from driftjax.gp.expansion import Expansion, expansions, pairs
@@ -18,22 +15,6 @@ from driftjax.vehicle import Residual
 
 NUM_INPUTS = 5  # V, beta, r, delta, Fxr
 PAIRS = pairs(NUM_INPUTS)
-DEGREES = np.array([0.5 if i == j else 1.0 for i, j in PAIRS])  # of a pair's term in a Taylor polynomial
-
-
-class ResidualExpansion(NamedTuple):
-    """Second-order expansion of the residual rates (dV, dbeta, dr) about points, in SI."""
-
-    z: Float[Array, "... 5"]
-    value: Float[Array, "... 3"]
-    gradient: Float[Array, "... 3 5"]
-    hessian: Float[Array, "... 3 15"]  # of `PAIRS`
-
-    def at(self, z: Float[Array, "5"]) -> Float[Array, "3"]:
-        """Evaluate the second-order polynomial about one point."""
-        dz = z - self.z
-        products = jnp.stack([degree * dz[i] * dz[j] for degree, (i, j) in zip(DEGREES, PAIRS, strict=True)])
-        return self.value + self.gradient @ dz + self.hessian @ products
 
 
 class ResidualDerivatives(NamedTuple):
@@ -44,23 +25,16 @@ class ResidualDerivatives(NamedTuple):
     H: list[Matrix]  # second derivatives of each output
 
 
-def expand_residual(residual: Residual, z: Float[Array, "P 5"]) -> ResidualExpansion:
-    """Expand the residual at all points `z` = (V, beta, r, delta, Fxr)."""
-    found = _expanded(jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, residual), list(z.T[:, :, None]))
-    last = lambda entries: jnp.stack(entries, axis=-1)[:, :, 0].transpose(1, 0, 2)  # (3, P, 1) each
-    return ResidualExpansion(z, found.value[:, :, 0].T, last(found.gradient), last(found.hessian))
-
-
 def residual_derivatives(residual: Residual, z: Components, unit: Sequence[Array | float]) -> ResidualDerivatives:
     """Return the residual and its derivatives at z = (V, beta, r, delta, Fxr) over `unit`, arrays (..., batch).
 
     Derivatives are per that unit. Leaves of `residual` have a leading axis, of 1 where all entries share it.
     """
-    found = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
-    J: Matrix = [[found.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
-    entry = {(i, j): found.hessian[at] * (unit[i] * unit[j]) for at, (i, j) in enumerate(PAIRS)}
+    at = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
+    J: Matrix = [[at.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
+    entry = {(i, j): at.hessian[pair] * (unit[i] * unit[j]) for pair, (i, j) in enumerate(PAIRS)}
     H = [[[entry[min(i, j), max(i, j)][k] for j in range(NUM_INPUTS)] for i in range(NUM_INPUTS)] for k in range(3)]
-    return ResidualDerivatives([found.value[k] for k in range(3)], J, H)
+    return ResidualDerivatives([at.value[k] for k in range(3)], J, H)
 
 
 def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:

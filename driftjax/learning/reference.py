@@ -11,7 +11,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.control.mpc import DriftOCP, Reference, solve_mpc
+from driftjax.control.mpc import DriftOCP, Reference
+from driftjax.control.mpc_solution import solve_mpc
 from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State
 from driftjax.learning.arrival import Arrival

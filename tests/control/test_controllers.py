@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from driftjax.control.drift_batch_ocp import DriftBatchOCP, to_batch_ocp
 from driftjax.control.lqr import lqr, schedule_lqr
 from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp, within_limits
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
-from driftjax.control.residual import expand_residual
+from driftjax.control.residual import residual_derivatives
 from driftjax.control.table import ReferenceTable
 from driftjax.core import BadInput, Control, State, features, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
@@ -52,6 +53,12 @@ def test_pure_pursuit_accelerates_when_slow_and_steers_back_to_the_path():
     assert abs(float(at(0.0, 10.0, 50.0, 1.2).Fxr)) < 1e-2 * rear * 9.81  # no grip is left
 
 
+def one_step(ocp) -> DriftBatchOCP:
+    """The equations of one problem."""
+    one = jax.tree.map(lambda a: jnp.asarray(a)[None], ocp)
+    return to_batch_ocp(one, one.u_scale[:, 1])
+
+
 def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discrete_riccati_equation(rate_factor=7.0):
     (x, u), weights = DRIFT, Weights((1.0, 700.0, 500.0), (30.0, 200.0))
     residual = no_residual(zero_gp(1, 5, 3))
@@ -61,9 +68,16 @@ def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discret
     gains = jax.jit(schedule_lqr, static_argnums=2)(ocp, table, 30, jnp.asarray(5.0), jnp.asarray(rate_factor))
     assert gains.s[0] == 15.0 and len(gains.s) == 30
     p, at = jax.tree.map(lambda a: a[0], table.reference(gains.s[:1])), jnp.stack(u) / ocp.u_scale
-    z = jnp.concatenate([p.states(), jnp.stack(u), jnp.stack(u)]) / ocp.x_scale
-    A, B = (np.asarray(J) for J in jax.jit(jax.jacfwd(ocp.step, (0, 1)))(z, at, p))
-    weight, unit = np.diag(np.r_[ocp.Q, 0, 0, 0, 0]) * np.asarray(ocp.x_scale) ** 2, np.asarray(ocp.u_scale)
+    z = jnp.concatenate([p.states(), at, at])
+    equations, unit = one_step(ocp), np.asarray(ocp.u_scale)
+
+    def after(z, u):
+        """State, last command and actuator outputs one step later."""
+        y = jnp.concatenate(equations.step([*z[:5, None], *z[7:, None]], [*u[:, None]], p))
+        return jnp.concatenate([y[:5], u, y[5:]])
+
+    A, B = (np.asarray(J) for J in jax.jit(jax.jacfwd(after, (0, 1)))(z, at))
+    weight = np.diag(np.r_[ocp.Q, 0, 0, 0, 0])
     R = rate_factor * np.diag(np.asarray(ocp.R) * unit**2)
     change = np.eye(9)[5:7]
     P = solve_discrete_are(A, B, weight + change.T @ R @ change, R, s=-change.T @ R)
@@ -71,7 +85,8 @@ def test_along_a_constant_reference_the_scheduled_gains_are_those_of_the_discret
     for gain in gains.K:
         np.testing.assert_allclose(gain, K, rtol=1e-5, atol=1e-7 * np.abs(K).max())
     assert np.max(np.abs(np.linalg.eigvals(A - B @ K))) < 1 < np.max(np.abs(np.linalg.eigvals(A)))
-    held = gains(ocp, jnp.asarray(22.3), z * ocp.x_scale, z * ocp.x_scale)
+    state = jnp.concatenate([p.states(), jnp.stack(u), jnp.stack(u)])
+    held = gains(ocp, jnp.asarray(22.3), state, state)
     np.testing.assert_allclose(held, jnp.stack(u), rtol=1e-12)
 
 
@@ -131,13 +146,13 @@ def test_the_prediction_holds_a_steady_drift_on_its_circle(ocp):
     nominal = CAR.build()
     rates = np.abs(np.asarray(eqx.filter_jit(nominal)(x, u)))
     assert np.all(rates < [0.02, 0.02, 0.02])  # the state given is a drift to its printed digits
-    zero, before, scale = jnp.asarray(0.0), np.stack(u), np.asarray(ocp.x_scale)
+    zero, before = jnp.asarray(0.0), np.stack(u) / np.asarray(ocp.u_scale)
     start = np.array([x.V, x.beta, x.r, 0.0, -x.beta])
     p = Reference(zero, zero, zero, zero, zero, jnp.asarray(start[2] / start[0]))
-    x, step = np.concatenate([start, before, before]) / scale, eqx.filter_jit(ocp.step)
+    x, step = [*start[:, None], *before[:, None]], eqx.filter_jit(one_step(ocp).step)
     for _ in range(5):
-        x = step(x, before / np.asarray(ocp.u_scale), p)
-    np.testing.assert_allclose(x[:5] * scale[:5], start, atol=0.02)
+        x = step(x, list(before[:, None]), p)
+    np.testing.assert_allclose(np.ravel(x)[:5], start, atol=0.02)
 
 
 def table() -> ReferenceTable:
@@ -186,13 +201,14 @@ def conditioned(Z, Y):
 def test_the_residual_near_a_point_has_its_value_and_its_derivatives(bounded):
     d: Any = dataclasses.replace(residual(), bounded=bounded)
     z = np.asarray(features(*DRIFT)) + [0.3, 0.05, -0.1, 0.02, 300.0]
-    exact, bend = (jax.jit(by)(z) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
+    exact, bend = (np.asarray(jax.jit(by)(z)) for by in (jax.jacfwd(d), jax.jacfwd(jax.jacrev(d))))
     value = np.asarray(eqx.filter_jit(d)(z))
-    several = jax.jit(lambda z: expand_residual(d, z))(np.stack([0.9 * z, z]))
-    near = jax.tree.map(lambda a: np.asarray(a)[1], several)
-    np.testing.assert_allclose(eqx.filter_jit(near.at)(z), value, rtol=1e-12)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(near.at))(z), exact, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(jax.jacrev(near.at)))(z), bend, rtol=1e-8, atol=1e-14)
+    several = np.stack([0.9 * z, z], axis=1)  # a batch of two
+    leading = jax.tree.map(lambda a: jnp.asarray(a)[None], d)
+    at = jax.jit(lambda z: residual_derivatives(leading, list(z), (1.0,) * 5))(several)
+    np.testing.assert_allclose(np.asarray(at.d)[:, 1], value, rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(at.J)[..., 1], exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(np.asarray(at.H)[..., 1], bend, rtol=1e-8, atol=1e-14)
     assert np.any(np.asarray(exact)[0] != 0) and np.all(value[:2] != 0)
     assert value[2] == 0  # gated off
 
@@ -222,26 +238,3 @@ def test_no_residual_is_zero_everywhere():
 def test_settings_that_make_no_sense_are_refused_by_name(config, change):
     with pytest.raises(BadInput, match=next(iter(change))):
         dataclasses.replace(config, **change)
-
-
-def test_the_derivatives_of_the_problem_are_those_of_its_step():
-    ocp = drift_ocp(MPCConfig(horizon=1), Weights(), CAR, residual())
-    rng = np.random.default_rng(5)
-    x = np.array([0.75, -0.5, 1.6, 0.1, 0.4, -0.3, 0.35, -0.28, 0.4]) + 0.02 * rng.normal(size=9)
-    u, costate = np.array([-0.25, 0.45]), jnp.asarray(rng.normal(size=9))
-    p = Reference(*map(jnp.asarray, (9.0, -0.5, 1.1, 0.0, 0.5, 0.06)))
-    h = 1e-6
-    at = lambda w: jax.tree.map(lambda a: a[0], ocp.local_expansion(w[None, :9], w[None, 9:], p))
-    jitted = jax.jit(lambda w: ocp.linearise(w[:9], w[9:], p, at(w)))
-    derivatives = lambda w: [np.asarray(a) for a in jitted(w)]
-    step = lambda x, u, p: np.asarray(jitted_step(x, u, p))
-    jitted_step = eqx.filter_jit(ocp.step)
-    y, A, B = derivatives(np.concatenate([x, u]))
-    np.testing.assert_allclose(y, step(x, u, p), rtol=1e-12)
-    slopes = lambda f, w: np.stack([(f(w + h * one) - f(w - h * one)) / (2 * h) for one in np.eye(len(w))], axis=1)
-    np.testing.assert_allclose(A, slopes(lambda w: step(w, u, p), x), atol=1e-7)
-    np.testing.assert_allclose(B, slopes(lambda w: step(x, w, p), u), atol=1e-7)
-    gradient = lambda w: costate @ np.concatenate(derivatives(w)[1:], axis=1)
-    bend = slopes(gradient, np.concatenate([x, u]))
-    second = jax.jit(lambda w: ocp.curvature(w[:9], w[9:], costate, p, at(w)))(np.concatenate([x, u]))
-    np.testing.assert_allclose(second, bend, rtol=1e-5, atol=1e-6)

@@ -1,10 +1,6 @@
 """The drift MPC for batches is the drift MPC of closed-loop laps, entry by entry."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -12,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.batch_solve import MIN_BATCH, MPCProblem, solve_mpc_batch, solve_with_fallback
 from driftjax.control.drift_batch_ocp import drift_batch_ocp
-from driftjax.control.mpc import MPCConfig, Reference, Weights, drift_ocp
+from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
+from driftjax.control.mpc_solution import MPCProblem, solve_mpc_batch
+from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.solve import Options
-from driftjax.vehicle import Residual, load_vehicle, no_residual
+from driftjax.track import curvilinear_rates
+from driftjax.vehicle import Residual, beyond_peak, load_vehicle, no_residual
 
 CAR, CONFIG = load_vehicle("sedan"), MPCConfig(horizon=4)
 UNIT = np.array([1.0, 1000.0])
@@ -64,30 +62,35 @@ def batched_values(batched, z, costate, p):
     )
 
 
+def whole_problem(ocp: DriftOCP, z, p, lagged: bool):
+    """Eq. 10 written down once more, in the units of the batch: next state, cost without that of the change."""
+    n = 5 if lagged else 3
+    y = jnp.concatenate([z[:n], jnp.asarray(X)[n:]])
+    lagged_input, u = (z[n : n + 2] if lagged else z[-2:]) * UNIT, z[-2:] * UNIT
+    acting, end = lag_step(lagged_input, u, ocp.residual.lags, ocp.dt)
+    control = Control(acting[0], acting[1])
+    d = ocp.residual(features(State(y[0], y[1], y[2]), control))
+
+    def rates(w):
+        dx = jnp.stack(ocp.nominal(State(w[0], w[1], w[2]), control)) + d
+        return jnp.concatenate([dx, jnp.stack(curvilinear_rates(*w, p.kappa)[1:])])
+
+    tracked = rk4_step(rates, y, ocp.dt)[:n]
+    beyond = beyond_peak(ocp.nominal, State(y[0], y[1], y[2]), control)
+    cost = jnp.sum(ocp.Q * (y - p.states()) ** 2) + ocp.front_slip * beyond**2
+    return jnp.concatenate([tracked, end / UNIT]) if lagged else tracked, cost
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     weights, learnt = CASES[name]
     ocp = drift_ocp(CONFIG, weights, CAR, no_residual(zero_gp(1, 5, 3)) if learnt is None else learnt)
     batched = drift_batch_ocp(CONFIG, weights, CAR, learnt)
-    reached = [-0.22, 6.3] if batched.lags is not None else []
-    tracked = list(X[: len(batched.Q)])
     here = jax.tree.map(lambda a: np.asarray(a)[0], reference(5))
-    acting = reached or list(U)  # a state that no lag remembers has no effect
-    unscale = np.concatenate([np.ones(5), UNIT, UNIT])  # from SI to the units of the batch
-    kept = [*range(len(tracked)), *((7, 8) if reached else ())]
-    to_z = np.concatenate([ocp.x_scale / unscale, np.asarray(ocp.u_scale) / UNIT])
-
-    @jax.jit
-    def value(z):
-        """The whole problem in the units of the batch: next state (kept entries) and cost less that of the change."""
-        full = jnp.concatenate([jnp.asarray(X), BEFORE, jnp.asarray(acting)]).at[jnp.array(kept)].set(z[:-2])
-        x, u = full * unscale / ocp.x_scale, z[-2:] * UNIT / ocp.u_scale
-        change = jnp.sum(ocp.R * ((z[-2:] - BEFORE) * UNIT) ** 2)
-        return (ocp.step(x, u, here) * to_z[:9])[jnp.array(kept)], ocp.cost(x, u, here) - change
-
-    z = np.array([*tracked, *reached, *U])
+    z = np.array([*X[: len(batched.Q)], *([] if batched.lags is None else [-0.22, 6.3]), *U])
     p = jax.tree.map(lambda a: np.asarray(a)[0], reference(1, 1))
-    costate = np.random.default_rng(1).normal(size=len(kept))
+    costate = np.random.default_rng(1).normal(size=len(z) - 2)
+    value = jax.jit(lambda z: whole_problem(ocp, z, here, batched.lags is not None))
 
     (y, M), after, cost, *_ = batched_values(batched, z, costate, p)
     np.testing.assert_allclose(np.ravel(y), value(z)[0], rtol=1e-12)
@@ -128,34 +131,27 @@ def pulled(M, costate) -> np.ndarray:
     return np.array([product(j) for j in range(len(M[0]))])
 
 
+NUM = 20
+
+
 @pytest.mark.slow
-def test_many_laps_at_once_are_answered_as_each_alone(tmp_path):
-    """In a process of its own: XLA reads the flag, without which this program takes minutes to compile, only once."""
-    fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
-    out = tmp_path / "results.npz"
-    code = f"import test_drift_batch; test_drift_batch.answer({str(out)!r})"
-    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
-    env = os.environ | {"XLA_FLAGS": fused, "PYTHONPATH": paths, "JAX_ENABLE_X64": "1"}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    results = np.load(out)
-    assert results["num_steps"][0] == 0  # not needed
-    assert (results["kkt"][1:] <= 1e-8).all() and (results["kkt_alone"][1:] <= 1e-8).all()
-    np.testing.assert_allclose(results["U"][1:] / UNIT, results["U_alone"][1:] / UNIT, atol=1e-6)
-    np.testing.assert_allclose(results["X"][1:], results["X_alone"][1:], atol=1e-6)
-
-
-def answer(out: str) -> None:
-    """Batched and fallback solutions of entries with different residuals; the first is not needed."""
-    num, config = MIN_BATCH, MPCConfig(horizon=6, tolerance=1e-8, max_steps=60)
-    problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(num)]
+def test_a_batch_is_solved_as_each_problem_alone():
+    """Entries with different residuals; the first is not needed."""
+    config = MPCConfig(horizon=6, tolerance=1e-8, max_steps=60)
+    problems = [drift_ocp(config, WHOLE, CAR, residual(seed % 4, 0.2)) for seed in range(NUM)]
     ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
-    x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (num, 5))
-    wide = lambda a: jnp.broadcast_to(a, (num, *np.shape(a)))
+    x = X + np.random.default_rng(0).uniform(-0.05, 0.05, (NUM, 5))
+    wide = lambda a: jnp.broadcast_to(a, (NUM, *np.shape(a)))
     before = wide(BEFORE * UNIT)
-    options = Options(*(jnp.full(num, value) for value in (1e-8, 1.0, 60, 1.0)))
+    options = Options(*(jnp.full(NUM, value) for value in (1e-8, 1.0, 60, 1.0, 0)))
     problem = MPCProblem(jnp.asarray(x), before, before, jax.tree.map(wide, reference(7)), wide(np.tile(X, (7, 1))),
                   wide(np.tile(BEFORE * UNIT, (6, 1))), options)  # fmt: skip
-    together = eqx.filter_jit(solve_mpc_batch)(ocp, problem, jnp.arange(num) > 0)
-    alone = eqx.filter_jit(eqx.filter_vmap(solve_with_fallback))(ocp, problem)
-    np.savez(out, **together._asdict(), **{f"{name}_alone": value for name, value in alone._asdict().items()})
+    needed = jnp.arange(NUM) > 0
+    together = eqx.filter_jit(solve_mpc_batch)(ocp, problem, needed)
+    solve = eqx.filter_jit(solve_mpc_batch)
+    alone = [solve(*jax.tree.map(lambda a, i=i: a[i : i + 1], (ocp, problem))) for i in range(NUM)]
+    separate = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *alone)
+    assert int(together.plan.num_steps[0]) == 0  # not needed
+    assert bool(jnp.all(together.plan.kkt[1:] <= 1e-8)) and bool(jnp.all(separate.plan.kkt <= 1e-8))
+    np.testing.assert_allclose(together.U[1:] / UNIT, separate.U[1:] / UNIT, atol=1e-6)
+    np.testing.assert_allclose(together.X[1:], separate.X[1:], atol=1e-6)

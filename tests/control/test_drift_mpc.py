@@ -10,7 +10,8 @@ import pytest
 
 import driftjax.control.drift_mpc as module
 from driftjax.control.drift_mpc import DriftMPC, mpc_state, steady_reference
-from driftjax.control.mpc import MPCConfig, MPCSolution, Reference, solve_mpc
+from driftjax.control.mpc import MPCConfig, Reference
+from driftjax.control.mpc_solution import MPCSolution, solve_mpc_batch
 from driftjax.core import RESULTS
 from driftjax.studies.bench.casadi_mpc import CasadiMPC
 from driftjax.studies.bench.drift import U_REF, WEIGHTS, X_REF, car, config, starts
@@ -33,7 +34,7 @@ def solutions():
     traced = []
     states = mpc_state(START + np.random.default_rng(0).normal(0, 0.01, (BATCH, 5)), U_REF)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "solve_mpc", lambda *args: (traced.append(1), solve_mpc(*args))[1])
+        patch.setattr(module, "solve_mpc_batch", lambda *args: (traced.append(1), solve_mpc_batch(*args))[1])
         mpc = tight(1e-6)
         first = mpc.solve(states, REFERENCE, GUESS)
         warm = mpc.solve(states, REFERENCE, first)

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.batch_solve import solve_with_fallback
 from driftjax.control.driver import Driver, DriverState, decide
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
+from driftjax.control.mpc_solution import solve_mpc
 from driftjax.control.pursuit import PursuitConfig, pure_pursuit
 from driftjax.control.table import ReferenceTable
 from driftjax.gp import zero_gp
@@ -86,19 +86,19 @@ def sliding(s: float) -> Sensed:
 
 
 @eqx.filter_jit
-def step(one, sensed, memory, needed):
+def step(one, sensed, memory):
     """One step of the drift MPC, alone."""
-    problem = one.mpc_problem(sensed, memory, needed)
-    return one.apply_result(problem, solve_with_fallback(one.ocp, problem), memory)
+    problem = one.mpc_problem(sensed, memory)
+    return one.apply_solution(problem, solve_mpc(one.ocp, *problem), memory)
 
 
 def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
-    one, needed = driver("mpc"), jnp.asarray(True)
+    one = driver("mpc")
     start = one.start()._replace(command=jnp.asarray([-0.29, 6000.0]))
-    first, memory = step(one, sliding(50.0), start, needed)
+    first, memory = step(one, sliding(50.0), start)
     assert bool(first.solved) and bool(memory.drifting)
     allowed_none = eqx.tree_at(lambda d: d.options.max_steps, one, jnp.asarray(0))
-    second, after = step(allowed_none, sliding(50.5), memory, needed)
+    second, after = step(allowed_none, sliding(50.5), memory)
     assert not bool(second.solved)
     good = np.asarray(memory.good)
     np.testing.assert_allclose(np.stack(second.command), good[0], rtol=1e-12)
@@ -106,10 +106,10 @@ def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
 
 
 def test_a_solve_starts_from_the_reference_whatever_was_driven_before():
-    one, needed = driver("mpc"), jnp.asarray(True)
+    one = driver("mpc")
     start = one.start()._replace(command=jnp.asarray([-0.29, 6000.0]))
-    memory = start._replace(good=jnp.asarray(np.full((3, 2), 0.6)), drifting=needed)
-    problem = jax.device_get(mpc_problem(one, sliding(50.0), memory, needed))
+    memory = start._replace(good=jnp.asarray(np.full((3, 2), 0.6)), drifting=jnp.asarray(True))
+    problem = jax.device_get(mpc_problem(one, sliding(50.0), memory))
     np.testing.assert_allclose(problem.X[1:], np.tile([9.0, -0.5, 1.0, 0.0, 0.5], (3, 1)), rtol=1e-12)
     np.testing.assert_allclose(problem.U, np.tile([-0.3, 6000.0], (3, 1)), rtol=1e-12)
     np.testing.assert_allclose(problem.X[0], [9.0, -0.5, 1.0, 0.0, 0.5], rtol=1e-12)
@@ -124,7 +124,7 @@ def test_each_entry_is_driven_by_its_own_controller_and_the_others_do_not_matter
     alive = jnp.asarray([True, True, False])
     command, memory, decision = eqx.filter_jit(decide)(stack(one, one, one), sensed, stack(start, start, start), alive)
     assert decision.drifting.tolist() == [False, True, False] and int(decision.num_steps[0]) == 0
-    alone, _ = step(one, sliding(50.0), start, jnp.asarray(True))
+    alone, _ = step(one, sliding(50.0), start)
     np.testing.assert_allclose(command.delta[1], alone.command.delta, rtol=1e-6)
     np.testing.assert_allclose(np.stack(command)[:, 0], pursue(one, sliding(10.0), start), rtol=1e-9)
     assert memory.drifting.tolist() == [False, True, False]

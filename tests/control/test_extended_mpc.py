@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from driftjax.control.lqr import lqr
-from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp, solve_mpc
+from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
+from driftjax.control.mpc_solution import solve_mpc
 from driftjax.core import RESULTS, Control, State, rk4_step
 from driftjax.equilibrium import Branch, Equilibrium, SlipRadius, solve_steady
 from driftjax.gp import zero_gp

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.mpc import MPCSolution, Reference, drift_ocp, solve_mpc
+from driftjax.control.mpc import Reference, drift_ocp
+from driftjax.control.mpc_solution import MPCSolution, solve_mpc
 from driftjax.core import RESULTS
 from driftjax.gp import zero_gp
 from driftjax.solve import Options

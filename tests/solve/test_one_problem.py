@@ -1,4 +1,4 @@
-"""The interior point on a convex problem against CasADi's QP, and how it reports what it could not do."""
+"""The solver of one problem on a convex one against CasADi's QP, and how it reports what it could not do."""
 
 import casadi as ca
 import equinox as eqx
@@ -98,11 +98,13 @@ def test_a_batch_gives_what_single_solves_give():
 
 
 def test_too_few_iterations_are_reported_and_not_hidden():
+    """A quadratic program is solved in one iteration."""
     x0s, ps = starts(1)
-    one = run(jnp.asarray(x0s[0]), jnp.asarray(ps[0]), jnp.zeros((N, 2)), Options(1e-9, max_steps=1))
-    assert one.result == RESULTS.not_converged
-    assert int(one.num_steps) == 1
-    assert max(float(one.kkt), float(one.violation)) > 1e-9
+    none, one = (run(jnp.asarray(x0s[0]), jnp.asarray(ps[0]), jnp.zeros((N, 2)), Options(1e-9, max_steps=n))
+                 for n in (0, 1))  # fmt: skip
+    assert none.result == RESULTS.not_converged and one.result == RESULTS.successful
+    assert int(none.num_steps) == 0 and int(one.num_steps) == 1
+    assert max(float(none.kkt), float(none.violation)) > 1e-9
 
 
 def test_a_start_that_is_not_a_number_is_never_a_success():

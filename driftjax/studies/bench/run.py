@@ -80,11 +80,9 @@ def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
     elementwise = part in ("mpc", "simulator")
     threads = str(cfg.threads if elementwise else 1)
     own = {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": threads}
-    # their long elementwise expressions gain from kernels with several results, which are off by default
-    fused = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
     if elementwise and jax.default_backend() == "cpu":
         flags = os.environ.get("XLA_FLAGS", "").replace(SERIAL_LOOPS, "")  # their loops may be shared by threads
-        own["XLA_FLAGS"] = f"{flags} {fused}".strip()
+        own["XLA_FLAGS"] = flags.strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})
 
