@@ -13,8 +13,6 @@ if sys.dont_write_bytecode:  # else each of these processes compiles 1700 module
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(SCRATCH / "driftjax-pycache")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
-# XLA's older emitters of fused loops compile in two thirds of the time; their loops run a fifth slower.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(SCRATCH / "driftjax-jax-cache"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")

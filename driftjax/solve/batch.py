@@ -3,11 +3,10 @@
 Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
 a few interior-point iterations on the quadratic program, which touch the matrices only (`batch_qp`); primal and dual
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
-al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second derivatives all entries of a
-tracking problem converge, from far guesses too; one that does not says so in `result`, and may be solved again with a
-larger barrier. An l1 merit function with backtracking rejected good steps of a Gaussian process's dynamics and doubled
-their iterations. Everything is elementwise along the batch, so that a CPU fills its vector
-registers with batch entries.
+al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second derivatives tracking
+problems converge, from far guesses too; one that does not says so in `result`, and may be solved again with a larger
+barrier. An l1 merit function with backtracking rejected good steps of a Gaussian process's dynamics and doubled their
+iterations. Everything is elementwise along the batch, so that a CPU fills its vector registers with batch entries.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,8 @@
 """A filter line-search interior point method for long, strongly nonlinear stage-wise problems.
 
-The drift MPC's solver uses roll-outs and an l1 merit function, which suits short horizons solved from warm starts. A
-minimum-time plan starts far from feasible over hundreds of stages; there the filter method with inertia correction is
-more robust (Waechter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", Math.
+The drift MPC's solver takes full steps, which suits short horizons solved from a reference. A minimum-time plan starts
+far from feasible over hundreds of stages; there full steps diverge from one of the sedan's two guesses and end in a
+slower plan from the other, and the filter method with inertia correction converges from both (Waechter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", Math.
 Program. 106; equation numbers below refer to it). No restoration phase: where no trial step is acceptable the Hessian
 is shifted, which turns the step towards feasibility.
 """
