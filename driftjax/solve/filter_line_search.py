@@ -2,9 +2,10 @@
 
 The drift MPC's solver takes full steps, which suits short horizons solved from a reference. A minimum-time plan starts
 far from feasible over hundreds of stages; there full steps diverge from one of the sedan's two guesses and end in a
-slower plan from the other, and the filter method with inertia correction converges from both (Waechter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", Math.
-Program. 106; equation numbers below refer to it). No restoration phase: where no trial step is acceptable the Hessian
-is shifted, which turns the step towards feasibility.
+slower plan from the other, and the filter method with inertia correction converges from both (Waechter and Biegler
+2006, "On the implementation of an interior-point filter line-search algorithm", Math. Program. 106; equation numbers
+below refer to it). No restoration phase: where no trial step is acceptable the Hessian is shifted, which turns the step
+towards feasibility.
 """
 
 from collections.abc import Callable

@@ -141,6 +141,16 @@ def test_every_entry_has_its_own_tolerance_and_steps(copies):
     assert float(mixed.kkt[1]) > 1e-6  # else its tolerance would not have been its own
 
 
+def test_only_what_is_not_solved_is_solved_again():
+    args, allowed = problem(), jnp.array([60, 2, 60, 2])
+    once, again = (solved(Pendulum(), args, Options(1e-8, 1.0, allowed, restarts=n)) for n in (0, 2))
+    np.testing.assert_array_equal(again.result == RESULTS.successful, [True, False, True, False])
+    np.testing.assert_array_equal(again.num_steps, once.num_steps * np.array([1, 3, 1, 3]))
+    np.testing.assert_array_equal(again.U[..., ::2], once.U[..., ::2])
+    accepted = solved(Pendulum(), args, Options(1e-8, 1.0, allowed, implicit=1e12, restarts=2))
+    np.testing.assert_array_equal(accepted.num_steps, once.num_steps)
+
+
 def test_real_time_iterations_lead_to_the_solution():
     """One iteration solves its program; the residual that it reports is that of the problem."""
     x0, before, p, X, U = problem()

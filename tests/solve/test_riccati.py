@@ -1,13 +1,32 @@
 """The Riccati sweep against a dense KKT solve; the inverse with absolute eigenvalues against eigh."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
-from driftjax.solve.riccati import Quadratic, inverse_absolute, newton_direction
+from driftjax.solve.batch_newton import NewtonSystem, NewtonTerms, solve_backward, solve_forward, substitute
+from driftjax.solve.riccati_componentwise import StageSystem, StageTerms, inverse_absolute
 
 N, NX, NU = 6, 4, 2
+
+
+class Quadratic(NamedTuple):
+    """minimise sum 1/2 d'Hd + h'd, d = (dx, du), subject to dx+ = A dx + B du + c and dx_0 = 0."""
+
+    Hxx: Array
+    Hux: Array
+    Huu: Array
+    hx: Array
+    hu: Array
+    A: Array
+    B: Array
+    c: Array
+    HN: Array
+    hN: Array
 
 
 def random_problem(seed: int) -> Quadratic:
@@ -47,21 +66,43 @@ def dense(q: Quadratic):
     return dX, dU, z[n + NX :].reshape(N, NX)
 
 
+def by_component(q: Quadratic) -> tuple[NewtonSystem, NewtonTerms]:
+    """The problem in components, as a batch of one without cost of input changes."""
+    H = jnp.concatenate([jnp.concatenate([q.Hxx, q.Hux.mT], axis=2), jnp.concatenate([q.Hux, q.Huu], axis=2)], axis=1)
+    rows = lambda a: [[a[:, i, j, None] for j in range(a.shape[2])] for i in range(a.shape[1])]
+    column = lambda a: [a[:, i, None] for i in range(a.shape[1])]
+    zero = jnp.zeros((N, 1))
+    system = StageSystem(rows(q.A), rows(q.B), rows(H), [zero] * NU)
+    terms = StageTerms(column(q.c), column(jnp.concatenate([q.hx, q.hu], axis=1)), [zero] * NU)
+    end = [[q.HN[i, j, None] for j in range(NX)] for i in range(NX)]
+    return NewtonSystem(system, [zero] * NX, end), NewtonTerms(terms, [zero] * NX, [q.hN[i, None] for i in range(NX)])
+
+
+@jax.jit
+def direction(system: NewtonSystem, terms: NewtonTerms):
+    """Step of later states and inputs, costates, whether the minimum is strict, and the policy solved for anew."""
+    factors, policy = solve_backward(system, terms)
+    none = [jnp.zeros(1)]
+    steps = solve_forward(system, factors, policy, (NX * none, NU * none))
+    stack = lambda entries: jnp.stack(entries, axis=1)[..., 0]
+    return tuple(map(stack, steps)), jnp.all(factors.convex), policy, substitute(system, factors, terms)
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_direction_solves_the_dense_kkt_system(seed):
     q = random_problem(seed)
-    direction = newton_direction(q)
-    dX, dU, costates = dense(q)
-    # the floor on the scaled eigenvalues of the input blocks, 1e-8, bounds the agreement
-    np.testing.assert_allclose(direction.dX, dX, rtol=0, atol=1e-5 * np.abs(dX).max())
-    np.testing.assert_allclose(direction.dU, dU, rtol=0, atol=1e-5 * np.abs(dU).max())
-    np.testing.assert_allclose(direction.costates, costates, rtol=0, atol=1e-5 * np.abs(costates).max())
+    steps, strict, policy, again = direction(*by_component(q))
+    X, U, costates = dense(q)
+    assert bool(strict)
+    for step, exact in zip(steps, (X[1:], U, costates), strict=True):
+        np.testing.assert_allclose(step, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
+    for one, other in zip(jax.tree.leaves(policy), jax.tree.leaves(again), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10)
 
 
-def test_the_policy_reproduces_the_direction():
-    direction = newton_direction(random_problem(3))
-    du = direction.k + jnp.einsum("kij,kj->ki", direction.K, direction.dX[:-1])
-    np.testing.assert_allclose(du, direction.dU, rtol=1e-12, atol=1e-12)
+def test_a_point_that_is_no_minimum_is_reported():
+    q = random_problem(0)
+    assert not bool(direction(*by_component(q._replace(Huu=q.Huu - 1e3 * jnp.eye(NU))))[1])
 
 
 def absolute(R: np.ndarray) -> np.ndarray:
@@ -80,23 +121,29 @@ MATRICES = [
 ]
 
 
+def inverted(R: np.ndarray) -> np.ndarray:
+    """The inverse with absolute eigenvalues as a matrix."""
+    entries = [[jnp.asarray(value) for value in row] for row in np.asarray(R)]
+    return np.array([[float(e) for e in row] for row in inverse_absolute(entries)[0]])
+
+
 @pytest.mark.parametrize("R", MATRICES)
 def test_the_inverse_has_absolute_eigenvalues(R):
     R = np.asarray(R)
-    inverse = np.asarray(jax.jit(inverse_absolute)(jnp.asarray(R)))
+    inverse = inverted(R)
     np.testing.assert_allclose(inverse, absolute(R), rtol=1e-6, atol=1e-12)
     assert np.all(np.linalg.eigvalsh(inverse) > 0)
 
 
 def test_a_positive_matrix_is_simply_inverted():
     R = np.array([[3.0, 0.7], [0.7, 0.5]])
-    np.testing.assert_allclose(inverse_absolute(jnp.asarray(R)), np.linalg.inv(R), rtol=1e-7)
+    np.testing.assert_allclose(inverted(R), np.linalg.inv(R), rtol=1e-7)
 
 
 @pytest.mark.parametrize("value", [4.0, -4.0])
 def test_one_input_divides_by_the_magnitude(value):
-    np.testing.assert_allclose(inverse_absolute(jnp.asarray([[value]])), [[0.25]], rtol=1e-7)
+    np.testing.assert_allclose(inverted(np.array([[value]])), [[0.25]], rtol=1e-7)
 
 
 def test_a_singular_matrix_stays_finite():
-    assert bool(jnp.all(jnp.isfinite(inverse_absolute(jnp.ones((2, 2))))))
+    assert np.all(np.isfinite(inverted(np.ones((2, 2)))))
