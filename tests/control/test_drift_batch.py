@@ -73,7 +73,7 @@ def whole_problem(ocp: DriftOCP, z, p, lagged: bool):
 
     def rates(w):
         dx = jnp.stack(ocp.nominal(State(w[0], w[1], w[2]), control)) + d
-        return jnp.concatenate([dx, jnp.stack(curvilinear_rates(*w, p.kappa)[1:])])
+        return jnp.concatenate([dx, jnp.stack(curvilinear_rates(w[0], w[1], w[2], w[3], w[4], p.kappa)[1:])])
 
     tracked = rk4_step(rates, y, ocp.dt)[:n]
     beyond = beyond_peak(ocp.nominal, State(y[0], y[1], y[2]), control)

@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 
 from driftjax.core import RESULTS
-from driftjax.solve import AbstractBatchOCP, Options, solve_batch
+from driftjax.solve import AbstractBatchOCP, BatchSolution, Options, solve_batch
 
 N = 8
 
@@ -52,7 +52,7 @@ STEPS = H * jnp.concatenate([jnp.zeros((1, THETA)), jnp.eye(THETA), -jnp.eye(THE
 AROUND = (BOTH[:, None] + STEPS).reshape(-1, THETA).T
 
 
-def plan(theta: Array, max_steps: int):
+def plan(theta: Array, max_steps: Array | int):
     """Solve a batch from parameters (THETA, batch)."""
     weight, torque, change, speed, angle, rate, before, target, guess = theta
     p, X = jnp.broadcast_to(target, (N + 1, *target.shape)), jnp.zeros((2, N + 1, *target.shape))
@@ -119,7 +119,7 @@ class Saddle(Pendulum):
 def test_a_point_that_is_no_minimum_has_no_derivative():
     one = jnp.ones(1)
 
-    def torque(angle: Array) -> Array:
+    def torque(angle: Array) -> tuple[Array, BatchSolution]:
         x0, X = jnp.stack([angle, 0 * one]), jnp.zeros((2, N + 1, 1))
         ocp = Saddle(0 * one, 5 * one, 5 * one, 5 * one)
         solution = solve_batch(
