@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from driftjax.core import State as State
     from driftjax.diagnosis.calibrate import Calibration as Calibration
     from driftjax.diagnosis.calibrate import calibrate as calibrate
+    from driftjax.diagnosis.calibrate import effects_to_fit as effects_to_fit
     from driftjax.diagnosis.compare import CompareConfig as CompareConfig
     from driftjax.diagnosis.compare import LogComparison as LogComparison
     from driftjax.diagnosis.compare import compare as compare
@@ -84,7 +85,7 @@ MODULES = {
     "control.drift_mpc": ("DriftMPC", "MPCState", "mpc_state", "steady_reference"),
     "control.mpc": ("MPCConfig", "Reference", "Weights"),
     "core": ("RESULTS", "BadInput", "Control", "State"),
-    "diagnosis.calibrate": ("Calibration", "calibrate"),
+    "diagnosis.calibrate": ("Calibration", "calibrate", "effects_to_fit"),
     "diagnosis.compare": ("CompareConfig", "LogComparison", "compare"),
     "diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "diagnosis.held_out": ("DiagnoseConfig",),

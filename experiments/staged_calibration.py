@@ -15,15 +15,11 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.studies.text_file import write_text
 
 MANOEUVRES = ("coast_down", "throttle_steps", "laps", "step_steer", "slalom", "drift") * 2
 HIDDEN = {"friction": (-0.2, 0.15), "steer_gain": (-0.1, 0.1), "steer_offset": (-0.02, 0.02),
           "drive_gain": (-0.25, 0.25), "rolling_resistance": (0.0, 0.02)}  # ranges  # fmt: skip
-EFFECTS = (
-    "drive_gain", "drive_lag", "rolling_resistance", "aero_drag", "steer_offset", "steer_gain", "steer_lag",
-    "stiffness_front", "stiffness_rear", "friction", "tyre_shape", "combined_slip",
-)  # those of `calibrate` by stages, where none are named  # fmt: skip
+EFFECTS = dj.effects_to_fit(staged=True)
 FITTED = (*EFFECTS, "gyro_bias", "sideslip_bias")
 CATALOGUE = dj.effects_by_name((*FITTED, "drive_split", "brake_split"))  # what else a car has: smaller programs
 RATE = 25.0  # of simulated logs [Hz]
@@ -76,7 +72,7 @@ def main(cfg: Config) -> dict[str, Any]:
     if cfg.data is not None:
         for name in cfg.only or RECORDINGS:
             results[name] = recorded(name, cfg.data)
-    write_text(cfg.out / "staged_calibration.json", json.dumps(results, indent=1))
+    (cfg.out / "staged_calibration.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
     return results
 
 

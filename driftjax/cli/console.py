@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import tyro
 
 from driftjax.cli.front import Terminated
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, write_text
 from driftjax.core.config import require_finite
 from driftjax.store import RunFolder
 
@@ -67,7 +67,7 @@ def run_in(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
     except Exception as error:
         text, words, see = traceback.format_exc(), " ".join(str(error).split())[:300], "see error.txt; "
         try:
-            write_atomically(folder.path / "error.txt", lambda path: path.write_text(text, encoding="utf-8"))
+            write_text(folder.path / "error.txt", text)
         except OSError:  # the disk may be what failed; its message is printed anyway
             see = ""
         print(f"driftjax: failed ({type(error).__name__}: {words}); {see}{kept}", file=sys.stderr)

@@ -1,6 +1,7 @@
 """Shared records, solver results, integrators and config files; imports nothing of the layers above."""
 
 from driftjax.core.atomic import write_atomically as write_atomically
+from driftjax.core.atomic import write_text as write_text
 from driftjax.core.config import find_config as find_config
 from driftjax.core.config import flatten_config as flatten_config
 from driftjax.core.config import from_dict as from_dict

@@ -177,8 +177,8 @@ def calibrate(
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
-    decide first, see `stages`; the default effects are then `STAGED_EFFECTS` instead of `DEFAULT_EFFECTS`. Every
-    `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. `report` hears of every step.
+    decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held out
+    to measure the gain on, by a fit of its own; 0: none is. `report` is called with the text of every step.
     Raises `BadInput` for effects that these runs cannot tell.
     """
     require_float64()
@@ -216,8 +216,11 @@ def calibrate(
     )
 
 
-def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:
-    """Return the names of the `effects`, or the default ones; raises `BadInput` for none and for unknown names."""
+def effects_to_fit(effects: Sequence[str] | None = None, staged: bool = False) -> tuple[str, ...]:
+    """Return the names of the `effects` that `calibrate` fits, in the catalogue's order; where None, the default ones.
+
+    `staged`: those of a calibration by stages, which decides more. Raises `BadInput` for none and for unknown names.
+    """
     names = tuple((STAGED_EFFECTS if staged else DEFAULT_EFFECTS) if effects is None else effects)
     require(bool(names), "key 'effects' is empty; name the effects to fit.")
     return tuple(effect.name for effect in effects_by_name(names))

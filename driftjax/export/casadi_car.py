@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from driftjax.core import BadInput, Control, State
-from driftjax.export.target import Format, ReducedCar, car_with, write_text
+from driftjax.export.target import Format, ReducedCar, car_with, save_text
 from driftjax.sim.step import LaggedState
 from driftjax.sim.travel import Travel, travel
 from driftjax.vehicle import VehicleConfig, actuator_lags, build_car
@@ -114,7 +114,7 @@ def write_casadi(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         "rates": {"x": list(rates.names), "start": rates.start.tolist()},
         "step": {"x": list(fine.names), "start": fine.start.tolist(), "dt_s": dt, "lap_m": lap},
     }
-    return ("rates.casadi", "step.casadi", write_text(folder / "casadi.json", json.dumps(content, indent=1) + "\n"))
+    return ("rates.casadi", "step.casadi", save_text(folder / "casadi.json", json.dumps(content, indent=1) + "\n"))
 
 
 CASADI = Format(

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
+from driftjax.core import BadInput, from_dict, read_yaml, write_text
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
 from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
@@ -63,7 +63,7 @@ def write_truth(path: Path, truth: Truth, vehicle: str, combined_slip: float, ca
         "left_out": list(truth.left_out),
     }  # fmt: skip
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def read_truth(path: Path) -> tuple[VehicleConfig, Float[np.ndarray, "K"], Campaign]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from driftjax.core import write_atomically
+from driftjax.core import write_text
 from driftjax.report.comparison import plot_comparison
 from driftjax.report.drives import lap_drives, shown_vehicle, stage_kind
 from driftjax.report.exploration import plot_gp_data, plot_speed_sets
@@ -63,7 +63,7 @@ def write_report(run: RunFolder) -> Path:
     words = results_table(run.read_json("results")) if run.has("results.json") else f"finished so far: {run.finished()}"
     (run.path / "table.txt").write_text(words + "\n", encoding="utf-8")
     page, text = run.path / "report.html", learn_page(run, pictures)
-    write_atomically(page, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(page, text)
     return page
 
 

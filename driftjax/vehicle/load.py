@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_text
 from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import EFFECTS, Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
@@ -68,7 +68,7 @@ def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
     if vehicle.noise:
         content["noise"] = dataclasses.asdict(vehicle.noise)
     text = yaml.safe_dump(content, sort_keys=False)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:
