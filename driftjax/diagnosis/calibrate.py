@@ -177,8 +177,8 @@ def calibrate(
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
-    decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held out
-    to measure the gain on, by a fit of its own; 0: none is. `report` is called with the text of every step.
+    decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held
+    out to measure the gain on, by a fit of its own; 0: none is. `report` is called with the text of every step.
     Raises `BadInput` for effects that these runs cannot tell.
     """
     require_float64()
