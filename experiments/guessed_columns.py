@@ -70,8 +70,8 @@ KNOWN: dict[str, Truth] = {
 UNITS = {"_radps2": ("_radps2", 1.0), "_radps": ("", 1 / DEG), "_rad": ("", 1 / DEG), "_mps2": ("", 1 / G),
          "_mps": ("", 1 / KMH), "_m": ("", 1.0), "_s": ("", 1.0)}  # fmt: skip
 BACK = {"angle": DEG, "speed": KMH, "acceleration": G}
-FAMILIES = {"angle": ("r", "psi", "beta", "delta"), "speed": ("vx", "vy", "V"), "acceleration": ("ax", "ay")}
-DIMENSION = {channel: family for family, channels in FAMILIES.items() for channel in channels}
+SHARE_DIMENSION = {"angle": ("r", "psi", "beta", "delta"), "speed": ("vx", "vy", "V"), "acceleration": ("ax", "ay")}
+DIMENSION = {channel: family for family, channels in SHARE_DIMENSION.items() for channel in channels}
 MADE_UP = (
     "hmmwv.csv",
     "dart.csv",

@@ -36,9 +36,9 @@ class EffectSet(NamedTuple):
     gain: float  # fall of the cost below the nominal car's
 
 
-def quadratic_cost(problem: Problem, fit: Fit, at: Linearisation) -> QuadraticCost:
-    """Return the quadratic model of the cost about `fit`, which the linearisation `at` belongs to."""
-    return quadratic_about(problem, fit, *information_and_score(at))
+def quadratic_cost(problem: Problem, fit: Fit, linearisation: Linearisation) -> QuadraticCost:
+    """Return the quadratic model of the cost about `fit`, which the `linearisation` belongs to."""
+    return quadratic_about(problem, fit, *information_and_score(linearisation))
 
 
 def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray) -> QuadraticCost:

@@ -178,7 +178,7 @@ def calibrate(
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
     decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held
-    out to measure the gain on, by a fit of its own; 0: none is. `report` is called with the text of every step.
+    out to measure the gain on, by a fit of its own; 0: none is. `report` is called at every step.
     Raises `BadInput` for effects that these runs cannot tell.
     """
     require_float64()
@@ -197,17 +197,17 @@ def calibrate(
     report("fit: compile derivatives")
     if staged:
         problem, fit, stages = fit_staged(loose, selected, lambda text: report(f"fit: {text}"))
-        at = stages.weigh(linearise(problem, fit))
+        linearisation = stages.weigh(linearise(problem, fit))
         stretch, precision, prior, moved = stages.stretch, stages.precision, stages.prior, stages.moved
     else:
-        problem, fit, at = fit_effects(loose, selected)
+        problem, fit, linearisation = fit_effects(loose, selected)
         stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
-        precision = information(at.J) + DEAD * problem.prior
+        precision = information(linearisation.J) + DEAD * problem.prior
     report("what decides each parameter")
-    lost_s = time_lost(problem, at)
-    last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
+    lost_s = time_lost(problem, linearisation)
+    last = scores(problem, linearisation, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
-    known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
+    known = np.stack([information(np.asarray(linearisation.J)[stretch == kind][None])[square] for kind in Stretch])
     identifiable = identifiability(known, prior[columns], precision[square], half_width)
     report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)

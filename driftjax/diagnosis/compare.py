@@ -141,8 +141,8 @@ def compare(
     """Compare two logs of `vehicle` in similar manoeuvres, from measurements in SI, left positive.
 
     The logs may be of a real car and of any simulator, of a wet and a dry road, from before and after a repair.
-    What the nominal car gets wrong alike in both is no difference: only its change is tested. `report` hears of every
-    step. Raises `BadInput` for logs whose sample times differ.
+    What the nominal car gets wrong alike in both is no difference: only its change is tested. `report` is called at
+    every step. Raises `BadInput` for logs whose sample times differ.
     """
     require_float64()
     config, logs = CompareConfig() if config is None else config, (log_a, log_b)
@@ -285,7 +285,9 @@ def exceeds_tolerance(gap: Gap, tolerated: float) -> bool:
     if gap.closed is None:
         return False
     one = gap.closed
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).unexplained_exceeds(tolerated)
+    return Explained(one.value, one.ci95, one.remaining, one.remaining_ci95, 0.0, gap.held_out).unexplained_exceeds(
+        tolerated
+    )
 
 
 def describe(one: Difference) -> str:

@@ -52,9 +52,9 @@ class Information(NamedTuple):
         return self.score - self.H @ (theta - self.theta)
 
 
-def information_of(problem: Problem, fit: Fit, at: Linearisation) -> Information:
-    """Return the information of the log of `problem` about `fit`, which the linearisation `at` belongs to."""
-    J, e, block = np.asarray(at.J), np.asarray(at.e), problem.data.block
+def information_of(problem: Problem, fit: Fit, linearisation: Linearisation) -> Information:
+    """Return the information of the log of `problem` about `fit`, which the `linearisation` belongs to."""
+    J, e, block = np.asarray(linearisation.J), np.asarray(linearisation.e), problem.data.block
     num = problem.data.num_blocks
     H = np.stack([information(J[block == k][None]) for k in range(num)])
     run = np.zeros(num, int)
@@ -220,7 +220,7 @@ class Pair(NamedTuple):
     problems: tuple[Problem, Problem]
     effects: tuple[int, ...]  # fitted to each log
     fits: tuple[Fit, Fit]
-    at: tuple[Linearisation, Linearisation]
+    linearisations: tuple[Linearisation, Linearisation]
     contrast: Contrast
 
 

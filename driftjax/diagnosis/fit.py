@@ -24,7 +24,7 @@ from driftjax.diagnosis.noise import (
     SLOW_CORRELATION,
     estimate_noise,
     measurement_noise,
-    telling_channels,
+    observed_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, samples_in_run
@@ -191,7 +191,7 @@ def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
     valid = np.asarray(data.padded.valid)
     sigma = measurement_noise(np.asarray(data.padded.y), valid)
-    disturbance = np.where(telling_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
+    disturbance = np.where(observed_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
     return Noise(sigma, disturbance, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 
@@ -229,13 +229,17 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
     """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
-    at = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
-    if problem.data.skip and (lost := lost_samples(np.asarray(at.J))).any():  # a measured sideslip holds the observer
-        at = at._replace(J=np.where(lost[..., None, None], 0.0, np.asarray(at.J)), lost=lost)
+    linearisation = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    if (
+        problem.data.skip and (lost := lost_samples(np.asarray(linearisation.J))).any()
+    ):  # a measured sideslip holds the observer
+        linearisation = linearisation._replace(
+            J=np.where(lost[..., None, None], 0.0, np.asarray(linearisation.J)), lost=lost
+        )
     if problem.motion is None:
-        return at
+        return linearisation
     J = whitened_motion_derivatives(problem.model, problem.data, fit.theta, problem.motion, problem.active)
-    return at._replace(e=fit.e, J=np.concatenate([np.asarray(at.J), J], axis=2))
+    return linearisation._replace(e=fit.e, J=np.concatenate([np.asarray(linearisation.J), J], axis=2))
 
 
 def lost_samples(J: np.ndarray) -> np.ndarray:
@@ -249,15 +253,15 @@ def lost_samples(J: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(size > np.clip(LOST * usual, *LOST_LIMITS), axis=1)
 
 
-def time_lost(problem: Problem, at: Linearisation) -> float:
+def time_lost(problem: Problem, linearisation: Linearisation) -> float:
     """Return the time in which the observer loses the car [s]; raises `BadInput` where it is most of the time."""
-    if at.lost is None:
+    if linearisation.lost is None:
         return 0.0
     there = samples_in_run(np.asarray(problem.data.padded.valid))
-    if (share := np.sum(at.lost & there) / np.sum(there)) > MOST_LOST:
+    if (share := np.sum(linearisation.lost & there) / np.sum(there)) > MOST_LOST:
         raise BadInput(f"log: the observer loses the car in {100 * share:.0f} % of the time; check units, signs and "
                        "the vehicle, and give it the steering delay that `driftjax inspect` prints.")  # fmt: skip
-    return float(np.sum(at.lost & there) * problem.data.dt)
+    return float(np.sum(linearisation.lost & there) * problem.data.dt)
 
 
 def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
@@ -289,9 +293,11 @@ def information(J: ArrayLike) -> np.ndarray:
     return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
-def information_and_score(at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
+def information_and_score(linearisation: Linearisation) -> tuple[np.ndarray, np.ndarray]:
     """Return the information matrix (K, K) and the score (K,)."""
-    return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
+    return information(linearisation.J), np.einsum(
+        "ptij,pti->j", np.asarray(linearisation.J), np.asarray(linearisation.e), optimize=True
+    )
 
 
 def refine(
@@ -324,19 +330,19 @@ def refine(
 
 
 def refit_to_convergence(
-    problem: Problem, fit: Fit, columns: np.ndarray, at: Linearisation | None = None, num: int = 6
+    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None, num: int = 6
 ) -> tuple[Fit, Linearisation]:
     """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
 
-    `at` is the linearisation at the given `fit`, where it is known.
+    `linearisation` is that at the given `fit`, where it is known.
     """
-    at = linearise(problem, fit) if at is None else at
+    linearisation = linearise(problem, fit) if linearisation is None else linearisation
     for _ in range(num):
-        better = refine(problem, fit, columns, at)
+        better = refine(problem, fit, columns, linearisation)
         if better is fit:
             break
-        fit, at = better, linearise(problem, better)
-    return fit, at
+        fit, linearisation = better, linearise(problem, better)
+    return fit, linearisation
 
 
 def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:

@@ -178,8 +178,8 @@ class Share(NamedTuple):
 
     value: float  # share removed of the excess error of the nominal car; NaN where an excess is in doubt
     ci95: tuple[float, float]
-    left: float  # share of the model's own squared error that is excess
-    left_ci95: tuple[float, float]
+    remaining: float  # share of the model's own squared error that is excess
+    remaining_ci95: tuple[float, float]
 
 
 def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: int = DECISIVE) -> dict[str, Share]:

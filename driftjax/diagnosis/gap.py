@@ -51,12 +51,12 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
     buffer = int(np.ceil(horizon_steps(problem)[DECISIVE] * problem.data.dt / BLOCK))
     out = left_out_blocks(problem.data, buffer)
     about = problem._replace(start=theta)
-    corrected, at = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
+    corrected, linearisation = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
     thetas = {
         "nominal": problem.start,
         "other": theta,
-        "corrected": _without(about, corrected, at, selected, out),
-        "own": _without(problem, pair.fits[where], pair.at[where], pair.effects, out),
+        "corrected": _without(about, corrected, linearisation, selected, out),
+        "own": _without(problem, pair.fits[where], pair.linearisations[where], pair.effects, out),
     }
     models = {name: at_horizons(problem, predict(problem, theta).error ** 2) for name, theta in thetas.items()}
     own = models["own"]
@@ -89,10 +89,10 @@ def closed_share(other: Errors, corrected: Errors, own: Errors, seed: int) -> Sh
 
 
 def _without(
-    problem: Problem, fit: Fit, at: Linearisation, effects: tuple[int, ...], out: np.ndarray | None
+    problem: Problem, fit: Fit, linearisation: Linearisation, effects: tuple[int, ...], out: np.ndarray | None
 ) -> np.ndarray:
     """Return the parameters of `fit`, or for each piece (P, K) those fitted without the blocks `out`."""
-    return fit.theta if out is None else fits_left_out(problem, fit, at, effects, out)
+    return fit.theta if out is None else fits_left_out(problem, fit, linearisation, effects, out)
 
 
 def _ratio(own: Errors, other: Errors, seed: int) -> np.ndarray:

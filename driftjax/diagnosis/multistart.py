@@ -6,7 +6,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
-from driftjax.diagnosis.noise import telling_channels
+from driftjax.diagnosis.noise import observed_channels
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
@@ -107,7 +107,7 @@ def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
     used = samples_in_run(valid)
     variance = np.asarray(problem.gains.P)[..., range(3, 6), range(3, 6)]
     second = (np.asarray(path.d) ** 2 + variance)[used].mean(axis=0)
-    return (second / problem.noise.disturbance**2)[telling_channels(valid, data.informative)]
+    return (second / problem.noise.disturbance**2)[observed_channels(valid, data.informative)]
 
 
 def search_with_own_noise(

@@ -172,7 +172,7 @@ class Steps(NamedTuple):
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
     push: Float[Array, "T 6 3"]  # next augmented state, by additional rates during the step
-    late: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
+    delay: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
     valid: Float[Array, "T 3"]  # as in `Path`
     first: Float[Array, "6 K"]  # augmented state at the first sample, by theta
 
@@ -227,7 +227,7 @@ class SampleDerivatives(NamedTuple):
     F: Float[Array, "n 3 K"]
     slip: Float[Array, "n 2 3"]
     push: Float[Array, "n 6 3"]
-    late: Float[Array, "n 3"]
+    delay: Float[Array, "n 3"]
 
 
 def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> SampleDerivatives:

@@ -80,8 +80,8 @@ def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selec
     """Return the information (K, K) that each of `runs` would add, linearised at the fit."""
     data = pieces(vehicle, runs)
     own = observer_gains(problem.model, data, problem.start, problem.noise.as_vector(), fixed_gain(data))
-    at = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
-    return [information(at.J[data.run == i]) for i in range(len(runs))]
+    linearisation = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
+    return [information(linearisation.J[data.run == i]) for i in range(len(runs))]
 
 
 def _least_sure(problem: Problem, selection: Selection, named: list[Cause], added: np.ndarray) -> float:

@@ -293,7 +293,7 @@ def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Pa
     by_u, first = map_pieces(lambda run: call(by_commands, model, where, run, data.dt), len(data.run), data.padded)
     only = jnp.asarray(active, float)
     C, F = only * (one.by_theta + one.by_u @ by_u), only * one.F
-    return Steps(one.A, C, one.D, F, one.slip, one.push, one.late, path.valid, only * first)
+    return Steps(one.A, C, one.D, F, one.slip, one.push, one.delay, path.valid, only * first)
 
 
 def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, active: np.ndarray) -> Linearisation:

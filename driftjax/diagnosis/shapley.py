@@ -32,8 +32,8 @@ def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dic
     members = selection.selected
     if not members:
         return {}
-    at, moved = selection.linearisation, selection.fit.theta - problem.start
-    e, J = (np.asarray(a)[:, :, : len(MEASURED)] for a in (at.e, at.J))
+    linearisation, moved = selection.linearisation, selection.fit.theta - problem.start
+    e, J = (np.asarray(a)[:, :, : len(MEASURED)] for a in (linearisation.e, linearisation.J))
     H, blocks = sums_by_block(problem, e + J @ moved, J)  # scores (C, K) of the nominal car, to first order
     H += np.eye(len(H)) / PRIOR**2
     weights = np.random.default_rng(seed).multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), RESAMPLES)

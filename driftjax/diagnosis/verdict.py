@@ -48,8 +48,8 @@ class Explained(NamedTuple):
 
     share: float  # NaN where it is in doubt that anything is to be explained
     ci95: tuple[float, float]
-    left: float  # share of its own squared error that a right model would not make
-    left_ci95: tuple[float, float]
+    remaining: float  # share of its own squared error that a right model would not make
+    remaining_ci95: tuple[float, float]
     horizon: float  # [s]
     held_out: bool  # whether measured on runs without which the effects were named
 
@@ -60,7 +60,7 @@ class Explained(NamedTuple):
         doubt a model, however significant. Equivalence is judged by size (Schuirmann 1987; ISO 19364).
         """
         enough = self.ci95[1] >= 1 - tolerated and self.ci95[0] >= MOST  # false where the share is NaN
-        return not enough and self.left_ci95[0] > tolerated
+        return not enough and self.remaining_ci95[0] > tolerated
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
@@ -68,7 +68,7 @@ def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Ex
     if "extended" not in shares:
         return None
     one = shares["extended"]
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, horizon, held_out)
+    return Explained(one.value, one.ci95, one.remaining, one.remaining_ci95, horizon, held_out)
 
 
 def decide_verdict(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from driftjax.sweep.config import Choices, Point, SweepConfig
+from driftjax.sweep.config import Choices, DesignPoint, SweepConfig
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial
 
 
@@ -19,7 +19,7 @@ def num_points(config: SweepConfig) -> int:
     return math.prod(len(values.values) for values in config.varied.values() if isinstance(values, Choices))
 
 
-def points(config: SweepConfig) -> Iterator[Point]:
+def points(config: SweepConfig) -> Iterator[DesignPoint]:
     """Yield the combinations of a grid, of random draws or of a Latin hypercube (McKay et al. 1979), in order.
 
     A random design is the beginning of any longer one of the same seed.
@@ -88,12 +88,12 @@ class DesignSource(Source):
             ids.add(trial.id)
 
 
-def _program(config: SweepConfig, point: Point) -> tuple[str, ...]:
+def _program(config: SweepConfig, point: DesignPoint) -> tuple[str, ...]:
     """Return the values that need a program of their own: all but floating-point numbers."""
     return tuple("" if isinstance(value, float) else repr(value) for value in point.values())
 
 
-def _hash(point: Point) -> int:
+def _hash(point: DesignPoint) -> int:
     """Return a hash of a combination that assigns it to a process; equal combinations have equal hashes."""
     return int(hashlib.sha256(json.dumps(point, sort_keys=True).encode()).hexdigest()[:8], 16)
 

@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.logs.guess.names import DIMENSIONS, Meaning
 from driftjax.logs.guess.relations import FACTORS, Signal, Values, fit_relation, kinematic_relations, turned
 
-FAMILIES = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
+SHARE_UNIT = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
 CLEAR = 0.8  # correlation from which the sizes must agree
 COST = 0.05  # of a unit that is not the first of its dimension, in natural logarithms of a factor
 WORST = 1.5  # of one relation
@@ -22,7 +22,7 @@ def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: 
 
     `signals` are the columns in their units, `factors` what they are multiplied by so far.
     """
-    free = [[role for role in family if role in signals and said[role].unit is None] for family in FAMILIES]
+    free = [[role for role in family if role in signals and said[role].unit is None] for family in SHARE_UNIT]
     free = [family for family in free if family]
     if not free:
         return {}

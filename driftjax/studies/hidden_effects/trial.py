@@ -102,7 +102,7 @@ def diagnosis_values(diagnosis: Diagnosis, evidence: Evidence) -> dict[str, Any]
             "effect": name(c.effect), "probability": c.probability, "p_value": c.p_value,
             "theta": c.theta.tolist(), "half_width": c.half_width.tolist(),
             "scale": np.asarray(problem.model.scale)[problem.columns((c.effect,))].tolist(),
-            "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
+            "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.confusable],
             "invariance": c.invariance,
         }
         for c in evidence.causes

@@ -9,7 +9,7 @@ from driftjax.core import read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig, LearnConfig, files_of, load_learn_config
 from driftjax.studies.paper.ablations import ABLATIONS
-from driftjax.studies.paper.config import Car, PaperConfig
+from driftjax.studies.paper.config import CarName, PaperConfig
 
 MAIN = "main"
 QUICK_PLANTS = 4
@@ -21,7 +21,7 @@ EXTENDED = "extended"
 class Arm:
     """One run of the comparison."""
 
-    car: Car
+    car: CarName
     name: str
     words: str
     learn: LearnConfig

@@ -8,14 +8,14 @@ from driftjax.core import require, require_at_least
 from driftjax.learning.config import Controller
 from driftjax.studies.paper.ablations import ABLATIONS
 
-Car = Literal["sedan", "rc"]
+CarName = Literal["sedan", "rc"]
 
 
 @dataclass(frozen=True)
 class PaperConfig:
     """Every method on the same plants and noise, with ablations."""
 
-    cars: tuple[Car, ...] = ("sedan", "rc")
+    cars: tuple[CarName, ...] = ("sedan", "rc")
     """Cars to drive."""
     half: Literal["held_out", "development"] = "held_out"
     """Plants that no setting was chosen on, or those that settings are chosen on."""
