@@ -39,9 +39,9 @@ def early_flags(argv: list[str], *flags: str) -> tuple[dict[str, str | None], li
 
 def parse(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
     """Parse flags over `default` into a `cls`; raises `BadInput` where its checks fail."""
-    given: dict[str, Any] = {} if default is None else {"default": default}
+    defaults: dict[str, Any] = {} if default is None else {"default": default}
     try:
-        options = tyro.cli(cls, args=argv, prog=prog, **given)
+        options = tyro.cli(cls, args=argv, prog=prog, **defaults)
         require_finite(options)
         return options
     except BadInput as error:

@@ -100,7 +100,7 @@ def _least_sure(problem: Problem, selection: Selection, named: list[Cause], adde
 
 def _apart(problem: Problem, selection: Selection, one: int, rival: int, others: np.ndarray, H: np.ndarray) -> float:
     """Return the cost that remains of the effect `one` when the `rival` replaces it, refitted with all `others`."""
-    columns, given = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
-    P = partial_out(H, given)[:, columns]
+    columns, fitted = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
+    P = partial_out(H, fitted)[:, columns]
     theta = selection.fit.theta[columns]
     return float(theta @ P.T @ H @ P @ theta)

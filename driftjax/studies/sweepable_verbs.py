@@ -78,9 +78,9 @@ def diagnose_files(config: VerbOptions) -> list[Path]:
 
 def diagnose_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
     """Yield the verdict, and the gain on held-out runs."""
-    given = from_dict(LogConfig, config, "a trial")
-    log = read_log(given.logs, given.columns, runs=given.runs, cut=given.cut)
-    content = diagnose(load_vehicle(given.vehicle, given.combined_slip), log, given.options).content()
+    options = from_dict(LogConfig, config, "a trial")
+    log = read_log(options.logs, options.columns, runs=options.runs, cut=options.cut)
+    content = diagnose(load_vehicle(options.vehicle, options.combined_slip), log, options.options).content()
     names, gain = [cause["effect"] for cause in content["causes"]], content["gain"]
     ahead = gain["skill_horizon_s"]
     at = None if ahead is None else gain["horizons_s"].index(ahead)

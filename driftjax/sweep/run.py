@@ -102,9 +102,9 @@ def finish_sweep(
 
 def join_hosts() -> tuple[int, int]:
     """Wait for all processes of the job; return the index of this one and how many there are."""
-    given = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
+    variables = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
     try:  # JAX finds all three by itself under Slurm and Open MPI, and the address in the environment
-        num, this = (None if value is None else int(value) for value in given)
+        num, this = (None if value is None else int(value) for value in variables)
         jax.distributed.initialize(num_processes=num, process_id=this)
     except (ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())[:200]

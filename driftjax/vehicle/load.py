@@ -47,8 +47,8 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     where = f"{path}: key 'effects'"
     effects = _mapping({} if effects is None else effects, where)
     estimates = _effect_parameters(effects, vehicle, where)
-    given = [one.parameter in effects[one.effect] for one in estimates]
-    matrix = () if covariance is None else _covariance(covariance, estimates, given, f"{path}: key 'covariance'")
+    in_file = [one.parameter in effects[one.effect] for one in estimates]
+    matrix = () if covariance is None else _covariance(covariance, estimates, in_file, f"{path}: key 'covariance'")
     at = f"{path}: key 'noise'"
     estimated_noise = None if noise is None else from_dict(EstimatedNoise, _mapping(noise, at), at)
     vehicle = dataclasses.replace(vehicle, effects=estimates, covariance=matrix, noise=estimated_noise)
@@ -97,10 +97,10 @@ def with_effects(vehicle: VehicleConfig, effects: Mapping[str, Mapping[str, floa
 
     The covariance of its effects is dropped. Raises `BadInput` for unknown names and for values out of bounds.
     """
-    given = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
+    new = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
     own = [one for one in vehicle.effects if one.effect not in effects]
     order = list(EFFECTS)
-    parameters = sorted((*own, *given), key=lambda one: order.index(one.effect))
+    parameters = sorted((*own, *new), key=lambda one: order.index(one.effect))
     return dataclasses.replace(vehicle, effects=tuple(parameters), covariance=())
 
 
@@ -144,11 +144,11 @@ def _number(written: Any, where: str) -> float:
 
 
 def _covariance(
-    written: Any, estimates: tuple[EffectParameterValue, ...], given: list[bool], where: str
+    written: Any, estimates: tuple[EffectParameterValue, ...], in_file: list[bool], where: str
 ) -> tuple[tuple[float, ...], ...]:
-    """Check the covariance of the parameters `given` in the file; return it with zeros for all other `estimates`."""
+    """Check the covariance of the parameters that are `in_file`; return it with zeros for all other `estimates`."""
     parts = _mapping(written, where)
-    names = [one.name for one, is_given in zip(estimates, given, strict=True) if is_given]
+    names = [one.name for one, there in zip(estimates, in_file, strict=True) if there]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
     rows = parts["matrix"]
@@ -163,5 +163,5 @@ def _covariance(
             if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
                 raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
     full = np.zeros((len(estimates), len(estimates)))
-    full[np.ix_(given, given)] = matrix
+    full[np.ix_(in_file, in_file)] = matrix
     return tuple(map(tuple, full.tolist()))

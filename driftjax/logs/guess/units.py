@@ -16,13 +16,13 @@ LIMITS = {"V": 120.0, "r": 12.0, "beta": 3.2, "ax": 60.0, "ay": 60.0}  # beyond 
 SAMPLES = 1200  # that are compared
 
 
-def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: dict[str, float], dt: float,
+def best_factors(signals: dict[str, Signal], meanings: dict[str, Meaning], factors: dict[str, float], dt: float,
                  ) -> dict[str, float]:  # fmt: skip
     """Return a factor without sign for every channel whose column states no unit.
 
     `signals` are the columns in their units, `factors` what they are multiplied by so far.
     """
-    free = [[role for role in family if role in signals and said[role].unit is None] for family in SHARE_UNIT]
+    free = [[role for role in family if role in signals and meanings[role].unit is None] for family in SHARE_UNIT]
     free = [family for family in free if family]
     if not free:
         return {}
