@@ -1,7 +1,7 @@
 """Beam search for sets of effects, on the quadratic model of the cost about one fit.
 
-One linearisation gives the information of all parameters; what any set of effects would cost then follows by linear
-algebra, so that pairs whose single gains cancel, and one effect that stands for two, are found without refitting.
+One linearisation gives the information of all parameters. The cost of any set of effects then follows by linear
+algebra, which finds pairs whose single gains cancel, and one effect that replaces two, without refitting.
 """
 
 from typing import NamedTuple

@@ -98,8 +98,8 @@ def held_out_errors(
 def change_of(before: Errors, after: Errors) -> Change:
     """Return the change from the errors `before` to those `after` of the same predictions.
 
-    Channels and horizons count in the mean square of `before`, alike, and blocks of time by the logarithm of their
-    ratio: on an unstable drift a few would else decide.
+    Each channel and horizon is scaled by the mean square of `before`, so that all weigh the same. Blocks of time enter
+    by the logarithm of their ratio: otherwise a few would decide on an unstable drift.
     """
     old, new = before.squares[:, 1:], after.squares[:, 1:]
     there = np.isfinite(old)

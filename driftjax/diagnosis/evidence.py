@@ -169,8 +169,8 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     """Return per effect the smallest p-value of the hypothesis that its parameters are nearly the same in all runs.
 
     A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016), up to `TOLERANCE` of it: no model
-    is exact, and much data would show any difference. Scores of each run, all other members taken out, over their
-    information are estimates, whose spread makes Cochran's Q (1954); blocks say how far noise makes them vary.
+    is exact, and much data would show any difference. The score of each run over its information, other members
+    projected out, is an estimate; the spread of these is Cochran's Q (1954), with a variance from blocks of time.
     """
     columns, runs = problem.columns(selection.selected), np.unique(problem.data.run)
     if len(runs) < 2:

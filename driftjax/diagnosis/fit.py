@@ -124,7 +124,7 @@ def initial_problem(
 ) -> Problem:
     """Build the problem with an initial guess of the noise and fixed observer gains.
 
-    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks and, where
+    Effects `without` which the search is done keep their start values, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
     known, model = all(map(has_force, runs)), universal_car(vehicle, effects, stable_substeps(vehicle, runs))
@@ -267,8 +267,8 @@ def time_lost(problem: Problem, linearisation: Linearisation) -> float:
 def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
     """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
-    Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
-    costs: otherwise a delay would pay by itself.
+    A delay assigns the first measurements to times before the run; these cost what noise costs, since leaving them out
+    would reward the delay.
     """
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     e = np.asarray(whiten(problem.gains, path.e))

@@ -67,9 +67,9 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
 def closed_share(other: Errors, corrected: Errors, own: Errors, seed: int) -> Share | None:
     """Return how much of the squared error of `other` beyond that of `own` the `corrected` car removes.
 
-    At the decisive horizon, channels in the mean square of `own`, alike, with intervals over blocks of time. What is
-    left of the error of the corrected car counts as a whole: a channel that it predicts better makes up for one that
-    it predicts worse. None where no run lasts that long.
+    At the decisive horizon, each channel scaled by the mean square of `own`, with intervals over blocks of time. The
+    remaining error of the corrected car is the sum over channels: one that it predicts better makes up for one that it
+    predicts worse. None where no run lasts that long.
     """
     squares = np.stack([one.squares[:, DECISIVE] for one in (own, other, corrected)])
     squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has

@@ -2,8 +2,8 @@
 
 Heading and position are integrals of V, beta and r, and accelerometers measure their rates: psi' = r,
 x' = V cos(psi + beta), ax = vx' - r vy and ay = vy' + r vx hold for any car (Ryu and Gerdes 2004; Bevly, Ryu and
-Gerdes 2006). The changes over windows of time are compared, so that nothing noisy is differentiated. What the further
-channels may err by themselves, such as biases of the accelerometers, is fitted beside and taken out.
+Gerdes 2006). The changes over windows of time are compared, so that nothing noisy is differentiated. Errors of pose
+and accelerations themselves, such as biases of the accelerometers, are projected out.
 """
 
 from typing import NamedTuple

@@ -91,7 +91,7 @@ def set_state(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: F
 def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun:
     """Shift every measurement back by whole steps of the sensors' delay, to the sample that it belongs to.
 
-    Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
+    Commands stay at their own time and depend on nothing measured later, so that predictions remain predictions.
     """
     T, whole = len(run.y), model.split_delays(dt)[0].astype(int)
     at = jnp.arange(T)[:, None] + whole

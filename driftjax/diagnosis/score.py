@@ -4,9 +4,9 @@ Scores are summed over blocks of time, and blocks get random signs: the largest 
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
 Miller 2008).
 
-No |T| passes the root of the number of blocks in which an effect acts. What acts in few (a power limit, a patch of
-road) is therefore tested by its score over the deviation that the information gives it, dispersion included, without
-the block that says most. Both tests share the family-wise rate.
+|T| cannot exceed the root of the number of blocks in which an effect acts. An effect that acts in few (a power limit, a
+patch of road) is therefore tested by its score over the standard deviation that follows from information and
+dispersion, without the block of the largest score. Both tests share the family-wise rate.
 """
 
 from collections.abc import Sequence

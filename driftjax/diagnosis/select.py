@@ -148,7 +148,7 @@ def extend_selection(
 def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
     """Remove or replace an effect at its bound; return the step and the barred effects.
 
-    The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
+    The data ask for more of such an effect than is plausible: it stands in for another cause, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
     """
     problem = now.problem
@@ -215,7 +215,7 @@ def promising_sets(
     """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
-    About another fit than the present one, what the present set costs is what the model there says of it.
+    Where that is not the fit of `now`, the cost of the present set is predicted by the same model.
     """
     problem = now.problem
     model = quadratic_cost(problem, *about)

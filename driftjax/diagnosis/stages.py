@@ -1,9 +1,9 @@
 """Fit effects stage by stage: gentle stretches of a log are used before harder ones.
 
 A stage frees the effects of its own kind and those of earlier stages, and counts only innovations of its own
-stretches. Effects of later stages are considered: they are not estimated, but what is estimated depends on them, and
-its covariance says how (consider filter; Schmidt 1966). The estimate and that covariance are the next stage's prior,
-so that harder stretches move an earlier estimate only by as much as both deserve.
+stretches. Effects of later stages are not estimated, but their uncertainty is part of the covariance of the estimate
+(consider filter; Schmidt 1966). Estimate and covariance are the next stage's prior, so that harder stretches move an
+earlier estimate according to the precision of both.
 """
 
 from collections.abc import Callable
@@ -113,7 +113,7 @@ def run_stages(
     expected: np.ndarray,
     begin: Callable[[CalibrationStage], None] = lambda stage: None,
 ) -> StagedFit:
-    """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
+    """Run all stages once for the parameters `columns`, from `theta` (K,), where those of later stages stay.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
     on each other, or that no car explains, count less than those of other stages. `begin` is called at every stage.
@@ -179,8 +179,8 @@ def restrict_to_samples(problem: Problem, active: np.ndarray) -> Problem:
 def marginal_precision(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
     """Return the precision (K, K) of all parameters after a stage that estimated those `freed` (K,).
 
-    `precision` (K, K) is the sum of the prior one and the information of the stage. Whatever the other parameters
-    are, the freed ones lie about the minimum of the stage's cost at these; about the others the stage says nothing.
+    `precision` (K, K) is the sum of the prior one and the information of the stage. The freed parameters are
+    conditioned on the others; about the others the stage has no information.
     """
     row = precision[freed]
     return row.T @ np.linalg.solve(row[:, freed], row)

@@ -1,7 +1,7 @@
 """Detect errors that no effect of the catalogue explains: generic terms in every rate, axle force and sensor.
 
 After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
-the same test as effects. What they explain beside the effects named says what is wrong and what it depends on.
+the same test as effects. What they explain beyond the named effects shows what is wrong and what it depends on.
 """
 
 from typing import NamedTuple
@@ -119,7 +119,7 @@ def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array
 def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
     """Test the errors that remain after the named effects, and rank the variables that explain them.
 
-    Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
+    Several effects that together lower the cost by no more than one generic term only imitate what the catalogue lacks.
     """
     remaining = generic_terms(problem, selection.linearisation, selection.scores, selection.selected, seed)
     base = selection.base

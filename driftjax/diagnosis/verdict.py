@@ -78,8 +78,8 @@ def decide_verdict(
     """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
-    and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
-    no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
+    and no run is long enough to measure its size. Where the drive force was estimated, the verdict is UNKNOWN too:
+    the errors of such a force are not modelled, and were named as effects (experiments.missing_channels).
     Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
     that effects and term explain together; else they may stand for a cause that the catalogue lacks.
     """
@@ -155,7 +155,7 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
-    """Return what the named effects explain, and what the rest goes with."""
+    """Return, in words, what the named effects explain, and which variable the rest depends on."""
     rest = f"rest goes most with {' and '.join(list(remaining.variables)[:2])}." if remaining.significant else ""
     if explained is None:
         return [f"The {rest}"] if rest else []

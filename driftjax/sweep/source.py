@@ -99,7 +99,7 @@ def _hash(point: DesignPoint) -> int:
 
 
 def check(config: SweepConfig, work: Work) -> None:
-    """Raise `BadInput` where the verb cannot take a value of a field by itself, beside the first of all others."""
+    """Raise `BadInput` for a value of a field that the verb refuses when all other fields have their first value."""
     ends = {name: list(f.values) if isinstance(f, Choices) else [f.value_at(0.0), f.value_at(1.0)]
             for name, f in config.varied.items()}  # fmt: skip
     first = {name: values[0] for name, values in ends.items()}

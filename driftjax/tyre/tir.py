@@ -42,7 +42,7 @@ class TyreFile:
 
 
 def read_tir(path: str | Path) -> TyreFile:
-    """Read a tyre property file; raises `BadInput` that names file, line or key where it is none, or not in SI.
+    """Read a tyre property file; raises `BadInput` that names file, line or key if it is not one, or not in SI.
 
     Nothing in it is executed. Keys of [UNITS] and [MODEL] are checked; tables, such as [SHAPE], are kept as lines.
     """

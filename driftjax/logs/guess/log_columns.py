@@ -179,7 +179,7 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
 
 
 def _run(breaks: np.ndarray, words: dict[str, Sequence[str]], numbers: dict[str, np.ndarray]) -> str | None:
-    """Return the column that changes where time starts anew, and nowhere else if there is one such."""
+    """Return the column that changes where time restarts and most seldom elsewhere."""
     changes = {name: {i for i in range(1, len(cells)) if cells[i] != cells[i - 1]} for name, cells in words.items()}
     changes |= {name: set((np.flatnonzero(np.diff(y)) + 1).tolist()) for name, y in numbers.items()}
     wanted = set(breaks.tolist())

@@ -1,4 +1,4 @@
-"""Units that no name states: those with which the channels agree best."""
+"""Find the units that no column name states: those with which the channels agree best."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -43,7 +43,7 @@ def best_factors(signals: dict[str, Signal], meanings: dict[str, Meaning], facto
 
 
 def _costs(v: Values, dt: float) -> Iterator[float]:
-    """Yield by how much each channel contradicts the others, and what is plausible."""
+    """Yield by how much each channel contradicts the others or exceeds its plausible range."""
     for role, signal in v.items():
         if role in LIMITS and np.nanpercentile(np.abs(signal.y), 98) > LIMITS[role]:
             yield WORST

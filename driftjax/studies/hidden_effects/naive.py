@@ -3,8 +3,8 @@
 Every measured sample is taken for the true state, and the error of the next one (the finite difference of the data
 less the model's rate) is regressed on its derivative by each effect. The noise of a sample then stands on
 both sides, with opposite signs in errors one step apart: errors in variables, which do not fade with more data
-(Ljung 1999, Sec. 7.6). Effects whose derivatives look like differentiated noise, such as delays of a sensor, win
-whatever is wrong.
+(Ljung 1999, Sec. 7.6). Effects whose derivatives look like differentiated noise, such as delays of a sensor, are
+named whatever the true cause.
 """
 
 import jax.numpy as jnp
