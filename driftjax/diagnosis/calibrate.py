@@ -179,7 +179,7 @@ def calibrate(
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
     decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held
     out to measure the gain on, by a fit of its own; 0: none is. `report` is called at every step.
-    Raises `BadInput` for effects that these runs cannot tell.
+    Values are in SI. Raises `BadInput` for effects that these runs do not determine.
     """
     require_float64()
     check_held_out(held_out)

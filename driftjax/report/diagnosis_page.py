@@ -58,7 +58,7 @@ MODELS = {
 
 
 def write_diagnosis(run: RunFolder) -> Path:
-    """Write figures/*.png and .pdf and report.html from the folder alone; returns the page's path."""
+    """Write figures/*.png and .pdf and report.html of a diagnosis from its folder alone; return the page's path."""
     pictures = [save(figure, run.path / "figures", name) for name, figure in diagnosis_figures(run)]
     page, text = run.path / "report.html", diagnosis_page(run, pictures)
     write_text(page, text)

@@ -116,7 +116,7 @@ def _take(where: str, section: str, key: str, written: str, values: dict[str, fl
 
 
 def write_tir(path: str | Path, file: TyreFile) -> None:
-    """Write a tyre property file: the lines as they were, with the present numbers; new keys come at the end."""
+    """Write a tyre property file: the lines as they were, with the present numbers, SI; new keys come at the end."""
     left = dict(file.values)
     lines = []
     for line in file.lines:

@@ -27,7 +27,7 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     ones at the static load of a wheel), at the top or below `nominal`, and for an extended car `effects`
     (effect -> parameter -> value in SI, or {value, ci95_half}), `covariance` ({parameters: [effect.parameter], matrix})
     and `noise` (see `EstimatedNoise`), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces
-    the file's friction ellipse: 0 none (as published), 1 a circle.
+    the file's friction ellipse: 0 none (as published), 1 a circle. Raises `BadInput` that names file and key.
     """
     path = find_config("vehicle", name)
     content = read_yaml(path)
@@ -55,8 +55,8 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
-def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
-    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects, their covariance, and noise."""
+def write_vehicle(path: str | Path, vehicle: VehicleConfig) -> None:
+    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects, their covariance, and noise, SI."""
     nominal = {key: value for key, value in dataclasses.asdict(vehicle).items() if key not in BESIDE}
     effects: dict[str, dict[str, Any]] = {}
     for one in vehicle.effects:
@@ -68,7 +68,7 @@ def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
     if vehicle.noise:
         content["noise"] = dataclasses.asdict(vehicle.noise)
     text = yaml.safe_dump(content, sort_keys=False)
-    write_text(path, text)
+    write_text(Path(path), text)
 
 
 def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -50,7 +50,10 @@ class Spread:
 
 
 def load_plant(name: str | Path) -> PlantConfig:
-    """Read a plant YAML: a path, or a shipped name; a key `base` names the plant whose other values it takes."""
+    """Read a plant YAML: a path, or a shipped name; a key `base` names the plant whose other values it takes.
+
+    SI and radians. Raises `BadInput` that names file and key.
+    """
     path = find_config("plant", name)
     return from_dict(PlantConfig, _resolved(path), str(path))
 
@@ -90,7 +93,8 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
 def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
     """Draw `num` plants of `car` from number `first` on; plant i depends only on `seed` and i.
 
-    `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.
+    The distributions are those of `configs/plant/<car>_distribution.yaml`; there `mu` is the mean friction of the axles
+    and `mu_difference` front minus rear over that mean. Raises `BadInput` for a car without distributions.
     """
     base, spreads = load_distribution(car)
     plants = []
