@@ -97,8 +97,8 @@ def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarra
     return gains
 
 
-def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WIDTH) -> list[EffectSet]:
-    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `width` a size.
+def beam_search(model: QuadraticCost, most: int, penalty: float) -> list[EffectSet]:
+    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `WIDTH` a size.
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """
@@ -113,12 +113,12 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
                 if np.isfinite(gain):
                     grown = tuple(sorted((*one.effects, i)))
                     promised[grown] = one.gain + gain - penalty_of(grown)
-        keep = len(promised) if size == 1 else width
+        keep = len(promised) if size == 1 else WIDTH
         beam = []
         for grown in sorted(promised, key=lambda name: -promised[name]):
             if len(beam) >= keep:
                 break
             if (one := minimise_over(model, grown)) is not None:
                 beam.append(one)
-        sets += sorted(beam, key=lambda one: -penalised(one))[:width]
+        sets += sorted(beam, key=lambda one: -penalised(one))[:WIDTH]
     return sorted(sets, key=lambda one: -penalised(one))

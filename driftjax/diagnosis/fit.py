@@ -56,6 +56,7 @@ BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects 
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
 MOST_LOST = 0.5  # share of the time in which it may lose the car
+REFITS = 6  # refinements, each about derivatives of its own, at most
 REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
@@ -330,14 +331,14 @@ def refine(
 
 
 def refit_to_convergence(
-    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None, num: int = 6
+    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None
 ) -> tuple[Fit, Linearisation]:
     """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
 
     `linearisation` is that at the given `fit`, where it is known.
     """
     linearisation = linearise(problem, fit) if linearisation is None else linearisation
-    for _ in range(num):
+    for _ in range(REFITS):
         better = refine(problem, fit, columns, linearisation)
         if better is fit:
             break

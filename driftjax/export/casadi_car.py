@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -126,10 +125,3 @@ CASADI = Format(
     ),
     write_casadi,
 )
-
-
-def advance_model(vehicle: VehicleConfig, dt: float, lap: float = 1000.0) -> CasadiModel:
-    """Return the simulator's step over `dt` [s], as in step.casadi, in JAX."""
-    num = substeps(vehicle, dt)
-    fine = step_model(vehicle, dt / num, lap)
-    return fine._replace(function=lambda x, u: jax.lax.fori_loop(0, num, lambda _, x: fine.function(x, u), x))
