@@ -26,7 +26,6 @@ HEADINGS = {
     "store": "Run folders",
     "core": "Records, outcomes and errors",
 }
-SECTIONS = {"Arguments", "Returns", "Raises"}
 
 
 @cache
