@@ -68,7 +68,7 @@ def run_part(part: Part, cfg: BenchConfig) -> dict[str, Any]:
 def measure_part(part: str, options: Path, out: Path) -> None:
     """Measure `part` in this process with the config in `options`; rows and curves go to `out`."""
     cfg = from_dict(BenchConfig, json.loads(options.read_text(encoding="utf-8")), str(options))
-    result = importlib.import_module(f"driftjax.studies.bench.{part}_rows").measure(cfg)
+    result = importlib.import_module(f"driftjax.studies.bench.{part}_rows").measure_rows(cfg)
     content = {"rows": [row.as_json() for row in result.rows], "curves": [asdict(curve) for curve in result.curves]}
     out.write_text(json.dumps(content), encoding="utf-8")
 

@@ -98,7 +98,7 @@ def test_missing_peers_are_reported(hidden, monkeypatch):
     for name in ("single_track_steps", "double_track_steps"):
         monkeypatch.setattr(simulator_rows, name, lambda dtype, num, *_: lambda: 3 * (np.zeros(num),))
     once = dataclasses.replace(QUICK, dtype=("float64",))
-    rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(once).rows]
+    rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure_rows(once).rows]
     missing = {row.against: row.missing for row in rows}
     assert missing["CasADi FATROP"] == missing["CasADi IPOPT"] == "missing: pip install casadi"
     assert missing["numba, one core"] == "missing: pip install numba"
@@ -132,7 +132,7 @@ def test_the_transcription_is_of_the_config_given(two_solvers):
 @pytest.mark.parametrize("dtype, within", [("float64", 1e-12), pytest.param("float32", 1e-5, marks=pytest.mark.slow)])
 def test_peers_of_the_simulator_make_the_same_step(dtype, within):
     cfg = dataclasses.replace(QUICK, dtype=(dtype,))
-    facts = [row.facts for row in simulator_rows.measure(cfg).rows if "difference" in row.facts]
+    facts = [row.facts for row in simulator_rows.measure_rows(cfg).rows if "difference" in row.facts]
     assert len(facts) == 3 and all(fact["difference"] < within for fact in facts)
 
 
