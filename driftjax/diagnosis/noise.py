@@ -28,26 +28,24 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
-SILENT_DISTURBANCE = 0.5  # and that of a channel that does not determine it
-UNOBSERVED = 10.0  # bound of such a disturbance, over the first one
+SILENT_DISTURBANCE = 0.5  # that of a channel that does not determine it, in the same unit
+UNOBSERVED = 10.0  # largest disturbance of such a channel, over the assumed one
 CORRELATION = 0.3  # correlation time of disturbances assumed before any is known [s]
-UNMEASURED = (
-    0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
-)
-LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first ones, below which variances are searched
+UNMEASURED = 0.15  # standard deviation of an unmeasured channel: of a sideslip, half at the start [rad]
+LINEAR = 0.1  # slow errors over measurement noise, disturbances over first ones, below which variances are searched
 FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
-NO_SLOW = 1e-3  # the least
-MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
-SLOW_CORRELATION = 0.3  # and their correlation time [s]
-LONGEST_SLOW = 1.0  # at most: what lasts longer has a cause that is to be named, such as a bias [s]
-SLOW_EVIDENCE = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
-SEARCHED = 8000  # samples that it is estimated from
+NO_SLOW = 1e-3  # least slow errors, in measurement noise
+MOST_SLOW = 100.0  # largest slow errors: in a filtered log white errors nearly vanish
+SLOW_CORRELATION = 0.3  # correlation time of slow errors assumed before any are known [s]
+LONGEST_SLOW = 1.0  # largest correlation time of slow errors: what lasts longer has a cause to be named, as a bias [s]
+SLOW_EVIDENCE = 18.5  # least rise of twice the log-likelihood by slow errors: 0.999 quantile of chi^2 of 4 parameters
+SEARCHED = 8000  # samples that the noise is estimated from
 ITERATIONS = 30  # of the search, at most
-LONGEST = 1.5  # longest step of any variable
-DAMPING = 1e-2  # of the first step, over the curvature
+LONGEST = 1.5  # longest step of any variable of the search
+DAMPING = 1e-2  # of the first step of the search, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
 LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
-PROMISE = 3e-3  # fall of twice the log-likelihood below which a step is not worth it
+PROMISE = 3e-3  # predicted rise of twice the log-likelihood below which the search ends
 
 QuadraticModel = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
