@@ -65,7 +65,7 @@ def test_a_model_improves_where_its_error_falls_and_spoils_no_channel(scale, imp
     assert change.improves == improves
     np.testing.assert_allclose(np.exp(change.channel), scale, rtol=0.03)
     assert abs(change.total - np.mean(np.log(scale))) < 0.03
-    assert 0 < change.whole_error < 0.02
+    assert 0 < change.total_error < 0.02
 
 
 def test_an_error_that_chance_makes_smaller_is_not_smaller():
