@@ -150,7 +150,7 @@ def write_rows(path: Path, names: list[str], cells: list[list[str]]) -> None:
 
 
 def count(path: Path, truth: Truth) -> tuple[int, int, list[str]]:
-    """Return right channels, channels that count, and what is wrong.
+    """Return the number of right channels, of all that count, and the wrong ones.
 
     Those count that the log holds, and those that are placed without being there.
     """
