@@ -10,6 +10,8 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.batch_solve import MPCProblem, MPCResult, acceptable, solve_mpc_batch
+from driftjax.control.dither import corner_excitation
+from driftjax.control.estimator import Estimate, Estimator, estimated
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
@@ -46,6 +48,7 @@ class DriverState(NamedTuple):
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
     lagged_input: Float[Array, " 2"]  # actuator outputs by the learnt lags
+    estimate: Estimate | None  # of the motion, for drivers with an estimator
     good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: applied where a solve fails
     drifting: Array  # whether the drift controller drove the last step
 
@@ -73,6 +76,8 @@ class Driver(eqx.Module):
     lead: Array = eqx.field(converter=as_float)
     trail: Array = eqx.field(converter=as_float)
     handover_beta: Array = eqx.field(converter=as_float)
+    estimator: Estimator | None  # None: bare measurements
+    dither: Float[Array, " 2"]  # amplitude of the excitation added to the drift MPC's steering [rad] and drive [N]
 
     @property
     def horizon(self) -> int:
@@ -81,7 +86,17 @@ class Driver(eqx.Module):
 
     def start(self) -> DriverState:
         """Return the initial state of the driver: commands and actuator outputs are 0."""
-        return DriverState(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+        estimate = None if self.estimator is None else self.estimator.start()
+        return DriverState(jnp.zeros(2), jnp.zeros(2), estimate, jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+
+    def observe(self, sensed: Sensed, memory: DriverState) -> tuple[Sensed, DriverState]:
+        """Return motion and actuator outputs when this step's command will start to act: estimated, or as measured."""
+        if self.estimator is None or memory.estimate is None:
+            return sensed, memory
+        y = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.x, sensed.y, sensed.psi])
+        now = self.estimator.update(memory.estimate, y)
+        x, lagged_input = self.estimator.ahead(self.ocp.nominal, self.ocp.residual, now)
+        return estimated(x, self.path, sensed.s), memory._replace(estimate=now, lagged_input=lagged_input)
 
     def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
         """Evaluate the switch rule: within the drift section widened by lead and trail, longer while still sliding."""
@@ -92,7 +107,10 @@ class Driver(eqx.Module):
         return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
 
     def after(self, memory: DriverState) -> DriverState:
-        """Return the driver state one step later: actuator outputs after the command."""
+        """Return the driver state one step later: actuator outputs after the command, or the predicted estimate."""
+        if self.estimator is not None and memory.estimate is not None:
+            now, car = memory.estimate, self.ocp.nominal
+            return memory._replace(estimate=self.estimator.predict(car, self.ocp.residual, now, memory.command))
         lagged_input = lag_step(memory.lagged_input, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
         return memory._replace(lagged_input=lagged_input)
 
@@ -130,17 +148,27 @@ class Driver(eqx.Module):
         options = Options(self.options.tolerance, BARRIER, jnp.where(needed, self.options.max_steps, 0), ACCEPTABLE)
         return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
-    def apply_result(self, problem: MPCProblem, found: MPCResult, memory: DriverState) -> tuple[Decision, DriverState]:
-        """Return the command of the drift MPC; where the solve failed, that of the last good plan, one step later."""
+    def excitation(self, s: Array) -> Float[Array, " 2"]:
+        """Return what is added to steering [rad] and drive [N] at arc length `s`."""
+        start = self.table.drift_start - self.lead
+        return self.dither * corner_excitation((s - start) / (self.table.drift_end - start))
+
+    def apply_result(
+        self, problem: MPCProblem, found: MPCResult, sensed: Sensed, memory: DriverState
+    ) -> tuple[Decision, DriverState]:
+        """Return the command of the drift MPC, excited by the dither; where the solve failed, of the last good plan."""
         solved = acceptable(found, problem.options)
         good = jnp.where(memory.drifting, memory.good, problem.U)  # before the first solve: the reference's
         good = jnp.where(solved, found.U, within_limits(self.ocp, good, memory.command, share=0.0))
-        decision = Decision(Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
-        return decision, DriverState(good[0], memory.lagged_input, shift(good), jnp.asarray(True))
+        excited = good[:1] + self.excitation(sensed.s)
+        command = within_limits(self.ocp, excited, memory.command, share=0.0)[0]
+        decision = Decision(Control(command[0], command[1]), jnp.asarray(True), solved, found.kkt, found.num_steps)
+        return decision, memory._replace(command=command, good=shift(good), drifting=jnp.asarray(True))
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -> tuple[Control, DriverState, Decision]:
     """Compute one step of the whole batch (leading axis); the MPC runs only while an `alive` entry needs it."""
+    sensed, memory = vmap_batch(lambda d, x, m: d.observe(x, m))(drivers, sensed, memory)
     engaged = vmap_batch(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
     pursued = vmap_batch(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
     idle = Decision(
@@ -159,7 +187,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -
         if drivers.kind == "mpc":
             problem = vmap_batch(lambda d, x, m, needed: d.mpc_problem(x, m, needed))(drivers, sensed, memory, engaged)
             found = solve_mpc_batch(drivers.ocp, problem, engaged)
-            return vmap_batch(lambda d, p, a, m: d.apply_result(p, a, m))(drivers, problem, found, memory)
+            return vmap_batch(lambda d, p, a, x, m: d.apply_result(p, a, x, m))(drivers, problem, found, sensed, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))

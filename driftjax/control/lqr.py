@@ -60,14 +60,18 @@ class ScheduledLQR(eqx.Module):
         return x_ref[5:7] - (K @ ((x - x_ref) / ocp.x_scale)) * ocp.u_scale
 
 
-def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
-    """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
+class LinearMPC(eqx.Module):
+    """The drift MPC along a reference to first order in the dynamics and second order in the cost, scaled as it is."""
 
-    Dynamics and cost are those of the drift MPC, to first and second order about the reference, without limits and
-    with `rate_factor` times the weight of input changes. The Riccati recursion runs backwards from the stationary
-    solution of the last step (Anderson and Moore 1990, Sec. 2.4).
-    """
-    ocp = eqx.tree_at(lambda o: o.R, ocp, rate_factor * ocp.R)
+    s: Float[Array, " N"]  # arc length of each step [m]
+    A: Float[Array, "N 9 9"]
+    B: Float[Array, "N 9 2"]
+    H: Float[Array, "N 11 11"]  # half the second derivatives of the cost, state first
+    u: Float[Array, "N 2"]  # inputs of the reference, scaled
+
+
+def linearise_along(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array) -> LinearMPC:
+    """Linearise dynamics and cost of the drift MPC about the reference, from `lead` [m] before the drift section."""
     s = table.schedule(table.drift_start - lead, num, ocp.dt)[:-1]
     reference, U = table.reference(s), table.inputs(s)
 
@@ -77,6 +81,15 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, ra
         w = jnp.concatenate([x, u / ocp.u_scale])
         return A, B, jax.hessian(lambda w: ocp.cost(w[:9], w[9:], p))(w) / 2
 
+    return LinearMPC(s, *jax.vmap(local)(reference, U), U / ocp.u_scale)
+
+
+def feedback_gains(model: LinearMPC) -> Float[Array, "N 2 9"]:
+    """Compute the gains of the time-varying LQR, backwards from the stationary solution of the last step.
+
+    (Anderson and Moore 1990, Sec. 2.4.) Without limits this is the feedback of the drift MPC.
+    """
+
     def sweep(P, row):
         A, B, H = row
         S, R = H[9:, :9] + B.T @ P @ A, H[9:, 9:] + B.T @ P @ B
@@ -84,7 +97,16 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, ra
         P = H[:9, :9] + A.T @ P @ A - S.T @ K
         return (P + P.T) / 2, K
 
-    rows = jax.vmap(local)(reference, U)
+    rows = model.A, model.B, model.H
     last = jax.tree.map(lambda a: a[-1], rows)
     P = jax.lax.fori_loop(0, SWEEPS, lambda _, P: sweep(P, last)[0], last[2][:9, :9])
-    return ScheduledLQR(s, jax.lax.scan(sweep, P, rows, reverse=True)[1])
+    return jax.lax.scan(sweep, P, rows, reverse=True)[1]
+
+
+def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
+    """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
+
+    Dynamics and cost are those of the drift MPC with `rate_factor` times the weight of input changes.
+    """
+    model = linearise_along(eqx.tree_at(lambda o: o.R, ocp, rate_factor * ocp.R), table, num, lead)
+    return ScheduledLQR(model.s, feedback_gains(model))

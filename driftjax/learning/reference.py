@@ -18,11 +18,13 @@ from driftjax.learning.arrival import Arrival
 from driftjax.planner import Plan
 from driftjax.sim import where_tree
 from driftjax.solve import Options
+from driftjax.track import curvilinear_rates
 
 POINTS = 400  # rows of a reference table
 AIM_POINTS = 40  # of a curve over the drift section
 ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
 ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # fraction of the learnt residual: all at once, then gradually
+SWEEPS = 2  # solves with the curvature where the plan before has the car
 CORE = 0.5  # central fraction of the drift section taken as the steady part of the corner
 
 
@@ -62,17 +64,18 @@ def steady_corner(table: ReferenceTable, drift_beta: float) -> Corner:
 
 
 class Aim(eqx.Module):
-    """Exploration targets added to the planned reference."""
+    """Exploration targets: changes of the planned reference."""
 
     V: Array  # added to the speed aimed at [m/s]
+    beta: Array  # factor on the sideslip aimed at [-]
     s: Float[Array, " K"]  # arc lengths from the first to the last of the drift section [m]
     e: Float[Array, " K"]  # offset from the path to aim at there [m]
 
 
 def no_aim(table: ReferenceTable) -> Aim:
-    """Return zero targets: the planned speed and path."""
+    """Return the targets that change nothing: planned speed, sideslip and path."""
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
-    return Aim(jnp.zeros(()), s, jnp.zeros(AIM_POINTS))
+    return Aim(jnp.zeros(()), jnp.ones(()), s, jnp.zeros(AIM_POINTS))
 
 
 class Planned(eqx.Module):
@@ -89,6 +92,7 @@ class Attempt(NamedTuple):
 
     X: Float[Array, "N+1 5"]
     U: Float[Array, "N 2"]
+    s: Float[Array, " N+1"]  # arc lengths that the stages' curvatures belong to [m]
     error: Array  # as in `Planned`
     share: Array  # fraction of the learnt residual in `X`, `U`
     num_steps: Array
@@ -108,44 +112,66 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
     return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
 
 
+def aimed_reference(table: ReferenceTable, aim: Aim, s: Float[Array, " N+1"]) -> Reference:
+    """Return what is aimed at where the car is expected, at the arc lengths `s`."""
+    plan = table.reference(s)
+    e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
+    turned = (aim.beta - 1) * plan.beta  # the course stays
+    return Reference(plan.V + aim.V, plan.beta + turned, plan.r, e, plan.theta - turned, plan.kappa)
+
+
+def first_schedule(table: ReferenceTable, aim: Aim, lead: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
+    """Return the arc lengths of `num` steps from `lead` [m] before the drift section, at the speed aimed at."""
+    return eqx.tree_at(lambda t: t.V, table, table.V + aim.V).schedule(table.drift_start - lead, num, dt)
+
+
+def travelled(X: Float[Array, "N+1 5"], kappa: Float[Array, " N+1"], start: Array, dt: Array) -> Float[Array, " N+1"]:
+    """Return the arc lengths along the path of the trajectory `X`, from `start` [m] on, by the trapezoidal rule."""
+    V, beta, r, e, theta = X.T
+    s_dot = curvilinear_rates(V, beta, r, e, theta, kappa)[0]
+    return start + jnp.concatenate([jnp.zeros(1), jnp.cumsum(dt / 2 * (s_dot[1:] + s_dot[:-1]))])
+
+
 def entry_table(
     ocp: DriftOCP, table: ReferenceTable, arrival: Arrival, lead: Array, aim: Aim, options: Options
 ) -> Planned:
     """Plan the corner that the model in `ocp` can drive: one optimal control problem from the straight.
 
     Starts `lead` metres before the drift section in the state `arrival` and tracks path and sideslip of the plan in
-    `table`; speed, yaw rate and inputs follow from the model. `aim` is added to the target speed and path. Where the
-    solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the horizon
-    keep the plan, as does the whole table where the homotopy fails too.
+    `table`; speed, yaw rate and inputs follow from the model. `aim` changes target speed, sideslip and path. Where the
+    solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. The curvature of each
+    stage is that at the planned speed first, and in `SWEEPS` further solves where the plan before has the car: a
+    corrected car may be metres behind. Rows outside the horizon keep the plan, as does the whole table where the
+    homotopy fails too.
     """
-    s0 = table.drift_start - lead
-    s = table.schedule(s0, ocp.horizon, ocp.dt)
-    plan = table.reference(s)
-    e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
-    target = Reference(plan.V + aim.V, plan.beta, plan.r, e, plan.theta, plan.kappa)
-    X, U = plan.states(), table.inputs(s[:-1])
+    s = first_schedule(table, aim, lead, ocp.horizon, ocp.dt)
+    X, U = table.reference(s).states(), table.inputs(s[:-1])
 
-    def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:
-        steps = jnp.where(last.error < ENTRY_ERROR, 0, options.max_steps)
+    def attempt(last: Attempt, row: tuple[Array, Array]) -> tuple[Attempt, None]:
+        share, moving = row
+        solved = last.error < ENTRY_ERROR
+        steps = jnp.where(solved == moving, options.max_steps, 0)
         restart = share < last.share  # the whole model at once has failed
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
+        at = jnp.where(moving, travelled(last.X, table.reference(last.s).kappa, s[0], ocp.dt), s)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
-        allowed = Options(options.tolerance, options.barrier, steps)
+        allowed, target = Options(options.tolerance, options.barrier, steps), aimed_reference(table, aim, at)
         solution = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
         kkt = jnp.maximum(solution.plan.kkt, solution.plan.violation)
         error = jnp.where(share < 1, jnp.inf, kkt)  # a partial model gives a guess, never a solution
-        new = Attempt(solution.X, solution.U, error, share, last.num_steps + solution.plan.num_steps)
-        return where_tree(steps > 0, new, last), None
+        new = Attempt(solution.X, solution.U, at, error, share, last.num_steps + solution.plan.num_steps)
+        return where_tree((steps > 0) & (~moving | (error < ENTRY_ERROR)), new, last), None
 
-    first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
-    best, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
+    first = Attempt(X, U, s, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
+    shares = jnp.asarray(ENTRY_SHARES + SWEEPS * (1.0,))
+    best, _ = jax.lax.scan(attempt, first, (shares, jnp.arange(len(shares)) >= len(ENTRY_SHARES)))
     good = best.error < ENTRY_ERROR
-    new = _onto(table, s, best.X, best.U)
+    new = put_onto(table, best.s, best.X, best.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
     return Planned(new, good, best.error, best.num_steps)
 
 
-def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
+def put_onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
     """Replace the rows of `table` between the ends of `s` by the trajectory."""
     grid = table.start + table.spacing * jnp.arange(table.V.shape[0])
     inside = (grid >= s[0]) & (grid <= s[-1])

@@ -72,7 +72,10 @@ def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
-    """Load base plant and parameter distributions from `configs/plant/<car>_distribution.yaml`."""
+    """Load base plant and parameter distributions from `configs/plant/<car>_distribution.yaml`.
+
+    Shipped are `sedan`, `rc` and, wider and not centred on the nominal car, `sedan_wide` and `rc_wide`.
+    """
     try:
         path = find_config("plant", f"{car}_distribution")
     except BadInput:

@@ -1,0 +1,118 @@
+"""Candidates of the exploration: first-order plans against solved ones, predicted errors against closed-loop ones."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from driftjax.control.lqr import feedback_gains, linearise_along
+from driftjax.learning.acquire import NODES, acquire, candidate_grid, plan_candidates, predict_errors
+from driftjax.learning.config import load_learn_config
+from driftjax.learning.model import empty
+from driftjax.learning.reference import AIM_POINTS, Aim, no_aim
+from driftjax.learning.scenario import build_scenario, entry_problems, problems
+from driftjax.learning.stages import first_progress
+from driftjax.learning.updates import entry_table_batch, plan_reference
+from driftjax.parallel import BatchExecutor
+
+RC = load_learn_config("rc")
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    explore = dataclasses.replace(RC.explore, acquisition="knowledge_gradient")
+    return build_scenario(dataclasses.replace(RC, plants=1, explore=explore), BatchExecutor(1))
+
+
+@pytest.fixture(scope="module")
+def posed(scenario):
+    """Entry problem, MPC, arrival, plan and its aim, of the nominal car."""
+    residual = scenario.over_batch(empty(RC.gp).residual)
+    progress, first = first_progress(scenario), lambda tree: jax.tree.map(lambda a: a[0], tree)
+    plan = plan_reference(scenario, residual, progress.arrival)
+    assert bool(plan.converged[0])
+    problem, mpc = entry_problems(scenario, residual), problems(scenario, residual)
+    return *map(first, (problem, mpc, progress.arrival, plan.table)), no_aim(scenario.table)
+
+
+def drift_rows(scenario, table):
+    """Sideslip, yaw rate, speed and offset of a plan at places in the corner."""
+    s = jnp.linspace(table.drift_start, table.drift_end, 30)
+    return np.array([[table.row(column, at) for at in s] for column in (table.V, table.beta, table.r, table.e)])
+
+
+@pytest.mark.slow
+def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, posed):
+    entry, _, arrival, plan, still = posed
+    lead, tolerance = jnp.asarray(RC.switch.lead), jnp.asarray(1e-7)
+    small = 0.02 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    V_b, point = scenario.corner.V_b, jnp.zeros((len(small), AIM_POINTS))
+    V, beta = jnp.asarray(V_b * small[:, 0]), jnp.asarray(1 + small[:, 1])
+    aims = Aim(V, beta, point + still.s, point)
+    tables, planned = eqx.filter_jit(plan_candidates)(entry, arrival, scenario.table, plan, aims, lead, tolerance)
+    assert np.all(planned)
+    wide = lambda tree: jax.tree.map(lambda a: jnp.broadcast_to(a, (len(small), *a.shape)), tree)
+    batch = (wide(entry), wide(arrival), aims)
+    solved = scenario.executor.map(entry_table_batch, batch, scenario.table, lead, jnp.asarray(1e-6))
+    assert np.all(solved.converged)
+    rows = lambda tables: np.stack([drift_rows(scenario, jax.tree.map(lambda a, k=k: a[k], tables)) for k in range(4)])
+    first, full = rows(tables), rows(solved.table)
+    for plus, minus in ((0, 1), (2, 3)):
+        ours, theirs = first[plus] - first[minus], full[plus] - full[minus]
+        assert np.linalg.norm(theirs) > 1e-3
+        print(ours.round(4), theirs.round(4))
+        assert np.linalg.norm(ours - theirs) < 0.3 * np.linalg.norm(theirs)
+
+
+def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, posed):
+    """Drive the nonlinear car with the linear feedback and a small rate error between two nodes."""
+    entry, mpc, _, plan, still = posed
+    lead, num = jnp.asarray(RC.switch.lead), entry.horizon
+    none = jnp.zeros(2)
+    p = eqx.filter_jit(predict_errors)(mpc, plan, still, lead, num, none)
+    model = eqx.filter_jit(linearise_along)(mpc, plan, num, lead)
+    K, every = feedback_gains(model), -(-num // NODES)
+    reference = plan.reference(model.s)
+    units, step = mpc.x_scale, mpc.step
+    x_ref = jnp.concatenate([reference.states(), model.u * mpc.u_scale, model.u * mpc.u_scale], axis=1) / units
+
+    @jax.jit
+    def lap(d):
+        """Errors e [m] with the rate errors `d` (num, 3), from the first reference on."""
+
+        def on(x, row):
+            x_ref, u_ref, K, reference, d = row
+            after = step(x, u_ref - K @ (x - x_ref), reference)
+            return after.at[:3].add(mpc.dt * d / units[:3]), x[3] * units[3]
+
+        return jax.lax.scan(on, x_ref[0], (x_ref, model.u, K, reference, d))[1]
+
+    still_lap = lap(jnp.zeros((num, 3)))
+    middle = np.minimum(np.arange(NODES) * every + every // 2, num - 1)
+    for node, output, size in ((NODES // 2, 0, 0.05), (NODES // 2, 1, 0.02), (NODES // 3, 2, 0.2)):
+        d = np.zeros((num, 3))
+        d[node * every : (node + 1) * every, output] = size
+        moved = np.asarray(lap(jnp.asarray(d)) - still_lap)[middle] / size
+        predicted = np.asarray(p.G[:, node, output])
+        assert np.max(np.abs(moved)) > 1e-4
+        # linear about the reference, from which the undisturbed lap departs by centimetres
+        np.testing.assert_allclose(predicted, moved, atol=0.2 * np.max(np.abs(moved)))
+    assert float(jnp.sum(p.weight)) == pytest.approx(1.0)
+    np.testing.assert_array_equal(p.mean, predict_errors(mpc, plan, still, lead, num, none).mean)
+
+
+@pytest.mark.slow
+def test_a_choice_is_made_for_every_entry_and_is_one_of_the_grid(scenario, posed):
+    residual = scenario.over_batch(empty(RC.gp).residual)
+    arrival, offset = first_progress(scenario).arrival, jnp.zeros((1, AIM_POINTS))
+    plan = jax.tree.map(lambda a: a[None], posed[3])
+    chosen = acquire(scenario, residual, arrival, plan, offset, jnp.array([0.05]), 2, 7)
+    grid = candidate_grid(scenario)
+    k = int(chosen.index[0])
+    assert float(chosen.V[0]) == float(grid.V[k]) and float(chosen.beta[0]) == float(grid.beta[k])
+    np.testing.assert_array_equal(chosen.dither[0], grid.dither[k])
+    assert len(grid.V) >= 30 and chosen.assessment.error.shape == (1, len(grid.V))
+    assert np.all(np.isfinite(chosen.assessment.error)) and np.all(chosen.assessment.deviation > 0)
