@@ -1,6 +1,6 @@
-"""Plan exploration candidates on the learnt car, predict_errors their closed-loop errors, and choose the next one."""
+"""Plan exploration candidates on the learnt car, predict their closed-loop errors, and choose the next one."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,7 +27,6 @@ NODES = 24  # at which the unknown rate errors of a plan act and its lateral err
 ON_ROAD = 0.95  # least probability of staying within the limits at every node
 DRAWS = 64  # sampled laps of the expected improvement
 BARRIER, STEPS = 0.1, 60  # of the solve that is differentiated, which starts from its solution
-Rule = Literal["knowledge_gradient", "expected_improvement", "thompson", "random"]
 
 
 class Grid(NamedTuple):
@@ -72,17 +71,17 @@ def plan_candidates(
     X, U = plan.reference(s).states(), plan.inputs(s[:-1])
     unchanged = jax.tree.map(lambda a: a[0], aims)
 
-    def solution(change: Array) -> tuple[Array, Array]:
+    def solution(change: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         aim = eqx.tree_at(lambda a: (a.V, a.beta), unchanged, (change[0], 1 + change[1]))
         target = aimed_reference(table, aim, s)
         options = Options(tol, BARRIER, STEPS)
         done = solve_mpc(ocp, arrival.x, arrival.command, arrival.lagged_input, target, X, U, options)
-        return done.X, done.plan.U * ocp.u_scale
+        trajectory = done.X, done.plan.U * ocp.u_scale
+        return trajectory, trajectory
 
-    none = jnp.zeros(2)
-    slopes = jax.jacfwd(solution)(none)
+    slopes, solved = jax.jacfwd(solution, has_aux=True)(jnp.zeros(2))
     changes = jnp.stack([aims.V, aims.beta - 1], axis=1)
-    X, U = (at + jnp.einsum("tia,ca->cti", slope, changes) for at, slope in zip(solution(none), slopes, strict=True))
+    X, U = (at + jnp.einsum("tia,ca->cti", slope, changes) for at, slope in zip(solved, slopes, strict=True))
     U = jax.vmap(lambda U: within_limits(ocp, U, arrival.command, share=0.0))(U)
     kappa = table.reference(s).kappa
     tables = jax.vmap(lambda X, U: put_onto(table, travelled(X, kappa, s[0], ocp.dt), X, U))(X, U)
@@ -127,9 +126,12 @@ def predict_errors(ocp: DriftOCP, table: ReferenceTable, aim: Aim, lead: Array, 
 def acquire_batch(
     batch: tuple[DriftOCP, DriftOCP, Arrival, ReferenceTable, Array, Array, Array],
     table: ReferenceTable, grid: Grid, s: Array, lead: Array, tolerance: Array, limit: Array, laps_left: Array,
-    rule: Rule,
+    rule: str,
 ) -> Acquired:  # fmt: skip
-    """Choose a candidate for batch entries (entry problem, MPC, arrival, plan, offset aimed at, best error, key)."""
+    """Choose a candidate for batch entries (entry problem, MPC, arrival, plan, offset aimed at, best error, key).
+
+    `rule` is one of `ExploreConfig.acquisition` but the paper's.
+    """
     C = len(grid.V)
 
     def one(
