@@ -21,7 +21,7 @@ def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
     compared = [_draw(car, result, folder) for car, result in cars if "methods" in result]
     ladders = {car: {who: one for who, one in result["credit"].items() if "interaction" in one and
                      all(step in one["contrasts"] for step in WATERFALL)} for car, result in cars}  # fmt: skip
-    compared += [_draw_choosers(car, result["choosers"], folder) for car, result in cars if result["choosers"]]
+    compared += [_draw_choosers(car, result["choosers"], folder) for car, result in cars if result.get("choosers")]
     return compared + [_draw_credit(car, ladder, folder) for car, ladder in ladders.items() if ladder]
 
 

@@ -45,7 +45,7 @@ def paper_page(results: dict[str, Any]) -> str:
             lines += _targets(result["targets"]) + _methods(result["methods"]) + _parts(result)
             lines += _feasible(result["feasible"]) if result["feasible"] else []
         lines += _credit(result["credit"], car) if result["credit"] else []
-        lines += _choosers(result) if result["choosers"] else []
+        lines += _choosers(result) if result.get("choosers") else []
         lines += _ablations(result["ablations"]) if result["ablations"] else []
     return "\n".join(lines).rstrip() + "\n"
 

@@ -84,7 +84,8 @@ def test_an_ablation_differs_in_what_it_says_only():
 def test_runs_that_share_laps_differ_in_exploration_only():
     arms_of = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
     alike = {name: arm.like for name, arm in arms_of.items() if arm.like}
-    exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "sets_uncorrected")
+    exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "knowledge_gradient",
+                 "expected_improvement", "thompson", "random_grid", "sets_uncorrected")  # fmt: skip
     assert alike == dict.fromkeys((*exploring, "planned_uncorrected"), "rc/as_it_is")
     for name in alike:
         without = [dataclasses.replace(arms_of[one].learn, explore=ExploreConfig()) for one in (name, "as_it_is")]
@@ -258,9 +259,9 @@ def test_every_car_has_its_figure(tmp_path):
 def test_states_far_from_the_data_are_counted(tmp_path):
     data = laps([[0.2], [0.3]], [[True], [True]])
     rng = np.random.default_rng(0)
-    Z = rng.normal(size=(2, 30, 5)) * 0.1
+    Z = rng.normal(size=(2, 300, 5)) * 0.1 + [0.0, -0.5, 0.0, 0.0, 0.0]  # about the laps
     Z[1] += 50.0  # the data of the second entry lie elsewhere
-    data = data.assign(gp_Z=(("lane", "point", "feature"), Z), gp_mask=(("lane", "point"), np.ones((2, 30), bool)))
+    data = data.assign(gp_Z=(("lane", "point", "feature"), Z), gp_mask=(("lane", "point"), np.ones((2, 300), bool)))
     run = RunFolder.create(tmp_path / "run", {})
     run.write_stage("gpr-best", data, b"")
     assert extrapolated(run, "paper", SECTION) == {"gpr-best": pytest.approx(0.5)}
