@@ -1,7 +1,7 @@
 """Mean of a GP with first and second derivatives at many points of a batch of GPs, by matrix products."""
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.gp.kernel import KERNELS
-from driftjax.gp.model import GP
+from driftjax.gp.model import FADE_LENGTH, GP
 from driftjax.parallel import vmap_batch
 
 PROPORTIONAL = {"se": -0.5}  # kernels whose derivative in q is so many times themselves: one product instead of three
@@ -47,25 +47,8 @@ def expansions(gp: GP, z: Sequence[Array]) -> tuple[Expansion, Expansion]:
     size = jnp.exp(2 * gp.hyper.log_amplitude) * gp.output_scale
     amounts = size[:, :, None] * jnp.where(gp.mask[:, None], gp.alpha, 0.0)
     mean = _sum_of_kernels(gp.kernel, gp.Z, inverse, amounts, z)
-    return mean, _nearness(gp, z)
-
-
-def _nearness(gp: GP, z: Sequence[Array]) -> Expansion:
-    """Return the expansion of the summed nearness of the data, by the chain rule from the whitened inputs."""
-    nf, W = len(z), [[gp.whitening[:, i, j] for j in range(len(z))] for i in range(len(z))]  # entries (batch,)
-    whitened = [_sum(W[i][j] * z[j] for j in range(nf)) for i in range(nf)]
-    rows = jnp.einsum("bmj,bij->bmi", gp.Z, gp.whitening)
-    ones = jnp.ones((len(rows), 1, nf), z[0].dtype)
-    near = _sum_of_kernels("se", rows, ones, gp.mask[:, None].astype(z[0].dtype), whitened)
-    bend = {pair: entry for pair, entry in zip(pairs(nf), near.hessian, strict=True)}
-    half = [[_sum(bend[min(i, k), max(i, k)] * W[k][j] for k in range(nf)) for j in range(nf)] for i in range(nf)]
-    gradient = [_sum(W[i][j] * near.gradient[i] for i in range(nf)) for j in range(nf)]
-    hessian = [_sum(W[k][i] * half[k][j] for k in range(nf)) for i, j in pairs(nf)]
-    return Expansion(near.value, gradient, hessian)
-
-
-def _sum(terms: Iterable[Array]) -> Array:
-    return functools.reduce(jnp.add, terms)
+    near = _sum_of_kernels("se", gp.Z, 1 / (FADE_LENGTH * gp.scale)[:, None], gp.mask[:, None].astype(z[0].dtype), z)
+    return mean, near
 
 
 def _sum_of_kernels(kernel: str, Z: Array, inverse: Array, amounts: Array, z: Sequence[Array]) -> Expansion:

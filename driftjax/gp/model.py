@@ -9,11 +9,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
-# Length scale of the fade in standard deviations of the whitened inputs, however long the kernel's own are. Feedback
-# ties inputs to states, so that deviations of one input say little: what counts is a combination never seen.
-FADE_LENGTH = 0.5
-# Variance of the least excited directions, of 1 per input: below it distances are those of noise
-LEAST_VARIANCE = 0.05
+FADE_LENGTH = 3.0  # length scale of the fade, in standard deviations of the inputs, however long the kernel's own are
 FADE_RATE = 5.0  # one data point at zero distance already gives 1 - exp(-5) = 0.993 of the mean
 JITTER = 100.0  # added to the diagonal, in units of eps times the signal variance
 
@@ -77,7 +73,6 @@ class GP(eqx.Module):
     Z: Array  # (M, nf) inputs
     mask: Array  # (M,) which rows are data
     scale: Array  # (nf,) of the inputs
-    whitening: Array  # (nf, nf) maps inputs to uncorrelated ones in length scales of the fade
     output_scale: Array  # (D,)
     lower: Array  # (D,) smallest target seen, at most 0
     upper: Array  # (D,) largest target seen, at least 0
@@ -104,11 +99,11 @@ class GP(eqx.Module):
 
     def _nearness(self, z: Array) -> Array:
         """Return the nearness (M,) of every data point, 1 at distance zero."""
-        offset = (z - self.Z) @ self.whitening.T
+        offset = (z - self.Z) / (FADE_LENGTH * self.scale)
         return jnp.where(self.mask, jnp.exp(-0.5 * jnp.sum(offset**2, axis=-1)), 0.0)
 
     def fade(self, z: Array) -> Array:
-        """Return the fade factor: 1 near data, smoothly 0 far from it: 1 - exp(-c sum_i exp(-|W (z - Z_i)|^2 / 2))."""
+        """Return the fade factor: 1 near data, smoothly 0 far from it: 1 - exp(-c sum_i exp(-|z - Z_i|^2 / 2 l^2))."""
         return fade_factor(jnp.sum(self._nearness(z)))
 
     def bounded_mean(self, z: Array) -> Array:
@@ -168,17 +163,6 @@ def data_scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     return scale, jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 1.0)
 
 
-def whitening_matrix(Z: Array, mask: Array, scale: Array) -> Array:
-    """Return W (nf, nf): W z has unit covariance over the rows `Z` where `mask`, in units of `FADE_LENGTH`.
-
-    Directions in which the scaled inputs hardly vary are stretched by the root of 1 / `LEAST_VARIANCE` at most.
-    """
-    weight = jnp.where(mask, 1.0, 0.0)[:, None] / jnp.maximum(jnp.sum(mask), 1)
-    offset = (Z - jnp.sum(weight * Z, axis=0)) / scale
-    variance, axes = jnp.linalg.eigh((weight * offset).T @ offset)
-    return (axes / (FADE_LENGTH * jnp.sqrt(jnp.maximum(variance, LEAST_VARIANCE)))).T / scale
-
-
 def condition(
     Z: Array,
     Y: Array,
@@ -207,7 +191,7 @@ def condition(
     held = () if basis is None else (orthonormal_basis(basis, mask),)
     L, alpha = jax.vmap(factor)(hyper, (Y / output_scale).T, *held)
     lower, upper = jnp.min(Y, axis=0, initial=0.0), jnp.max(Y, axis=0, initial=0.0)
-    return GP(kernel, hyper, Z, mask, scale, whitening_matrix(Z, mask, scale), output_scale, lower, upper, alpha, L)
+    return GP(kernel, hyper, Z, mask, scale, output_scale, lower, upper, alpha, L)
 
 
 @eqx.filter_jit

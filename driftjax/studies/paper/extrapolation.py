@@ -1,9 +1,8 @@
 """Measure how much of a lap evaluates the Gaussian process far from its data."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from driftjax.gp.model import fade_factor, whitening_matrix
+from driftjax.gp.model import FADE_LENGTH, fade_factor
 from driftjax.store import RunFolder
 from driftjax.studies.paper.laps import driven_steps
 
@@ -32,7 +31,6 @@ def _faded(z: np.ndarray, Z: np.ndarray) -> np.ndarray:
     """Return whether the mean at `z` (n, 5) from data at `Z` (m, 5) is faded; always so without data."""
     if len(Z) < 2:
         return np.ones(len(z), bool)
-    W = np.asarray(whitening_matrix(jnp.asarray(Z), jnp.ones(len(Z), bool), jnp.std(Z, axis=0)))
-    offset = (z[:, None] - Z[None]) @ W.T
+    offset = (z[:, None] - Z[None]) / (FADE_LENGTH * np.std(Z, axis=0))
     near = np.sum(np.exp(-0.5 * np.sum(offset**2, axis=-1)), axis=1)
     return np.asarray(fade_factor(near)) < FADED
