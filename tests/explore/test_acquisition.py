@@ -29,7 +29,8 @@ def prediction(seed: int = 1, far: float = 0.5) -> Prediction:
     G = 0.1 * rng.normal(size=(C, T, T, 3)) * np.tril(np.ones((T, T)), -1)[None, :, :, None]
     z, mean = far * rng.normal(size=(C, T, 5)), 0.05 * rng.normal(size=(C, T))
     weight = np.full((C, T), 1 / T)
-    return Prediction(*map(jnp.asarray, (z, mean, G, weight)), jnp.asarray(3.0), jnp.ones(C, bool))
+    z, mean, G, weight = (jnp.asarray(values) for values in (z, mean, G, weight))
+    return Prediction(z, mean, G, weight, jnp.asarray(3.0), jnp.ones(C, bool))
 
 
 def joint(gp: GP, z: np.ndarray) -> np.ndarray:

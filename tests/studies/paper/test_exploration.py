@@ -1,5 +1,7 @@
 """Comparison of what chooses the laps: best lap so far, regret, and paired contrasts, by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,8 @@ def test_the_best_lap_is_chosen_by_what_is_measured_and_judged_by_the_truth():
     measured[5] = 0.1
     completed = np.ones((7, 4))
     completed[5, 3] = 0  # the second is, too, but one car did not finish
-    got = best_so_far(Stages(measured, true, completed), "path")
+    run: Any = Stages(measured, true, completed)
+    got = best_so_far(run, "path")
     expected = [[true[2, :2].mean(), true[2, 2:].mean()], [true[4, :2].mean(), true[2, 2:].mean()],
                 [true[5, :2].mean(), (true[5, 2] + true[2, 3]) / 2]]  # fmt: skip
     np.testing.assert_array_equal(got, expected)
