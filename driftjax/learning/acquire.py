@@ -16,7 +16,7 @@ from driftjax.control.table import ReferenceTable
 from driftjax.core import as_float
 from driftjax.explore.acquisition import Assessment, Prediction, assess_candidates, least_error, sampled_errors
 from driftjax.learning.arrival import Arrival
-from driftjax.learning.reference import SWEEPS, Aim, aimed_reference, put_onto, travelled
+from driftjax.learning.reference import Aim, aimed_reference, put_onto
 from driftjax.learning.scenario import ACQUISITION, Scenario, entry_problems, problems
 from driftjax.parallel import vmap_batch
 from driftjax.solve import Options
@@ -64,34 +64,25 @@ def plan_candidates(
     """Plan the corner of one car for all `aims` (C), to first order about the `plan` for the first's path.
 
     One optimal control problem is solved, at the planned speed and sideslip, and its solution is differentiated by
-    those of the aim: a few more solves of its linear system, however many the candidates. A faster car is further along
-    the path at each stage, where the curvature is another: this is repeated as in `entry_table`. Inputs are put into
-    their limits. Also returned is which candidates have a plan: none where the solve failed.
+    those of the aim: two more solves of its linear system, however many the candidates. Inputs are put into their
+    limits. Also returned is which candidates have a plan: none where the solve failed.
     """
-    s = plan.schedule(plan.drift_start - lead, ocp.horizon, ocp.dt)
+    s = table.schedule(table.drift_start - lead, ocp.horizon, ocp.dt)
     X, U = plan.reference(s).states(), plan.inputs(s[:-1])
     unchanged = jax.tree.map(lambda a: a[0], aims)
 
-    def solution(change: Array, s: Array) -> tuple[Array, Array, Array]:
-        """Return states, inputs and the arc lengths that the states lead to, for stages at the arc lengths `s`."""
+    def solution(change: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         aim = eqx.tree_at(lambda a: (a.V, a.beta), unchanged, (change[0], 1 + change[1]))
         target, options = aimed_reference(table, aim, s), Options(tol, BARRIER, STEPS)
         done = solve_mpc(ocp, arrival.x, arrival.command, arrival.lagged_input, target, X, U, options)
-        return done.X, done.plan.U * ocp.u_scale, travelled(done.X, table.reference(s).kappa, s[0], ocp.dt)
+        trajectory = done.X, done.plan.U * ocp.u_scale
+        return trajectory, trajectory
 
-    solved, tangent = jax.linearize(solution, jnp.zeros(2), s)
-
-    def slope(change: Array) -> tuple[Array, Array, Array]:
-        moved = jnp.zeros_like(s)
-        for _ in range(SWEEPS):
-            moved = tangent(change, moved)[2]
-        return tangent(change, moved)
-
-    slopes = jax.lax.map(slope, jnp.eye(2))
+    slopes, solved = jax.jacfwd(solution, has_aux=True)(jnp.zeros(2))
     changes = jnp.stack([aims.V, aims.beta - 1], axis=1)
-    X, U, at = (value + jnp.tensordot(changes, d, axes=1) for value, d in zip((*solved[:2], s), slopes, strict=True))
+    X, U = (at + jnp.einsum("tia,ca->cti", slope, changes) for at, slope in zip(solved, slopes, strict=True))
     U = jax.vmap(lambda U: within_limits(ocp, U, arrival.command, share=0.0))(U)
-    tables = jax.vmap(lambda s, X, U: put_onto(table, s, X, U))(at, X, U)
+    tables = jax.vmap(lambda X, U: put_onto(table, s, X, U))(X, U)
     return tables, jnp.all(jnp.isfinite(X), axis=(1, 2))
 
 

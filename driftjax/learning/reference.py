@@ -18,13 +18,11 @@ from driftjax.learning.arrival import Arrival
 from driftjax.planner import Plan
 from driftjax.sim import where_tree
 from driftjax.solve import Options
-from driftjax.track import curvilinear_rates
 
 POINTS = 400  # rows of a reference table
 AIM_POINTS = 40  # of a curve over the drift section
 ENTRY_ERROR = 1e-2  # scaled optimality error up to which a planned corner serves as reference
 ENTRY_SHARES = (1.0, 0.25, 0.5, 0.75, 1.0)  # fraction of the learnt residual: all at once, then gradually
-SWEEPS = 2  # solves with the curvature where the plan before has the car
 CORE = 0.5  # central fraction of the drift section taken as the steady part of the corner
 
 
@@ -92,7 +90,6 @@ class Attempt(NamedTuple):
 
     X: Float[Array, "N+1 5"]
     U: Float[Array, "N 2"]
-    s: Float[Array, " N+1"]  # arc lengths that the stages' curvatures belong to [m]
     error: Array  # as in `Planned`
     share: Array  # fraction of the learnt residual in `X`, `U`
     num_steps: Array
@@ -120,18 +117,6 @@ def aimed_reference(table: ReferenceTable, aim: Aim, s: Float[Array, " N+1"]) ->
     return Reference(plan.V + aim.V, plan.beta + turned, plan.r, e, plan.theta - turned, plan.kappa)
 
 
-def first_schedule(table: ReferenceTable, aim: Aim, lead: Array, num: int, dt: Array) -> Float[Array, " N+1"]:
-    """Return the arc lengths of `num` steps from `lead` [m] before the drift section, at the speed aimed at."""
-    return eqx.tree_at(lambda t: t.V, table, table.V + aim.V).schedule(table.drift_start - lead, num, dt)
-
-
-def travelled(X: Float[Array, "N+1 5"], kappa: Float[Array, " N+1"], start: Array, dt: Array) -> Float[Array, " N+1"]:
-    """Return the arc lengths along the path of the trajectory `X`, from `start` [m] on, by the trapezoidal rule."""
-    V, beta, r, e, theta = X.T
-    s_dot = curvilinear_rates(V, beta, r, e, theta, kappa)[0]
-    return start + jnp.concatenate([jnp.zeros(1), jnp.cumsum(dt / 2 * (s_dot[1:] + s_dot[:-1]))])
-
-
 def entry_table(
     ocp: DriftOCP, table: ReferenceTable, arrival: Arrival, lead: Array, aim: Aim, options: Options
 ) -> Planned:
@@ -139,34 +124,30 @@ def entry_table(
 
     Starts `lead` metres before the drift section in the state `arrival` and tracks path and sideslip of the plan in
     `table`; speed, yaw rate and inputs follow from the model. `aim` changes target speed, sideslip and path. Where the
-    solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. The curvature of each
-    stage is that at the planned speed first, and in `SWEEPS` further solves where the plan before has the car: a
-    corrected car may be metres behind. Rows outside the horizon keep the plan, as does the whole table where the
-    homotopy fails too.
+    solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the horizon
+    keep the plan, as does the whole table where the homotopy fails too.
     """
-    s = first_schedule(table, aim, lead, ocp.horizon, ocp.dt)
+    s0 = table.drift_start - lead
+    s = table.schedule(s0, ocp.horizon, ocp.dt)
+    target = aimed_reference(table, aim, s)
     X, U = table.reference(s).states(), table.inputs(s[:-1])
 
-    def attempt(last: Attempt, row: tuple[Array, Array]) -> tuple[Attempt, None]:
-        share, moving = row
-        solved = last.error < ENTRY_ERROR
-        steps = jnp.where(solved == moving, options.max_steps, 0)
+    def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:
+        steps = jnp.where(last.error < ENTRY_ERROR, 0, options.max_steps)
         restart = share < last.share  # the whole model at once has failed
         X_guess, U_guess = jnp.where(restart, X, last.X), jnp.where(restart, U, last.U)
-        at = jnp.where(moving, travelled(last.X, table.reference(last.s).kappa, s[0], ocp.dt), s)
         part = eqx.tree_at(lambda o: o.residual, ocp, ocp.residual.scaled(share))
-        allowed, target = Options(options.tolerance, options.barrier, steps), aimed_reference(table, aim, at)
+        allowed = Options(options.tolerance, options.barrier, steps)
         solution = solve_mpc(part, arrival.x, arrival.command, arrival.lagged_input, target, X_guess, U_guess, allowed)
         kkt = jnp.maximum(solution.plan.kkt, solution.plan.violation)
         error = jnp.where(share < 1, jnp.inf, kkt)  # a partial model gives a guess, never a solution
-        new = Attempt(solution.X, solution.U, at, error, share, last.num_steps + solution.plan.num_steps)
-        return where_tree((steps > 0) & (~moving | (error < ENTRY_ERROR)), new, last), None
+        new = Attempt(solution.X, solution.U, error, share, last.num_steps + solution.plan.num_steps)
+        return where_tree(steps > 0, new, last), None
 
-    first = Attempt(X, U, s, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
-    shares = jnp.asarray(ENTRY_SHARES + SWEEPS * (1.0,))
-    best, _ = jax.lax.scan(attempt, first, (shares, jnp.arange(len(shares)) >= len(ENTRY_SHARES)))
+    first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
+    best, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
     good = best.error < ENTRY_ERROR
-    new = put_onto(table, best.s, best.X, best.U)
+    new = put_onto(table, s, best.X, best.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
     return Planned(new, good, best.error, best.num_steps)
 

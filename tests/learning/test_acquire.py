@@ -45,7 +45,7 @@ def drift_rows(scenario, table):
 
 
 @pytest.mark.slow
-def test_plans_to_first_order_are_nearer_to_solved_ones_than_the_unchanged_plan(scenario, posed):
+def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, posed):
     entry, _, arrival, plan, still = posed
     lead, tolerance = jnp.asarray(RC.switch.lead), jnp.asarray(1e-7)
     small = 0.02 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -63,8 +63,7 @@ def test_plans_to_first_order_are_nearer_to_solved_ones_than_the_unchanged_plan(
     for plus, minus in ((0, 1), (2, 3)):
         ours, theirs = first[plus] - first[minus], full[plus] - full[minus]
         assert np.linalg.norm(theirs) > 1e-3
-        # path and friction leave a plan little room: 2 % of speed or sideslip move it by millimetres and mm/s
-        assert np.linalg.norm(ours - theirs) < np.linalg.norm(theirs)
+        assert np.linalg.norm(ours - theirs) < 0.3 * np.linalg.norm(theirs)
 
 
 def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, posed):
