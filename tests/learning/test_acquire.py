@@ -12,7 +12,7 @@ from driftjax.control.lqr import feedback_gains, linearise_along
 from driftjax.learning.acquire import NODES, acquire, candidate_grid, plan_candidates, predict_errors
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
-from driftjax.learning.reference import AIM_POINTS, Aim, no_aim
+from driftjax.learning.reference import AIM_POINTS, Aim, no_aim, put_onto
 from driftjax.learning.scenario import build_scenario, entry_problems, problems
 from driftjax.learning.stages import first_progress
 from driftjax.learning.updates import entry_table_batch, plan_reference
@@ -67,40 +67,46 @@ def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, posed):
 
 
 def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, posed):
-    """Drive the nonlinear car with the linear feedback and a small rate error between two nodes."""
+    """Drive the nonlinear car with the linear feedback and a small rate error between two nodes.
+
+    The reference is a lap of this car: about the plan, which it leaves by centimetres, the slopes are others.
+    """
     entry, mpc, _, plan, still = posed
     lead, num = jnp.asarray(RC.switch.lead), entry.horizon
-    none = jnp.zeros(2)
-    p = eqx.filter_jit(predict_errors)(mpc, plan, still, lead, num, none)
-    model = eqx.filter_jit(linearise_along)(mpc, plan, num, lead)
-    K, every = feedback_gains(model), -(-num // NODES)
-    reference = plan.reference(model.s)
-    units, step = mpc.x_scale, mpc.step
-    x_ref = jnp.concatenate([reference.states(), model.u * mpc.u_scale, model.u * mpc.u_scale], axis=1) / units
+    every, none = -(-num // NODES), jnp.zeros(2)
 
-    @jax.jit
-    def lap(d):
-        """Errors e [m] with the rate errors `d` (num, 3), from the first reference on."""
+    @eqx.filter_jit
+    def lap(table, d):
+        """Arc lengths, states (num, 9) and inputs of a lap along `table` with the rate errors `d` (num, 3); SI."""
+        model = linearise_along(mpc, table, num, lead)
+        K, reference = feedback_gains(model), table.reference(model.s)
+        x_ref = (
+            jnp.concatenate([reference.states(), model.u * mpc.u_scale, model.u * mpc.u_scale], axis=1) / mpc.x_scale
+        )
 
         def on(x, row):
             x_ref, u_ref, K, reference, d = row
-            after = step(x, u_ref - K @ (x - x_ref), reference)
-            return after.at[:3].add(mpc.dt * d / units[:3]), x[3] * units[3]
+            u = u_ref - K @ (x - x_ref)
+            after = mpc.step(x, u, reference)
+            return after.at[:3].add(mpc.dt * d / mpc.x_scale[:3]), (x * mpc.x_scale, u * mpc.u_scale)
 
-        return jax.lax.scan(on, x_ref[0], (x_ref, model.u, K, reference, d))[1]
+        return model.s, *jax.lax.scan(on, x_ref[0], (x_ref, model.u, K, reference, d))[1]
 
-    still_lap = lap(jnp.zeros((num, 3)))
+    table, quiet = plan, jnp.zeros((num, 3))
+    for _ in range(4):
+        s, X, U = lap(table, quiet)
+        table = put_onto(table, s, X[:, :5], U[:-1])
+    p = eqx.filter_jit(predict_errors)(mpc, table, still, lead, num, none)
     middle = np.minimum(np.arange(NODES) * every + every // 2, num - 1)
+    e = np.asarray(lap(table, quiet)[1][:, 3])
     for node, output, size in ((NODES // 2, 0, 0.05), (NODES // 2, 1, 0.02), (NODES // 3, 2, 0.2)):
         d = np.zeros((num, 3))
         d[node * every : (node + 1) * every, output] = size
-        moved = np.asarray(lap(jnp.asarray(d)) - still_lap)[middle] / size
-        predicted = np.asarray(p.G[:, node, output])
+        moved = (np.asarray(lap(table, jnp.asarray(d))[1][:, 3]) - e)[middle] / size
         assert np.max(np.abs(moved)) > 1e-4
-        # linear about the reference, from which the undisturbed lap departs by centimetres
-        np.testing.assert_allclose(predicted, moved, atol=0.2 * np.max(np.abs(moved)))
+        np.testing.assert_allclose(p.G[:, node, output], moved, atol=0.2 * np.max(np.abs(moved)))
     assert float(jnp.sum(p.weight)) == pytest.approx(1.0)
-    np.testing.assert_allclose(p.mean, np.asarray(reference.e)[middle], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(p.mean, np.asarray(table.reference(s).e)[middle], rtol=0.1, atol=1e-4)
 
 
 @pytest.mark.slow
