@@ -98,7 +98,8 @@ def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, pose
         table = put_onto(table, s, X[:, :5], U[:-1])
     p = eqx.filter_jit(predict_errors)(mpc, table, still, lead, num, none)
     middle = np.minimum(np.arange(NODES) * every + every // 2, num - 1)
-    e = np.asarray(lap(table, quiet)[1][:, 3])
+    s, X, _ = lap(table, quiet)
+    e = np.asarray(X[:, 3])
     for node, output, size in ((NODES // 2, 0, 0.05), (NODES // 2, 1, 0.02), (NODES // 3, 2, 0.2)):
         d = np.zeros((num, 3))
         d[node * every : (node + 1) * every, output] = size
