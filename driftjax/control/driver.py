@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from driftjax.control.batch_solve import MPCProblem, MPCResult, acceptable, solve_mpc_batch
 from driftjax.control.dither import corner_excitation
-from driftjax.control.estimator import Estimate, Estimator, estimated
+from driftjax.control.estimator import Estimate, Estimator
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.pursuit import PurePursuit
@@ -19,6 +19,7 @@ from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, lag_step, require_at_least, require_positive
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Sensed, where_tree
+from driftjax.sim.lap import sensed_on
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
@@ -96,7 +97,7 @@ class Driver(eqx.Module):
         y = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.x, sensed.y, sensed.psi])
         now = self.estimator.update(memory.estimate, y)
         x, lagged_input = self.estimator.ahead(self.ocp.nominal, self.ocp.residual, now)
-        return estimated(x, self.path, sensed.s), memory._replace(estimate=now, lagged_input=lagged_input)
+        return sensed_on(self.path, sensed.s, *x), memory._replace(estimate=now, lagged_input=lagged_input)
 
     def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
         """Evaluate the switch rule: within the drift section widened by lead and trail, longer while still sliding."""

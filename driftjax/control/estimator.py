@@ -6,22 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from driftjax.core import Control, State, as_float, features, lag_step, rk4_step
-from driftjax.sim import Sensed
 from driftjax.sim.lap import wrap
-from driftjax.track import Track
 from driftjax.vehicle import AnyCar, Residual
+from driftjax.vehicle.single_track import G
 
 MODEL_ERROR = 0.05  # force that the model lacks at each axle, as a share of the weight; white over `MEMORY`
 MEMORY = 0.3  # s
-FIRST = (0.5, 0.05, 0.2, 0.3, 0.3, 0.05)  # standard deviations of the start: V, beta, r, x, y, psi
-
-
-def _maybe(value: ArrayLike | None) -> Array | None:
-    return None if value is None else as_float(value)
 
 
 class Estimate(NamedTuple):
@@ -41,7 +34,7 @@ class Estimator(eqx.Module):
     rate_noise: Float[Array, "6"]  # spectral density of the rate errors, root [unit/s^0.5]
     dt: Array = eqx.field(converter=as_float)
     whole: int = eqx.field(static=True)  # steps of delay
-    part: Array | None = eqx.field(converter=_maybe)  # of a further step, None without [s]
+    part: Array | None  # of a further step, None without [s]
 
     @property
     def num_pending(self) -> int:
@@ -50,11 +43,8 @@ class Estimator(eqx.Module):
 
     def start(self) -> Estimate:
         """Return the estimate before the first sample: nothing is known, no command is on its way."""
-        none = jnp.zeros(2)
-        return Estimate(
-            jnp.zeros(6), jnp.diag(jnp.square(jnp.array(FIRST))), none, jnp.zeros((self.num_pending, 2)),
-            jnp.asarray(False),
-        )  # fmt: skip
+        commands = jnp.zeros((self.num_pending, 2))
+        return Estimate(jnp.zeros(6), jnp.zeros((6, 6)), jnp.zeros(2), commands, jnp.asarray(False))
 
     def update(self, before: Estimate, y: Float[Array, "6"]) -> Estimate:
         """Return the estimate after the measurement `y`; the first one is taken as it is."""
@@ -97,14 +87,16 @@ class Estimator(eqx.Module):
         """Return the estimate before the next sample, once the `command` of this one is known."""
         queue = jnp.concatenate([now.commands, command[None]])
 
-        def move(x: Array) -> tuple[Array, Array]:
-            if self.part is None:
-                return self._move(car, residual, x, now.lagged_input, queue[0], self.dt)
-            x, lagged_input = self._move(car, residual, x, now.lagged_input, queue[0], self.part)
-            return self._move(car, residual, x, lagged_input, queue[1], self.dt - self.part)
+        def move(x: Array) -> tuple[Array, tuple[Array, Array]]:
+            lagged_input, time = now.lagged_input, self.dt
+            if self.part is not None:
+                x, lagged_input = self._move(car, residual, x, lagged_input, queue[0], self.part)
+                time = self.dt - self.part
+            last = queue[0 if self.part is None else 1]
+            x, lagged_input = self._move(car, residual, x, lagged_input, last, time)
+            return x, (x, lagged_input)
 
-        F, lagged_input = jax.jacfwd(move, has_aux=True)(now.x)
-        x, _ = move(now.x)
+        F, (x, lagged_input) = jax.jacfwd(move, has_aux=True)(now.x)
         P = F @ now.P @ F.T + self.dt * jnp.diag(self.rate_noise**2)
         return Estimate(x, (P + P.T) / 2, lagged_input, queue[1:], now.known)
 
@@ -116,15 +108,7 @@ def build_estimator(
 
     `noise` holds the standard deviations of V, beta, r, x, y, psi; commands act `delay` [s] after their sample.
     """
-    g = 9.81
-    rates = MODEL_ERROR * jnp.array([g, g / V, weight * arm / Iz])
+    rates = MODEL_ERROR * jnp.array([G, G / V, weight * arm / Iz])
     density = jnp.concatenate([rates * jnp.sqrt(2 * MEMORY), jnp.zeros(3)])
     whole, part = divmod(round(delay / dt, 9), 1.0)
-    return Estimator(noise, density, dt, int(whole), part * dt if part else None)
-
-
-def estimated(x: Float[Array, "6"], path: Track, s: Array) -> Sensed:
-    """Return the estimate in the form of a measurement, with its place along `path`; `s` [m] is about where it is."""
-    V, beta, r, px, py, psi = x
-    s, e = path.project(px, py, s)
-    return Sensed(V, beta, r, px, py, psi, s, e, wrap(psi - path.pose(s)[2]))
+    return Estimator(noise, density, dt, int(whole), jnp.asarray(part * dt) if part else None)

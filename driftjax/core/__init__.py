@@ -13,6 +13,7 @@ from driftjax.core.config import require_positive as require_positive
 from driftjax.core.config import set_option as set_option
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
+from driftjax.core.integrate import markov_step as markov_step
 from driftjax.core.integrate import rk4_loop as rk4_loop
 from driftjax.core.integrate import rk4_step as rk4_step
 from driftjax.core.records import Control as Control

@@ -70,6 +70,14 @@ def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array,
     return target + (value - target) * mean, target + (value - target) * decay
 
 
+def markov_step(last: Array, kick: Array, decay: Array) -> Array:
+    """Return the next value of a stationary first-order Gauss-Markov process; `kick` has its standard deviation.
+
+    `decay` is exp(-dt / correlation time).
+    """
+    return decay * last + jnp.sqrt(1 - decay**2) * kick
+
+
 def lag_slope(lag: Array, dt: Array) -> Array:
     """Return half the rise over a step `dt` [s] of the straight line with the first moment of exp(-t / `lag`).
 

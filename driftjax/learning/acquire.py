@@ -21,7 +21,6 @@ from driftjax.learning.scenario import ACQUISITION, Scenario, entry_problems, pr
 from driftjax.parallel import vmap_batch
 from driftjax.solve import Options
 from driftjax.vehicle import Residual
-from driftjax.vehicle.single_track import G
 
 NODES = 24  # at which the unknown rate errors of a plan act and its lateral error is assessed
 ON_ROAD = 0.95  # least probability of staying within the limits at every node
@@ -51,9 +50,9 @@ class Acquired(eqx.Module):
 
 def candidate_grid(scenario: Scenario) -> Grid:
     """Build the candidates of the corner of `scenario`."""
-    config, V_b, weight = scenario.config.explore, scenario.corner.V_b, scenario.vehicle.m * G
+    config, V_b = scenario.config.explore, scenario.corner.V_b
     V = V_b * np.linspace(*config.speed_range, config.num_speeds)
-    amplitude = np.array([config.dither[0], config.dither[1] * weight])
+    amplitude = np.asarray(scenario.amplitude(*config.dither))
     each = [(v, b, d) for d in ((0.0, 1.0) if amplitude.any() else (0.0,)) for v in V for b in config.sideslips]
     return Grid(*(jnp.array(column) for column in zip(*((v, b, d * amplitude) for v, b, d in each), strict=True)))
 

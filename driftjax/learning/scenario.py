@@ -80,6 +80,10 @@ class Scenario:
         """Return the least distance from the centre line to a border, less half the car's width [m]."""
         return jnp.minimum(jnp.min(self.track.w_left), jnp.min(self.track.w_right)) - self.vehicle.width / 2
 
+    def amplitude(self, steering: float, drive: float) -> Array:
+        """Return the amplitude (2,) of an excitation of steering [rad] and drive [share of the weight] in rad and N."""
+        return jnp.array([steering, drive * self.vehicle.m * G])
+
     def over_batch(self, tree):
         """Repeat `tree` along a leading batch axis."""
         return repeated(tree, self.batch_size)

@@ -19,7 +19,6 @@ from driftjax.learning.updates import Progress, initial_progress, plan_reference
 from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
 from driftjax.vehicle import Residual
-from driftjax.vehicle.single_track import G
 
 
 def stage_names(config: LearnConfig) -> list[str]:
@@ -88,8 +87,7 @@ def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned
     """Drive one lap per entry by the drift MPC before learning, and return it with the reference that it tracked."""
     initial = _initial_residual(scenario)
     planned = _nominal_reference(scenario, initial)
-    steering, drive = scenario.config.excitation
-    dither = scenario.over_batch(jnp.array([steering, drive * scenario.vehicle.m * G]))
+    dither = scenario.over_batch(scenario.amplitude(*scenario.config.excitation))
     return run_stage(scenario, build_drivers(scenario, "mpc", planned.table, initial, dither), number), planned
 
 

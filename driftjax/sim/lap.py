@@ -140,14 +140,19 @@ def _at_start(
     return _Carry(state, none, pending * (none,), slow, zero, zero, code, memory)
 
 
+def sensed_on(path: Track, s: Array, V: Array, beta: Array, r: Array, x: Array, y: Array, psi: Array) -> Sensed:
+    """Return a motion with its place along `path`; `s` [m] is about where that is."""
+    s, e = path.project(x, y, s)
+    return Sensed(V, beta, r, x, y, psi, s, e, wrap(psi - path.pose(s)[2]))
+
+
 def _sense(
     sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, slow: Array, key: Array
 ) -> tuple[Motion, Sensed]:
     """Return the true motion and the measurements of one batch entry; `s` [m] is its last arc length."""
     motion = plant.motion(state, command)
     m = measure(plant.sensor_reading(state, motion), sensors, key=key, slow=slow)
-    s, e = path.project(m.x, m.y, s)
-    return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
+    return motion, sensed_on(path, s, *m)
 
 
 def _scan_laps(step: Callable[[_Carry, Array], tuple[_Carry, Trace]], carry: _Carry, num: int) -> tuple[_Carry, Trace]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.core import find_config, from_dict, markov_step, read_yaml, require
 from driftjax.vehicle import Motion
 
 SLOW = 1 << 20  # folded into a sample's key for the noise of the slow errors
@@ -90,9 +90,7 @@ def first_slow_errors(sensors: SensorConfig, *, key: Array) -> Float[Array, "6"]
 
 def next_slow_errors(sensors: SensorConfig, slow: Float[Array, "6"], dt: Array, *, key: Array) -> Float[Array, "6"]:
     """Return the slow errors one sample of `dt` [s] later: a first-order Gauss-Markov process."""
-    kept = jnp.exp(-dt / sensors.slow_time)
-    new = sensors.of_channels("slow") * jax.random.normal(jax.random.fold_in(key, SLOW), (6,))
-    return kept * slow + jnp.sqrt(1 - kept**2) * new
+    return markov_step(slow, first_slow_errors(sensors, key=key), jnp.exp(-dt / sensors.slow_time))
 
 
 def measure(

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.estimator import build_estimator, estimated
+from driftjax.control.estimator import build_estimator
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
-from driftjax.sim.lap import wrap
+from driftjax.sim.lap import sensed_on, wrap
 from driftjax.track.build import from_curvature
 from driftjax.vehicle import build_car, load_vehicle, no_residual
 
@@ -103,6 +103,6 @@ def test_a_heading_that_is_a_turn_ahead_is_the_same_heading():
 
 def test_the_estimate_has_its_place_on_the_path():
     path = from_curvature([0.0, 40.0], [0.0, 0.0], 3.0, 161)
-    sensed = estimated(jnp.array([10.0, -0.1, 0.2, 7.5, 0.4, 0.1]), path, jnp.asarray(7.0))
+    sensed = sensed_on(path, jnp.asarray(7.0), *jnp.array([10.0, -0.1, 0.2, 7.5, 0.4, 0.1]))
     assert float(sensed.s) == pytest.approx(7.5) and float(sensed.e) == pytest.approx(0.4)
     assert float(sensed.theta) == pytest.approx(0.1) and float(sensed.beta) == -0.1
