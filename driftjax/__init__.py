@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from driftjax.core import State as State
     from driftjax.diagnosis.calibrate import Calibration as Calibration
     from driftjax.diagnosis.calibrate import calibrate as calibrate
+    from driftjax.diagnosis.calibrate import effects_to_fit as effects_to_fit
     from driftjax.diagnosis.compare import CompareConfig as CompareConfig
     from driftjax.diagnosis.compare import LogComparison as LogComparison
     from driftjax.diagnosis.compare import compare as compare
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from driftjax.manoeuvres.campaign import Campaign as Campaign
     from driftjax.manoeuvres.campaign import record_runs as record_runs
     from driftjax.manoeuvres.truth import effect_strengths as effect_strengths
+    from driftjax.manoeuvres.truth import write_truth as write_truth
     from driftjax.planner import PlanConfig as PlanConfig
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
@@ -84,7 +86,7 @@ MODULES = {
     "control.drift_mpc": ("DriftMPC", "MPCState", "mpc_state", "steady_reference"),
     "control.mpc": ("MPCConfig", "Reference", "Weights"),
     "core": ("RESULTS", "BadInput", "Control", "State"),
-    "diagnosis.calibrate": ("Calibration", "calibrate"),
+    "diagnosis.calibrate": ("Calibration", "calibrate", "effects_to_fit"),
     "diagnosis.compare": ("CompareConfig", "LogComparison", "compare"),
     "diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "diagnosis.held_out": ("DiagnoseConfig",),
@@ -96,7 +98,7 @@ MODULES = {
     "learning.run": ("learn",),
     "logs": ("Guess", "Log", "Run", "guess_columns", "inspect", "read_log", "write_log"),
     "manoeuvres.campaign": ("Campaign", "record_runs"),
-    "manoeuvres.truth": ("effect_strengths",),
+    "manoeuvres.truth": ("effect_strengths", "write_truth"),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
     "report": ("save_plan", "write_diagnosis"),
     "sim": ("LapCode", "LapConfig", "drive_laps", "simulate"),

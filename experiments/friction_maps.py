@@ -15,7 +15,6 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.studies.text_file import write_text
 
 RECORDINGS = ("DS1", "DS2", "DS3", "DS4", "DS5")
 DELAY = 0.12  # s of the steering, to start from: what `driftjax inspect` prints for DS5
@@ -54,8 +53,8 @@ def main(cfg: Config) -> dict[str, Any]:
             results[name] = fitted(log)
         if cfg.diagnose and "refused" not in results[name] and "verdict" not in results[name]:
             results[name] |= diagnosed(log, cfg.out / name)
-        write_text(path, json.dumps(results, indent=1))
-        write_text(path.with_suffix(".md"), table(results))
+        path.write_text(json.dumps(results, indent=1), encoding="utf-8")
+        path.with_suffix(".md").write_text(table(results), encoding="utf-8")
         print(name, results[name], flush=True)
     print(table(results))
     return results

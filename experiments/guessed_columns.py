@@ -70,8 +70,8 @@ KNOWN: dict[str, Truth] = {
 UNITS = {"_radps2": ("_radps2", 1.0), "_radps": ("", 1 / DEG), "_rad": ("", 1 / DEG), "_mps2": ("", 1 / G),
          "_mps": ("", 1 / KMH), "_m": ("", 1.0), "_s": ("", 1.0)}  # fmt: skip
 BACK = {"angle": DEG, "speed": KMH, "acceleration": G}
-FAMILIES = {"angle": ("r", "psi", "beta", "delta"), "speed": ("vx", "vy", "V"), "acceleration": ("ax", "ay")}
-DIMENSION = {channel: family for family, channels in FAMILIES.items() for channel in channels}
+SHARE_DIMENSION = {"angle": ("r", "psi", "beta", "delta"), "speed": ("vx", "vy", "V"), "acceleration": ("ax", "ay")}
+DIMENSION = {channel: family for family, channels in SHARE_DIMENSION.items() for channel in channels}
 MADE_UP = (
     "hmmwv.csv",
     "dart.csv",
@@ -150,7 +150,7 @@ def write_rows(path: Path, names: list[str], cells: list[list[str]]) -> None:
 
 
 def count(path: Path, truth: Truth) -> tuple[int, int, list[str]]:
-    """Return right channels, channels that count, and what is wrong.
+    """Return the number of right channels, of all that count, and the wrong ones.
 
     Those count that the log holds, and those that are placed without being there.
     """

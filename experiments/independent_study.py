@@ -19,7 +19,6 @@ import tyro
 
 import driftjax as dj
 from driftjax.studies.hidden_effects.against_truth import nominal_scores, penalised_costs
-from driftjax.studies.text_file import write_text
 from experiments.independent.cases import Case, draw_alarm, draw_case
 from experiments.independent.record import write_csv
 from experiments.independent.score import Result, alarm_table, effects_of_body, line, right_verdict, score, table
@@ -103,8 +102,8 @@ def main(cfg: Config) -> dict[str, Any]:
         if "error" not in one
     ]
     content = {"seed": cfg.seed, "cases": scored(main_results), "alarms": scored(alarms)}
-    write_text(cfg.out / "scores.json", json.dumps(content, indent=1))
-    write_text(cfg.out / "scores.md", text + "\n")
+    (cfg.out / "scores.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    (cfg.out / "scores.md").write_text(text + "\n", encoding="utf-8")
     print(text)
     return content
 

@@ -75,9 +75,9 @@ def compare_speed_sets() -> None:
     """Print both solvers of the speed sets."""
     for num in (AIM_POINTS, 60, 120):
         for weights in WEIGHTS:
-            given = (*corner(num), *map(jnp.asarray, weights))
-            (gamma, result), (other, ended) = speed_sets(*given), speed_sets_jaxopt(*given)
-            ours, theirs = side_by_side(lambda: speed_sets(*given), lambda: speed_sets_jaxopt(*given))  # noqa: B023
+            problem = (*corner(num), *map(jnp.asarray, weights))
+            (gamma, result), (other, ended) = speed_sets(*problem), speed_sets_jaxopt(*problem)
+            ours, theirs = side_by_side(lambda: speed_sets(*problem), lambda: speed_sets_jaxopt(*problem))  # noqa: B023
             right = [int(jnp.sum(one == dj.RESULTS.successful)) for one in (result, ended)]
             apart = float(jnp.abs(gamma - other).max())
             print(f"speed sets, {num} points, w {weights}: {ours:.3g} ms ({right[0]} of 4 converged), jaxopt "

@@ -20,7 +20,6 @@ import driftjax as dj
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.trial import measured_runs, nominal_vehicle
-from driftjax.studies.text_file import write_text
 
 MASKS = {"all channels": (), "no sideslip": ("beta",), "no force": ("Fxr",), "neither": ("beta", "Fxr")}
 NOTHING_IN = 5  # every so-many-th case hides nothing
@@ -61,7 +60,7 @@ def main(cfg: Config) -> list[dict[str, Any]]:
             print(case.car, case.names or "nothing", "|", name, "|", rows[-1]["verdict"], rows[-1]["named"], flush=True)
             with lines.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(rows[-1]) + "\n")
-            write_text(cfg.out / "missing_channels.md", table(rows))
+            (cfg.out / "missing_channels.md").write_text(table(rows), encoding="utf-8")
     print(table(rows))
     return rows
 

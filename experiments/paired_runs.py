@@ -18,7 +18,6 @@ import numpy as np
 import tyro
 
 import driftjax as dj
-from driftjax.studies.text_file import write_text
 
 FOLDER = "2024/PathFollowingSim2real/TestingData"
 PATHS = ("rd_path", "syn_path", "lot17")
@@ -63,7 +62,7 @@ def main(cfg: Config) -> dict[str, Any]:
         if cfg.compare:
             results[name] |= compared(logs, cfg, name)
         print(name, results[name], flush=True)
-        write_text(path, json.dumps(results, indent=1))
+        path.write_text(json.dumps(results, indent=1), encoding="utf-8")
     return results
 
 

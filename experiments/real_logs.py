@@ -15,7 +15,6 @@ import tyro
 import driftjax as dj
 from driftjax.studies.closed_loop import add_closed_loop, load_case, spare_workers
 from driftjax.studies.model_errors import plot_model_errors
-from driftjax.studies.text_file import write_text
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
 LAGS = ("steer_lag", "drive_lag")
@@ -107,7 +106,7 @@ def main(cfg: Config) -> dict[str, Any]:
         if not cfg.only or question.name in cfg.only:
             results[question.name] = diagnose_question(question, cfg)
             print(format_result(question, results[question.name]), flush=True)
-    write_text(cfg.out / "real_logs.json", json.dumps(results, indent=1))
+    (cfg.out / "real_logs.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
     plot_model_errors({name: one["gain"] for name, one in results.items()}).savefig(cfg.out / "real_logs.png", dpi=130)
     return results
 

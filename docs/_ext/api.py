@@ -26,7 +26,6 @@ HEADINGS = {
     "store": "Run folders",
     "core": "Records, outcomes and errors",
 }
-SECTIONS = {"Arguments", "Returns", "Raises"}
 
 
 @cache
@@ -39,8 +38,8 @@ def package() -> griffe.Module:
 
 def definition(cls: type) -> griffe.Object:
     """Return the definition of a class or function in the sources."""
-    found = package()[f"{cls.__module__.removeprefix('driftjax.')}.{cls.__qualname__}"]
-    return found.final_target if isinstance(found, griffe.Alias) else found
+    definition = package()[f"{cls.__module__.removeprefix('driftjax.')}.{cls.__qualname__}"]
+    return definition.final_target if isinstance(definition, griffe.Alias) else definition
 
 
 def api_page() -> str:
@@ -57,16 +56,16 @@ def api_page() -> str:
 
 def markdown(docstring: str) -> str:
     """Return a docstring as Markdown: examples that begin with >>> become blocks of code."""
-    return re.sub(r"(?m)((?:^>>> .*\n?)+)", lambda found: f"```pycon\n{found[1].rstrip()}\n```\n", docstring)
+    return re.sub(r"(?m)((?:^>>> .*\n?)+)", lambda match: f"```pycon\n{match[1].rstrip()}\n```\n", docstring)
 
 
 def _entry(name: str) -> str:
-    found = definition(getattr(driftjax, name))
-    if found.is_function:
-        return _block("function", f"{name}{_signature(found)}", _doc(found), 4)
-    exception = any(str(base) == "Exception" or str(base).endswith("Error") for base in found.bases)
+    item = definition(getattr(driftjax, name))
+    if item.is_function:
+        return _block("function", f"{name}{_signature(item)}", _doc(item), 4)
+    exception = any(str(base) == "Exception" or str(base).endswith("Error") for base in item.bases)
     kind = "exception" if exception else "class"
-    return _block(kind, f"{name}{_constructor(found)}", "\n\n".join([_doc(found), *_members(found)]), 5)
+    return _block(kind, f"{name}{_constructor(item)}", "\n\n".join([_doc(item), *_members(item)]), 5)
 
 
 def _block(kind: str, head: str, body: str, colons: int) -> str:
@@ -74,18 +73,18 @@ def _block(kind: str, head: str, body: str, colons: int) -> str:
     return f"{fence}{{py:{kind}}} {head}\n{body}\n{fence}\n"
 
 
-def _doc(found: griffe.Object) -> str:
-    return markdown(found.docstring.value) if found.docstring else ""
+def _doc(item: griffe.Object) -> str:
+    return markdown(item.docstring.value) if item.docstring else ""
 
 
-def _constructor(found: griffe.Object) -> str:
-    options = found.name.endswith("Config") or len(found.parameters) > 9
-    return "(...)" if options else _signature(found) if len(found.parameters) else ""
+def _constructor(item: griffe.Object) -> str:
+    options = item.name.endswith("Config") or len(item.parameters) > 9
+    return "(...)" if options else _signature(item) if len(item.parameters) else ""
 
 
-def _signature(found: griffe.Object) -> str:
+def _signature(item: griffe.Object) -> str:
     words, star = [], False
-    for one in found.parameters:
+    for one in item.parameters:
         if one.name == "self":
             continue
         if one.kind is griffe.ParameterKind.keyword_only and not star:
@@ -93,7 +92,7 @@ def _signature(found: griffe.Object) -> str:
             star = True
         default = "" if one.default is None else f" = {_short(str(one.default))}"
         words.append(f"{one.name}{f': {one.annotation}' if one.annotation else ''}{default}")
-    returns = getattr(found, "returns", None)
+    returns = getattr(item, "returns", None)
     return f"({', '.join(words)}){f' -> {returns}' if returns else ''}"
 
 
@@ -101,17 +100,17 @@ def _short(default: str) -> str:
     return "..." if default.startswith(("lambda", "field(")) else default
 
 
-def _members(found: griffe.Object) -> list[str]:
-    if found.name.endswith("Config"):
+def _members(item: griffe.Object) -> list[str]:
+    if item.name.endswith("Config"):
         return ["Its fields are the keys of [the configuration](configuration.md)."]
     blocks = []
-    for name, one in found.members.items():
+    for name, one in item.members.items():
         if name.startswith("_") or one.is_alias:
             continue
         if one.is_function and one.docstring:
             blocks.append(_block("method", f"{name}{_signature(one)}", _doc(one), 4))
-        elif one.is_attribute and (one.docstring or found.name == "RESULTS"):
-            value = f":value: {one.value}\n" if found.name == "RESULTS" else ""
+        elif one.is_attribute and (one.docstring or item.name == "RESULTS"):
+            value = f":value: {one.value}\n" if item.name == "RESULTS" else ""
             kind = f":type: {one.annotation}\n" if one.annotation else ""
             blocks.append(_block("attribute", f"{name}\n{kind}{value}", _doc(one), 4))
     return blocks

@@ -67,16 +67,16 @@ def cell(text: str) -> str:
 
 
 def _parser(verb: str) -> argparse.ArgumentParser:
-    def catch(cls: Any, args: Any = None, prog: str | None = None, **given: Any) -> None:
-        raise _Caught(cls, prog, given)
+    def catch(cls: Any, args: Any = None, prog: str | None = None, **options: Any) -> None:
+        raise _Caught(cls, prog, options)
 
     with mock.patch.object(tyro, "cli", catch), warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             importlib.import_module(f"driftjax.cli.{verb}").run(["--help"])
         except _Caught as caught:
-            cls, prog, given = caught.args
-            return tyro.extras.get_parser(cls, prog=prog, **given)
+            cls, prog, options = caught.args
+            return tyro.extras.get_parser(cls, prog=prog, **options)
     raise AssertionError(f"driftjax {verb} does not parse its flags with tyro.cli")
 
 

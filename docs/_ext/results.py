@@ -26,11 +26,11 @@ def learn_tables(docs: Path) -> str:
     results, versions = read("results"), read("versions")
     rows = []
     for stage in results["stages"]:
-        for controller, found in stage["controllers"].items():
-            done, of = found["completed"]
+        for controller, entry in stage["controllers"].items():
+            done, of = entry["completed"]
             rows.append((stage_label(stage["name"]), CONTROLLERS.get(controller, controller),
-                         format_interval(found["lateral_error"]), format_interval(found["velocity_rmse"]),
-                         number(found["drift_share"]["mean"]), f"{done}/{of}"))  # fmt: skip
+                         format_interval(entry["lateral_error"]), format_interval(entry["velocity_rmse"]),
+                         number(entry["drift_share"]["mean"]), f"{done}/{of}"))  # fmt: skip
     head = ("stage", "controller", "lateral error [m]", "speed RMSE [m/s]", "drift share", "completed")
     summary = results["summary"]["path"]
     reductions = [(words, format_interval(summary[key], ".1f"), number(summary[key]["paper"], ".1f"))
@@ -43,17 +43,17 @@ def real_log_tables(docs: Path) -> str:
     """Return the diagnoses in docs/results/real-logs.json, which `python -m experiments.real_logs` wrote."""
     results = json.loads((docs / "results/real-logs.json").read_text(encoding="utf-8"))
     parts = []
-    for name, found in results.items():
-        gain, ahead = found["gain"], found["gain"]["skill_horizon_s"]
+    for name, entry in results.items():
+        gain, ahead = entry["gain"], entry["gain"]["skill_horizon_s"]
         explained = with_interval(*(_percent(gain[key]["extended"]) for key in ("skill", "ci95")), ".0f")
-        parts += [f"### `{name}`\n", f"Measured {_origin(found['measured'])}. Verdict {found['verdict']}; "
+        parts += [f"### `{name}`\n", f"Measured {_origin(entry['measured'])}. Verdict {entry['verdict']}; "
                   f"the named effects remove {explained} % of the excess error {ahead:g} s ahead.\n"]  # fmt: skip
         parts += [f"To compare with other work: `{key}` {with_interval(one['value'], one['ci95'])}, "
                   f"{'inside' if one['as_known'] else 'outside'} its range.\n"
-                  for key, one in found["answer"].items() if one["as_known"] is not None]  # fmt: skip
+                  for key, one in entry["answer"].items() if one["as_known"] is not None]  # fmt: skip
         rows = [(f"`{one['effect']}`" + " (exploratory)" * one["exploratory"], number(100 * one["share"], ".1f"),
                  "; ".join(_parameter(*pair) for pair in one["parameters"].items()))
-                for one in found["causes"]]  # fmt: skip
+                for one in entry["causes"]]  # fmt: skip
         parts.append(table(("effect", "share [%]", "value, with its 95 % interval"), rows))
         at = gain["horizons_s"].index(ahead)
         errors = [(COMPARED[model][1], *(f"{gain['rmse'][model][channel][at]:#.2g}" for channel in ("V", "beta", "r")))
@@ -80,10 +80,10 @@ def recorded_tables(docs: Path) -> dict[str, str]:
     pages = {}
     for path in sorted((docs / "results").glob("*-tables.json")):
         page = path.stem.removesuffix("-tables")
-        for key, found in json.loads(path.read_text(encoding="utf-8")).items():
-            wrong = [row for row in found["rows"] if len(row) != len(found["head"])]
+        for key, entry in json.loads(path.read_text(encoding="utf-8")).items():
+            wrong = [row for row in entry["rows"] if len(row) != len(entry["head"])]
             assert not wrong, f"{path.name}, {key}: {wrong} have not as many cells as the head"
-            pages[f"table-{page}-{key}"] = f"{_measured(found['measured'])}\n\n{table(found['head'], found['rows'])}"
+            pages[f"table-{page}-{key}"] = f"{_measured(entry['measured'])}\n\n{table(entry['head'], entry['rows'])}"
     return pages
 
 
@@ -105,10 +105,10 @@ def _statistics_row(run: dict[str, Any]) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def _parameter(name: str, found: dict[str, Any]) -> str:
-    unit = "" if found["unit"] == "1" else f" {found['unit']}"
-    bound = ", at its bound" * found["at_bound"]
-    return f"{name} = {with_interval(found['value'], found['ci95'], '.3g')}{unit}{bound}"
+def _parameter(name: str, entry: dict[str, Any]) -> str:
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+    bound = ", at its bound" * entry["at_bound"]
+    return f"{name} = {with_interval(entry['value'], entry['ci95'], '.3g')}{unit}{bound}"
 
 
 def _percent(value: Any) -> Any:

@@ -16,7 +16,7 @@ from driftjax.studies.bench.table import bench_page
 
 
 @dataclasses.dataclass(frozen=True)
-class Bench:
+class BenchOptions:
     """Speed of each part, as a ratio against a peer measured in the same run: table, JSON, scaling figures."""
 
     options: Annotated[BenchConfig, tyro.conf.arg(name="")] = BenchConfig()
@@ -28,7 +28,7 @@ def run(argv: list[str]) -> int:
     """Measure, write and print the table."""
     # each part has a process of its own, which needs memory on the same GPU
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    flags = parse(Bench, argv, "driftjax bench")
+    flags = parse(BenchOptions, argv, "driftjax bench")
     options = flags.options
     name = "quick" if options.quick else "all" if options.only == PARTS else "-".join(options.only)
     folder = RunFolder.create(flags.out or default_out("bench", name), to_dict(options), "bench")

@@ -23,7 +23,7 @@ FITTED = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Calibrate:
+class CalibrateOptions:
     """Fit effects that the nominal car is believed to have, such as its friction: calibrated.yaml.
 
     Nothing is tested here: leave out effects that `driftjax diagnose` should find later.
@@ -58,7 +58,7 @@ class Calibrate:
 
 def run(argv: list[str]) -> int:
     """Read, fit and print."""
-    flags = parse(Calibrate, argv, "driftjax calibrate")
+    flags = parse(CalibrateOptions, argv, "driftjax calibrate")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
     options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
@@ -84,7 +84,7 @@ def run(argv: list[str]) -> int:
     return run_in(folder, work)
 
 
-def next_step(flags: Calibrate, car: Path) -> str:
+def next_step(flags: CalibrateOptions, car: Path) -> str:
     """Say how to use the calibrated `car`: as the nominal one of a diagnosis of other runs."""
     logs = " ".join(shlex.quote(str(path)) for path in flags.logs)
     columns = f" --columns {shlex.quote(flags.columns)}" if flags.columns else ""

@@ -26,7 +26,7 @@ STEPS = {"noise and naming": 72, "differences": 8, "gap": 20, "done": 0}
 
 
 @dataclasses.dataclass(frozen=True)
-class Compare:
+class CompareOptions:
     """Name what differs between two logs of like manoeuvres, and the gap that it makes: compare.json, report.html.
 
     For example of a real car and a simulator of it, on a wet and a dry road, before and after a repair.
@@ -58,7 +58,7 @@ class Compare:
 
 def run(argv: list[str]) -> int:
     """Read, compare and print."""
-    flags = parse(Compare, argv, "driftjax compare")
+    flags = parse(CompareOptions, argv, "driftjax compare")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     log_a = read_log(flags.a, flags.columns_a, runs=flags.runs_a, cut=flags.cut)
     log_b = read_log(flags.b, flags.columns_b, runs=flags.runs_b, cut=flags.cut)

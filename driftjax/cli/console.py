@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import tyro
 
 from driftjax.cli.front import Terminated
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, write_text
 from driftjax.core.config import require_finite
 from driftjax.store import RunFolder
 
@@ -39,9 +39,9 @@ def early_flags(argv: list[str], *flags: str) -> tuple[dict[str, str | None], li
 
 def parse(cls: type[T], argv: list[str], prog: str, default: T | None = None) -> T:
     """Parse flags over `default` into a `cls`; raises `BadInput` where its checks fail."""
-    given: dict[str, Any] = {} if default is None else {"default": default}
+    defaults: dict[str, Any] = {} if default is None else {"default": default}
     try:
-        options = tyro.cli(cls, args=argv, prog=prog, **given)
+        options = tyro.cli(cls, args=argv, prog=prog, **defaults)
         require_finite(options)
         return options
     except BadInput as error:
@@ -67,7 +67,7 @@ def run_in(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
     except Exception as error:
         text, words, see = traceback.format_exc(), " ".join(str(error).split())[:300], "see error.txt; "
         try:
-            write_atomically(folder.path / "error.txt", lambda path: path.write_text(text, encoding="utf-8"))
+            write_text(folder.path / "error.txt", text)
         except OSError:  # the disk may be what failed; its message is printed anyway
             see = ""
         print(f"driftjax: failed ({type(error).__name__}: {words}); {see}{kept}", file=sys.stderr)

@@ -21,7 +21,7 @@ STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done"
 
 
 @dataclasses.dataclass(frozen=True)
-class Diagnose:
+class DiagnoseOptions:
     """Show and name the errors of a simulation from measured logs: diagnosis.json, extended.yaml, report.html."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
@@ -55,7 +55,7 @@ class Diagnose:
 
 def run(argv: list[str]) -> int:
     """Read, diagnose and print."""
-    flags = parse(Diagnose, argv, "driftjax diagnose")
+    flags = parse(DiagnoseOptions, argv, "driftjax diagnose")
     no_selection = flags.drive is None or not (flags.columns or flags.runs)
     require(no_selection, "key 'drive': its run has the log format and joins all runs; leave --columns and --runs out.")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)

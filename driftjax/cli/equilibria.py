@@ -14,7 +14,7 @@ from driftjax.vehicle import load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
-class Equilibria:
+class EquilibriaOptions:
     """Map of a car's steady states over speed and yaw rate."""
 
     options: Annotated[MapConfig, tyro.conf.arg(name="")] = MapConfig()
@@ -24,7 +24,7 @@ class Equilibria:
 
 def run(argv: list[str]) -> int:
     """Compute, draw and print the map."""
-    flags = parse(Equilibria, argv, "driftjax equilibria")
+    flags = parse(EquilibriaOptions, argv, "driftjax equilibria")
     vehicle = load_vehicle(flags.options.vehicle)
     out = flags.out or default_out("equilibria", vehicle.name)
     folder = RunFolder.create(out, to_dict(flags.options), "equilibria")

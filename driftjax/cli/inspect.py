@@ -14,7 +14,7 @@ from driftjax.vehicle import VehicleConfig, load_vehicle
 
 
 @dataclasses.dataclass(frozen=True)
-class Inspect:
+class InspectOptions:
     """What is in a log: channels with ranges and gaps, rates, and whether the channels agree with each other."""
 
     logs: tyro.conf.Positional[tuple[Path, ...]]
@@ -34,7 +34,7 @@ class Inspect:
 
 def run(argv: list[str]) -> int:
     """Read, compare and print."""
-    flags = parse(Inspect, argv, "driftjax inspect")
+    flags = parse(InspectOptions, argv, "driftjax inspect")
     vehicle = load_vehicle(flags.vehicle) if flags.vehicle else None
     require(flags.guess or flags.write is None, "flag '--write' writes what '--guess' proposes; give that too.")
     if flags.guess:
@@ -56,7 +56,7 @@ def run(argv: list[str]) -> int:
     return run_in(folder, work)
 
 
-def propose(flags: Inspect, vehicle: VehicleConfig | None) -> int:
+def propose(flags: InspectOptions, vehicle: VehicleConfig | None) -> int:
     """Print a column map for the log and write it where `--write` says."""
     require(len(flags.logs) == 1 and flags.columns is None and flags.out is None,
             "flag '--guess' is for one log; leave out --columns and --out.")  # fmt: skip

@@ -17,7 +17,7 @@ from driftjax.vehicle import load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
-class Learn:
+class LearnOptions:
     """Plan, nominal laps, GP laps and active exploration, on a batch of plants driven side by side."""
 
     options: Annotated[LearnConfig, tyro.conf.arg(name="")]
@@ -42,7 +42,7 @@ def run(argv: list[str]) -> int:
         config = from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml"))
         check_files(config)
     else:
-        options = parse(Learn, argv, "driftjax learn", Learn(defaults(early["car"], early["config"])))
+        options = parse(LearnOptions, argv, "driftjax learn", LearnOptions(defaults(early["car"], early["config"])))
         config = options.options
         check_files(config)
         folder = RunFolder.create(options.out or default_out("learn", config.car), to_dict(config))

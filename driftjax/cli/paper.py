@@ -16,7 +16,7 @@ from driftjax.studies.paper.config import PaperConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Paper:
+class PaperOptions:
     """Every method of the paper side by side on plants held out, with ablations: tables, figures, run folders."""
 
     options: Annotated[PaperConfig, tyro.conf.arg(name="")] = PaperConfig()
@@ -34,7 +34,7 @@ class Paper:
 def run(argv: list[str]) -> int:
     """Drive the missing runs; write tables and figures."""
     _, others = early_flags(argv, "resume", "workers")
-    flags = parse(Paper, argv, "driftjax paper")
+    flags = parse(PaperOptions, argv, "driftjax paper")
     if flags.resume:
         if others:
             raise BadInput("--resume goes on with the folder's own options; leave out every flag but --workers.")

@@ -20,7 +20,7 @@ from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class PlanOptions:
     """Minimum-time plan of a car along a track: plan.nc, plan.csv and figures."""
 
     options: Annotated[PlanConfig, tyro.conf.arg(name="")]
@@ -40,7 +40,7 @@ def run(argv: list[str]) -> int:
     """Plan, write and draw."""
     early, _ = early_flags(argv, "car", "config")
     default = defaults(early["car"], early["config"])
-    flags = parse(Plan, argv, "driftjax plan", default)
+    flags = parse(PlanOptions, argv, "driftjax plan", default)
     vehicle, track = load_vehicle(flags.vehicle), load_track(flags.track)
     check_width(track, vehicle.width, str(flags.track))
     options = {"vehicle": str(flags.vehicle), "track": str(flags.track)} | to_dict(flags.options)
@@ -50,12 +50,12 @@ def run(argv: list[str]) -> int:
     return run_in(folder, lambda: work(vehicle, track, flags.options, folder))
 
 
-def defaults(car: str | None, file: str | None) -> Plan:
+def defaults(car: str | None, file: str | None) -> PlanOptions:
     """Return the options of the YAML `file`, completed by the shipped ones of `car`, else of the car that it names."""
     written = read_yaml(Path(file)) if file else {}
     car = car or str(written.get("car", "sedan"))
     vehicle, track = (Path(str(written.pop(key, name))) for key, name in (("vehicle", car), ("track", f"{car}_corner")))
-    return Plan(complete_plan_config(written | {"car": car}, file or "defaults"), vehicle, track, car)
+    return PlanOptions(complete_plan_config(written | {"car": car}, file or "defaults"), vehicle, track, car)
 
 
 def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunFolder) -> int:

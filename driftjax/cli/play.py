@@ -14,7 +14,7 @@ from driftjax.store import RunFolder
 
 
 @dataclasses.dataclass(frozen=True)
-class Play:
+class PlayOptions:
     """Open the report of a run of `learn`, `diagnose` or `compare` in the browser; with a file below, write that."""
 
     run: tyro.conf.Positional[Path]
@@ -31,7 +31,7 @@ class Play:
 
 def run(argv: list[str]) -> int:
     """Open or export."""
-    flags = parse(Play, argv, "driftjax play")
+    flags = parse(PlayOptions, argv, "driftjax play")
     folder = RunFolder.open(flags.run)
     films = [path for path in (flags.gif, flags.mp4) if path is not None]
     if flags.mcap is None and not films:

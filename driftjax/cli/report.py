@@ -12,7 +12,7 @@ from driftjax.store import RunFolder
 
 
 @dataclasses.dataclass(frozen=True)
-class Report:
+class ReportOptions:
     """Rebuild figures, table and report.html of a run from its folder alone."""
 
     run: tyro.conf.Positional[Path]
@@ -21,7 +21,7 @@ class Report:
 
 def run(argv: list[str]) -> int:
     """Rebuild and print the table."""
-    folder = RunFolder.open(parse(Report, argv, "driftjax report").run)
+    folder = RunFolder.open(parse(ReportOptions, argv, "driftjax report").run)
     if folder.verb == "plan":
         print("\n".join(map(str, write_plan_figures(folder.read_dataset("plan.nc"), folder.path))))
         return 0

@@ -12,7 +12,7 @@ from driftjax.store import list_runs
 
 
 @dataclasses.dataclass(frozen=True)
-class Runs:
+class RunsOptions:
     """List run folders, oldest first: time (UTC), verb, car, how far, best mean lateral errors, folder."""
 
     root: Path = Path("runs")
@@ -32,7 +32,7 @@ class Runs:
 
 def run(argv: list[str]) -> int:
     """Print lines, or a table."""
-    flags = parse(Runs, argv, "driftjax runs")
+    flags = parse(RunsOptions, argv, "driftjax runs")
     if flags.where is not None:
         from driftjax.sweep.query import find_laps
 

@@ -22,7 +22,7 @@ FILES = ("log.csv", "truth.yaml")
 
 
 @dataclasses.dataclass(frozen=True)
-class Simulate:
+class SimulateOptions:
     """Drive manoeuvres on a car with any effects: log.csv in the log format, and its truth.yaml."""
 
     options: Annotated[Campaign, tyro.conf.arg(name="")] = Campaign()
@@ -44,7 +44,7 @@ class Simulate:
 def run(argv: list[str]) -> int:
     """Drive and write."""
     early, _ = early_flags(argv, "config")
-    flags = parse(Simulate, argv, "driftjax simulate", defaults(early["config"]))
+    flags = parse(SimulateOptions, argv, "driftjax simulate", defaults(early["config"]))
     vehicle = load_vehicle(flags.vehicle)
     try:
         vehicle = vehicle.with_combined_slip(flags.combined_slip)
@@ -64,15 +64,15 @@ def run(argv: list[str]) -> int:
     return run_in(folder, lambda: work(vehicle, theta, flags, folder))
 
 
-def defaults(file: str | None) -> Simulate:
+def defaults(file: str | None) -> SimulateOptions:
     """Return the options of the verb updated by the YAML `file`."""
     written = read_yaml(Path(file)) if file else {}
     own = {key: written.pop(key) for key in OWN if key in written}
     options = from_dict(Campaign, written, file or "defaults")
-    return dataclasses.replace(from_dict(Simulate, own, file or "defaults"), options=options)
+    return dataclasses.replace(from_dict(SimulateOptions, own, file or "defaults"), options=options)
 
 
-def work(vehicle: VehicleConfig, theta: np.ndarray, flags: Simulate, folder: RunFolder) -> int:
+def work(vehicle: VehicleConfig, theta: np.ndarray, flags: SimulateOptions, folder: RunFolder) -> int:
     """Write log and truth into `folder`; returns 1 where no run is left."""
     runs, truth = record_runs(vehicle, theta, flags.options)
     write_truth(folder.path / "truth.yaml", truth, str(flags.vehicle), vehicle.combined_slip, flags.options)

@@ -15,7 +15,7 @@ from driftjax.sweep.analysis import best_trials
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
+class SweepOptions:
     """Try many values of a verb's options, each trial once; what a folder holds already is not run again."""
 
     config: tyro.conf.Positional[Path]
@@ -38,7 +38,7 @@ class Sweep:
 
 def run(argv: list[str]) -> int:
     """Run the missing trials, then print the best ones and the shares of the variance."""
-    options = parse(Sweep, argv, "driftjax sweep")
+    options = parse(SweepOptions, argv, "driftjax sweep")
     config = load_sweep(options.config)
     work = WORKS[config.verb]
     try:

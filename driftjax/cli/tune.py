@@ -16,7 +16,7 @@ from driftjax.tune.config import QUICK, TuneConfig, complete_tune_config
 
 
 @dataclasses.dataclass(frozen=True)
-class Tune:
+class TuneOptions:
     """Q, R and switching lead of the drift MPC by gradients through closed-loop laps, judged on plants held out."""
 
     options: Annotated[TuneConfig, tyro.conf.arg(name="")]
@@ -38,8 +38,8 @@ class Tune:
 def run(argv: list[str]) -> int:
     """Search, evaluate and print."""
     early, _ = early_flags(argv, "car", "config")
-    default = Tune(defaults(early["car"], early["config"], "--quick" in argv))
-    flags = parse(Tune, argv, "driftjax tune", default)
+    default = TuneOptions(defaults(early["car"], early["config"], "--quick" in argv))
+    flags = parse(TuneOptions, argv, "driftjax tune", default)
     config = flags.options
     check_files(config.learn)
     folder = RunFolder.create(flags.out or default_out("tune", config.learn.car), to_dict(config), "tune")

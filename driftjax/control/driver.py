@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from driftjax.control.dither import corner_excitation
+from driftjax.control.estimator import Estimate, Estimator
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import DriftOCP, within_limits
 from driftjax.control.mpc_solution import MPCProblem, MPCSolution, acceptable, solve_mpc_batch
@@ -17,6 +19,7 @@ from driftjax.control.table import ReferenceTable
 from driftjax.core import Control, State, as_float, lag_step, require_at_least, require_positive
 from driftjax.parallel import vmap_batch
 from driftjax.sim import Sensed, where_tree
+from driftjax.sim.lap import sensed_on
 from driftjax.solve import Options, shift
 from driftjax.track import Track
 
@@ -46,6 +49,7 @@ class DriverState(NamedTuple):
 
     command: Float[Array, " 2"]  # last command (delta, Fxr)
     lagged_input: Float[Array, " 2"]  # actuator outputs by the learnt lags
+    estimate: Estimate | None  # of the motion, for drivers with an estimator
     good: Float[Array, "N 2"]  # inputs of the last good plan, already shifted: applied where a solve fails
     drifting: Array  # whether the drift controller drove the last step
 
@@ -73,6 +77,8 @@ class Driver(eqx.Module):
     lead: Array = eqx.field(converter=as_float)
     trail: Array = eqx.field(converter=as_float)
     handover_beta: Array = eqx.field(converter=as_float)
+    estimator: Estimator | None  # None: bare measurements
+    dither: Float[Array, " 2"]  # amplitude of the excitation added to the drift MPC's steering [rad] and drive [N]
 
     @property
     def horizon(self) -> int:
@@ -81,7 +87,17 @@ class Driver(eqx.Module):
 
     def start(self) -> DriverState:
         """Return the initial state of the driver: commands and actuator outputs are 0."""
-        return DriverState(jnp.zeros(2), jnp.zeros(2), jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+        estimate = None if self.estimator is None else self.estimator.start()
+        return DriverState(jnp.zeros(2), jnp.zeros(2), estimate, jnp.zeros((self.horizon, 2)), jnp.asarray(False))
+
+    def observe(self, sensed: Sensed, memory: DriverState) -> tuple[Sensed, DriverState]:
+        """Return motion and actuator outputs when this step's command will start to act: estimated, or as measured."""
+        if self.estimator is None or memory.estimate is None:
+            return sensed, memory
+        y = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.x, sensed.y, sensed.psi])
+        now = self.estimator.update(memory.estimate, y)
+        x, lagged_input = self.estimator.ahead(self.ocp.nominal, self.ocp.residual, now)
+        return sensed_on(self.path, sensed.s, *x), memory._replace(estimate=now, lagged_input=lagged_input)
 
     def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
         """Evaluate the switch rule: within the drift section widened by lead and trail, longer while still sliding."""
@@ -92,7 +108,10 @@ class Driver(eqx.Module):
         return (sensed.s >= self.table.drift_start - self.lead) & ((past < self.trail) | sliding)
 
     def after(self, memory: DriverState) -> DriverState:
-        """Return the driver state one step later: actuator outputs after the command."""
+        """Return the driver state one step later: actuator outputs after the command, or the predicted estimate."""
+        if self.estimator is not None and memory.estimate is not None:
+            now, car = memory.estimate, self.ocp.nominal
+            return memory._replace(estimate=self.estimator.predict(car, self.ocp.residual, now, memory.command))
         lagged_input = lag_step(memory.lagged_input, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
         return memory._replace(lagged_input=lagged_input)
 
@@ -129,21 +148,27 @@ class Driver(eqx.Module):
         options = Options(self.options.tolerance, BARRIER, self.options.max_steps, ACCEPTABLE, RESTARTS)
         return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
+    def excitation(self, s: Array) -> Float[Array, " 2"]:
+        """Return what is added to steering [rad] and drive [N] at arc length `s`."""
+        start = self.table.drift_start - self.lead
+        return self.dither * corner_excitation((s - start) / (self.table.drift_end - start))
+
     def apply_solution(
-        self, problem: MPCProblem, solution: MPCSolution, memory: DriverState
+        self, problem: MPCProblem, solution: MPCSolution, sensed: Sensed, memory: DriverState
     ) -> tuple[Decision, DriverState]:
-        """Return the command of the drift MPC; where the solve failed, that of the last good plan, one step later."""
+        """Return the command of the drift MPC, excited by the dither; where the solve failed, of the last good plan."""
         solved, plan = acceptable(solution, problem.options), solution.plan
         good = jnp.where(memory.drifting, memory.good, problem.U)  # before the first solve: the reference's
         good = jnp.where(solved, solution.U, within_limits(self.ocp, good, memory.command, share=0.0))
-        decision = Decision(
-            Control(good[0, 0], good[0, 1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps.astype(int)
-        )
-        return decision, DriverState(good[0], memory.lagged_input, shift(good), jnp.asarray(True))
+        excited = good[:1] + self.excitation(sensed.s)
+        u = within_limits(self.ocp, excited, memory.command, share=0.0)[0]
+        decision = Decision(Control(u[0], u[1]), jnp.asarray(True), solved, plan.kkt, plan.num_steps.astype(int))
+        return decision, memory._replace(command=u, good=shift(good), drifting=jnp.asarray(True))
 
 
 def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -> tuple[Control, DriverState, Decision]:
     """Compute one step of the whole batch (leading axis); the MPC runs only while an `alive` entry needs it."""
+    sensed, memory = vmap_batch(lambda d, x, m: d.observe(x, m))(drivers, sensed, memory)
     engaged = vmap_batch(lambda d, x, m: d.engaged(x, m))(drivers, sensed, memory) & alive
     pursued = vmap_batch(lambda d, x, m: d.pursue(x, m))(drivers, sensed, memory)
     idle = Decision(
@@ -162,7 +187,7 @@ def decide(drivers: Driver, sensed: Sensed, memory: DriverState, alive: Array) -
         if drivers.kind == "mpc":
             problem = vmap_batch(lambda d, x, m: d.mpc_problem(x, m))(drivers, sensed, memory)
             solution = solve_mpc_batch(drivers.ocp, problem, engaged)
-            return vmap_batch(lambda d, p, s, m: d.apply_solution(p, s, m))(drivers, problem, solution, memory)
+            return vmap_batch(lambda d, *args: d.apply_solution(*args))(drivers, problem, solution, sensed, memory)
         u = vmap_batch(lambda d, x, m: d.stabilise(x, m))(drivers, sensed, memory)
         decision = idle._replace(command=Control(u[:, 0], u[:, 1]), drifting=jnp.ones_like(engaged))
         return decision, memory._replace(command=u, drifting=jnp.ones_like(engaged))

@@ -60,23 +60,41 @@ class ScheduledLQR(eqx.Module):
         at = jnp.interp(s, self.s, jnp.arange(len(self.s), dtype=float))  # constant beyond the ends
         i = jnp.minimum(jnp.floor(at).astype(int), len(self.s) - 2)
         K = self.K[i] + (at - i) * (self.K[i + 1] - self.K[i])
-        return x_ref[5:7] - (K @ ((x - x_ref) / _units(ocp))) * ocp.u_scale
+        return x_ref[5:7] - (K @ ((x - x_ref) / state_units(ocp))) * ocp.u_scale
 
 
-def _units(ocp: DriftOCP) -> Float[Array, " 9"]:
+def state_units(ocp: DriftOCP) -> Float[Array, " 9"]:
     """Return the solver's units of the state: SI but for commands."""
     return jnp.concatenate([jnp.ones(5), ocp.u_scale, ocp.u_scale])
 
 
-def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
-    """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
+class LinearMPC(eqx.Module):
+    """The drift MPC along a reference, to first order in the dynamics and second order in the cost; solver's units."""
 
-    Dynamics and cost are those of the drift MPC, to first and second order about the reference, without limits and
-    with `rate_factor` times the weight of input changes. The Riccati recursion runs backwards from the stationary
-    solution of the last step (Anderson and Moore 1990, Sec. 2.4).
+    s: Float[Array, " N"]  # arc length of each step [m]
+    A: Float[Array, "N 9 9"]
+    B: Float[Array, "N 9 2"]
+    H: Float[Array, "N 11 11"]  # half the second derivatives of the cost, state first
+    u: Float[Array, "N 2"]  # inputs of the reference
+
+
+def linearise_along(
+    ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array | float = 1.0
+) -> LinearMPC:
+    """Linearise the drift MPC about the reference, `num` steps from `lead` [m] before the drift section.
+
+    `rate_factor` multiplies the weight of input changes.
     """
     s = table.schedule(table.drift_start - lead, num, ocp.dt)[:-1]
-    rows = _expansion(ocp, table.reference(s), table.inputs(s), rate_factor)
+    U = table.inputs(s)
+    return LinearMPC(s, *_expansion(ocp, table.reference(s), U, rate_factor), U / ocp.u_scale)
+
+
+def feedback_gains(model: LinearMPC) -> Float[Array, "N 2 9"]:
+    """Compute the gains of the time-varying LQR, backwards from the stationary solution of the last step.
+
+    (Anderson and Moore 1990, Sec. 2.4.) Without limits this is the feedback of the drift MPC.
+    """
 
     def sweep(P, row):
         A, B, H = row
@@ -85,13 +103,23 @@ def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, ra
         P = H[:9, :9] + A.T @ P @ A - S.T @ K
         return (P + P.T) / 2, K
 
+    rows = model.A, model.B, model.H
     last = jax.tree.map(lambda a: a[-1], rows)
     P = jax.lax.fori_loop(0, SWEEPS, lambda _, P: sweep(P, last)[0], last[2][:9, :9])
-    return ScheduledLQR(s, jax.lax.scan(sweep, P, rows, reverse=True)[1])
+    return jax.lax.scan(sweep, P, rows, reverse=True)[1]
+
+
+def schedule_lqr(ocp: DriftOCP, table: ReferenceTable, num: int, lead: Array, rate_factor: Array) -> ScheduledLQR:
+    """Compute the time-varying LQR along the reference, from `lead` [m] before the drift section, at `num` steps.
+
+    Dynamics and cost are those of the drift MPC with `rate_factor` times the weight of input changes.
+    """
+    model = linearise_along(ocp, table, num, lead, rate_factor)
+    return ScheduledLQR(model.s, feedback_gains(model))
 
 
 def _expansion(
-    ocp: DriftOCP, reference: Reference, U: Float[Array, "N 2"], rate_factor: Array
+    ocp: DriftOCP, reference: Reference, U: Float[Array, "N 2"], rate_factor: Array | float
 ) -> tuple[Float[Array, "N 9 9"], Float[Array, "N 9 2"], Float[Array, "N 11 11"]]:
     """Return the dynamics to first and half of the cost to second order about a reference, in the solver's units."""
     one = jax.tree.map(lambda a: a[None], ocp)

@@ -1,6 +1,7 @@
 """Shared records, solver results, integrators and config files; imports nothing of the layers above."""
 
 from driftjax.core.atomic import write_atomically as write_atomically
+from driftjax.core.atomic import write_text as write_text
 from driftjax.core.config import find_config as find_config
 from driftjax.core.config import flatten_config as flatten_config
 from driftjax.core.config import from_dict as from_dict
@@ -12,6 +13,7 @@ from driftjax.core.config import require_positive as require_positive
 from driftjax.core.config import set_option as set_option
 from driftjax.core.errors import BadInput as BadInput
 from driftjax.core.integrate import lag_step as lag_step
+from driftjax.core.integrate import markov_step as markov_step
 from driftjax.core.integrate import rk4_loop as rk4_loop
 from driftjax.core.integrate import rk4_step as rk4_step
 from driftjax.core.records import Control as Control

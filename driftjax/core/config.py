@@ -128,7 +128,7 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
 
 
 def require_finite(config: Any) -> None:
-    """Raise `BadInput` where an option of a config, or of one within it, is a number that is none."""
+    """Raise `BadInput` where a number in a config, or in one nested in it, is NaN or infinite."""
     for name, value in flatten_config(to_dict(config)).items():
         require(not isinstance(value, float) or math.isfinite(value), f"key '{name}' is {value}; give a finite number.")
 

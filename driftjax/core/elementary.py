@@ -215,8 +215,8 @@ def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., A
                  for a, axis in zip(args, axes, strict=True)]  # fmt: skip
         return primitive.bind(*front), (0, 0) if several else 0
 
-    def shaped(*given: Any) -> Any:
-        one = ShapedArray(given[0].shape, given[0].dtype)
+    def shaped(*shapes: Any) -> Any:
+        one = ShapedArray(shapes[0].shape, shapes[0].dtype)
         return [one, one] if several else one
 
     primitive.def_abstract_eval(shaped)

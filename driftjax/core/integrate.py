@@ -54,7 +54,7 @@ def rk4_loop(f: Callable[[Array, Any], Array], x: Array, dt: float | Array, alon
     return jax.lax.scan(stage, (jnp.zeros_like(x), x), stages)[0][1]
 
 
-def lag_decay(lag: Array, dt: Array) -> Array:
+def _decay_over_step(lag: Array, dt: Array) -> Array:
     """Return exp(-dt / lag), 0 for a lag of 0; its derivatives are finite."""
     slow = lag > 1e-6 * dt
     return jnp.where(slow, jnp.exp(-dt / jnp.where(slow, lag, dt)), 0.0)
@@ -65,9 +65,17 @@ def lag_step(value: Array, target: Array, lag: Array, dt: Array) -> tuple[Array,
 
     Exact for a constant target over the step; a lag of 0 gives the target itself, with the derivative of a small lag.
     """
-    decay = lag_decay(lag, dt)
+    decay = _decay_over_step(lag, dt)
     mean = (1 - decay) * lag / dt
     return target + (value - target) * mean, target + (value - target) * decay
+
+
+def markov_step(last: Array, kick: Array, decay: Array) -> Array:
+    """Return the next value of a stationary first-order Gauss-Markov process; `kick` has its standard deviation.
+
+    `decay` is exp(-dt / correlation time).
+    """
+    return decay * last + jnp.sqrt(1 - decay**2) * kick
 
 
 def lag_slope(lag: Array, dt: Array) -> Array:
@@ -76,6 +84,6 @@ def lag_slope(lag: Array, dt: Array) -> Array:
     The line through the mean (`lag_step` of 1 towards 0) with this slope acts on an integrator as the exponential
     does, up to third order in the step; 0 for a lag of 0.
     """
-    decay = lag_decay(lag, dt)
+    decay = _decay_over_step(lag, dt)
     q = lag / dt
     return 6 * q**2 * (1 - decay) - 3 * q * (1 + decay)

@@ -13,7 +13,10 @@ def as_float(value: ArrayLike) -> Array:
 
 
 class State(NamedTuple):
-    """State of the single-track car (Wu et al. 2025, Eq. 1); fields scalar or any one batch shape."""
+    """State of the single-track car (Wu et al. 2025, Eq. 1): V [m/s], beta [rad], r [rad/s], left positive.
+
+    Fields are scalars or arrays of one batch shape.
+    """
 
     V: Array  # speed of the centre of mass [m/s]
     beta: Array  # sideslip, atan2(v_y, v_x), left positive [rad]
@@ -21,7 +24,10 @@ class State(NamedTuple):
 
 
 class Control(NamedTuple):
-    """Inputs of the car; fields scalar or any one batch shape."""
+    """Inputs of the car: road-wheel angle delta [rad], left positive, and rear longitudinal force Fxr [N].
+
+    Fields are scalars or arrays of one batch shape.
+    """
 
     delta: Array  # front-wheel steering angle, left positive [rad]
     Fxr: Array  # longitudinal force of the rear axle, driving positive [N]

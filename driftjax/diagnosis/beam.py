@@ -1,7 +1,7 @@
 """Beam search for sets of effects, on the quadratic model of the cost about one fit.
 
-One linearisation gives the information of all parameters; what any set of effects would cost then follows by linear
-algebra, so that pairs whose single gains cancel, and one effect that stands for two, are found without refitting.
+One linearisation gives the information of all parameters. The cost of any set of effects then follows by linear
+algebra, which finds pairs whose single gains cancel, and one effect that replaces two, without refitting.
 """
 
 from typing import NamedTuple
@@ -36,9 +36,9 @@ class EffectSet(NamedTuple):
     gain: float  # fall of the cost below the nominal car's
 
 
-def quadratic_cost(problem: Problem, fit: Fit, at: Linearisation) -> QuadraticCost:
-    """Return the quadratic model of the cost about `fit`, which the linearisation `at` belongs to."""
-    return quadratic_about(problem, fit, *information_and_score(at))
+def quadratic_cost(problem: Problem, fit: Fit, linearisation: Linearisation) -> QuadraticCost:
+    """Return the quadratic model of the cost about `fit`, which the `linearisation` belongs to."""
+    return quadratic_about(problem, fit, *information_and_score(linearisation))
 
 
 def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray) -> QuadraticCost:
@@ -97,8 +97,8 @@ def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarra
     return gains
 
 
-def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WIDTH) -> list[EffectSet]:
-    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `width` a size.
+def beam_search(model: QuadraticCost, most: int, penalty: float) -> list[EffectSet]:
+    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `WIDTH` a size.
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """
@@ -113,12 +113,12 @@ def beam_search(model: QuadraticCost, most: int, penalty: float, width: int = WI
                 if np.isfinite(gain):
                     grown = tuple(sorted((*one.effects, i)))
                     promised[grown] = one.gain + gain - penalty_of(grown)
-        keep = len(promised) if size == 1 else width
+        keep = len(promised) if size == 1 else WIDTH
         beam = []
         for grown in sorted(promised, key=lambda name: -promised[name]):
             if len(beam) >= keep:
                 break
             if (one := minimise_over(model, grown)) is not None:
                 beam.append(one)
-        sets += sorted(beam, key=lambda one: -penalised(one))[:width]
+        sets += sorted(beam, key=lambda one: -penalised(one))[:WIDTH]
     return sorted(sets, key=lambda one: -penalised(one))

@@ -28,7 +28,7 @@ class Binned(NamedTuple):
     explained: np.ndarray  # (3,) share of the force's variance that the bins explain, less what chance gives
     systematic: np.ndarray  # (3,) RMS of the force as a function of the driver, less what chance gives [N]
     ratio: np.ndarray  # (3,) sum of squares of the bins' means over what chance gives
-    drawn: np.ndarray  # (DRAWS, 3) the same under random signs of the blocks
+    null_ratio: np.ndarray  # (DRAWS, 3) the same under random signs of the blocks
 
 
 class ForceSummary(NamedTuple):
@@ -82,7 +82,7 @@ def summarise_forces(residual: ResidualForces, seed: int) -> ForceSummary:
     rms = np.sqrt((residual.forces**2).mean(axis=0))
     if not over:
         return ForceSummary(rms, over, 1.0)
-    largest = np.max([one.drawn.max(axis=1) for one in over.values()], axis=0)
+    largest = np.max([one.null_ratio.max(axis=1) for one in over.values()], axis=0)
     most = max(float(one.ratio.max()) for one in over.values())
     return ForceSummary(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
 

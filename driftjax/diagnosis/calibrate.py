@@ -177,9 +177,9 @@ def calibrate(
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
-    decide first, see `stages`; the default effects are then `STAGED_EFFECTS` instead of `DEFAULT_EFFECTS`. Every
-    `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. `report` hears of every step.
-    Raises `BadInput` for effects that these runs cannot tell.
+    decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held
+    out to measure the gain on, by a fit of its own; 0: none is. `report` is called at every step.
+    Values are in SI. Raises `BadInput` for effects that these runs do not determine.
     """
     require_float64()
     check_held_out(held_out)
@@ -197,17 +197,17 @@ def calibrate(
     report("fit: compile derivatives")
     if staged:
         problem, fit, stages = fit_staged(loose, selected, lambda text: report(f"fit: {text}"))
-        at = stages.weigh(linearise(problem, fit))
+        linearisation = stages.weigh(linearise(problem, fit))
         stretch, precision, prior, moved = stages.stretch, stages.precision, stages.prior, stages.moved
     else:
-        problem, fit, at = fit_effects(loose, selected)
+        problem, fit, linearisation = fit_effects(loose, selected)
         stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
-        precision = information(at.J) + DEAD * problem.prior
+        precision = information(linearisation.J) + DEAD * problem.prior
     report("what decides each parameter")
-    lost_s = time_lost(problem, at)
-    last = scores(problem, at, fit.theta, selected, seed)._replace(H=precision)
+    lost_s = time_lost(problem, linearisation)
+    last = scores(problem, linearisation, fit.theta, selected, seed)._replace(H=precision)
     half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
-    known = np.stack([information(np.asarray(at.J)[stretch == kind][None])[square] for kind in Stretch])
+    known = np.stack([information(np.asarray(linearisation.J)[stretch == kind][None])[square] for kind in Stretch])
     identifiable = identifiability(known, prior[columns], precision[square], half_width)
     report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
@@ -216,8 +216,11 @@ def calibrate(
     )
 
 
-def effects_to_fit(effects: Sequence[str] | None, staged: bool) -> tuple[str, ...]:
-    """Return the names of the `effects`, or the default ones; raises `BadInput` for none and for unknown names."""
+def effects_to_fit(effects: Sequence[str] | None = None, staged: bool = False) -> tuple[str, ...]:
+    """Return the names of the `effects` that `calibrate` fits, in the catalogue's order; where None, the default ones.
+
+    `staged`: those of a calibration by stages, which decides more. Raises `BadInput` for none and for unknown names.
+    """
     names = tuple((STAGED_EFFECTS if staged else DEFAULT_EFFECTS) if effects is None else effects)
     require(bool(names), "key 'effects' is empty; name the effects to fit.")
     return tuple(effect.name for effect in effects_by_name(names))

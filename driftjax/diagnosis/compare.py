@@ -141,8 +141,8 @@ def compare(
     """Compare two logs of `vehicle` in similar manoeuvres, from measurements in SI, left positive.
 
     The logs may be of a real car and of any simulator, of a wet and a dry road, from before and after a repair.
-    What the nominal car gets wrong alike in both is no difference: only its change is tested. `report` hears of every
-    step. Raises `BadInput` for logs whose sample times differ.
+    An error of the nominal car that both logs share is no difference: only its change is tested. `report` is called at
+    every step. Raises `BadInput` for logs whose sample times differ.
     """
     require_float64()
     config, logs = CompareConfig() if config is None else config, (log_a, log_b)
@@ -178,10 +178,10 @@ def _name_both(
     vehicle: VehicleConfig, logs: tuple[Log, Log], config: CompareConfig, effects: tuple[Effect, ...],
     report: Callable[[str], None],
 ) -> tuple[tuple[Problem, Problem], tuple[Selection, Selection]]:  # fmt: skip
-    """Name what the nominal car gets wrong in each log; return the problem of each, both with one noise, as well.
+    """Name what the nominal car gets wrong in each log; return also both problems, with the same noise.
 
-    A wrong model errs by another amount where an observer believes its sensors more: one noise, the larger one of
-    either log, lets what both get wrong alike cancel.
+    The innovations that a wrong model causes depend on the assumed noise. With the larger noise of the two logs in
+    both, errors that they share cancel.
     """
     both = initial_problem(vehicle, effects, logs[0].runs + logs[1].runs, config.without)
     first = len(logs[0].runs)
@@ -285,7 +285,9 @@ def exceeds_tolerance(gap: Gap, tolerated: float) -> bool:
     if gap.closed is None:
         return False
     one = gap.closed
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, 0.0, gap.held_out).unexplained_exceeds(tolerated)
+    return Explained(one.value, one.ci95, one.remaining, one.remaining_ci95, 0.0, gap.held_out).unexplained_exceeds(
+        tolerated
+    )
 
 
 def describe(one: Difference) -> str:

@@ -1,9 +1,9 @@
 """Contrast two logs of one car: differences of all parameters, with the shared parameters profiled out.
 
 Each log is linearised about a fit of its own. With parameters c in the first log and c + d in the second one, the cost
-of d with all c at their best (Neyman 1959, C(alpha)) is again quadratic, and so is its score a sum over blocks of time:
-tests, beam search and intervals of a diagnosis serve differences as they are. An error that both logs have moves c and
-leaves d; a direction that only one of the logs excites has no information on d.
+of d minimised over c (Neyman 1959, C(alpha)) is again quadratic, and its score again a sum over blocks of time, so that
+tests, beam search and intervals of a diagnosis work on differences unchanged. An error that both logs have changes c,
+not d; a direction that only one of the logs excites has no information on d.
 """
 
 from typing import NamedTuple
@@ -52,9 +52,9 @@ class Information(NamedTuple):
         return self.score - self.H @ (theta - self.theta)
 
 
-def information_of(problem: Problem, fit: Fit, at: Linearisation) -> Information:
-    """Return the information of the log of `problem` about `fit`, which the linearisation `at` belongs to."""
-    J, e, block = np.asarray(at.J), np.asarray(at.e), problem.data.block
+def information_of(problem: Problem, fit: Fit, linearisation: Linearisation) -> Information:
+    """Return the information of the log of `problem` about `fit`, which the `linearisation` belongs to."""
+    J, e, block = np.asarray(linearisation.J), np.asarray(linearisation.e), problem.data.block
     num = problem.data.num_blocks
     H = np.stack([information(J[block == k][None]) for k in range(num)])
     run = np.zeros(num, int)
@@ -93,9 +93,9 @@ def contrast_of(problem: Problem, first: Information, second: Information) -> Co
 
 
 def difference_scores(contrast: Contrast, d: np.ndarray, selected: tuple[int, ...], seed: int) -> Scores:
-    """Test the differences of all effects outside `selected` at `d` (K,), everything shared at its best.
+    """Test the differences of all effects outside `selected` at `d` (K,), minimised over the shared parameters.
 
-    H, blocks and all else of the result are those of d; blocks of the first log come first.
+    H and scores of the result are those of d; blocks of the first log come first.
     """
     c, model = contrast.shared(d), contrast.cost
     a, b = contrast.first.at(c), contrast.second.at(c + d)
@@ -132,7 +132,7 @@ def with_dispersion(contrast: Contrast) -> Contrast:
 def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, ...]:
     """Return the effects, at most `most`, whose sizes differ: the set of least penalised cost whose members pass.
 
-    None is less than material, and each is significant beside the others, at a family-wise rate of 5 %.
+    Each of them is material (`is_material`) and significant given the others, at a family-wise rate of 5 %.
     """
     model, selected = with_dispersion(contrast).cost, ()
     gain = lambda effects: gain_of(model, best_parameters(model, effects))
@@ -170,10 +170,10 @@ def eliminate_insignificant(contrast: Contrast, selected: tuple[int, ...], seed:
 
 
 def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed: int) -> float:
-    """Return the p-value of the difference of `member` beside the others, adjusted for all effects.
+    """Return the p-value of the difference of `member` given the others, adjusted for all effects.
 
-    The difference over its robust standard error against the largest score that random signs give, both where all are
-    at their best: a score where a large difference is left out would drown in what it spoils.
+    Compares the difference over its robust standard error with the largest score under random signs, both at the
+    fitted differences: the residuals that a large difference left out would cause would inflate the variance.
     """
     psi, own = best_parameters(contrast.cost, selected), contrast.cost.columns[member]
     rest = tuple(i for i in selected if i != member)
@@ -220,7 +220,7 @@ class Pair(NamedTuple):
     problems: tuple[Problem, Problem]
     effects: tuple[int, ...]  # fitted to each log
     fits: tuple[Fit, Fit]
-    at: tuple[Linearisation, Linearisation]
+    linearisations: tuple[Linearisation, Linearisation]
     contrast: Contrast
 
 

@@ -14,7 +14,7 @@ from driftjax.diagnosis.fit import Fit, Problem
 from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.runs import BLOCK, Linearisation, Pieces
 
-MIN_RUNS = 4  # runs from which whole runs are left out
+MIN_RUNS = 4  # runs from which total runs are left out
 MIN_SHARE = 0.5  # of the blocks of time that every fit must keep
 MIN_FALL = 0.02  # of the error by which more effects must predict better
 MAX_RISE = 0.05  # of the error of one channel that is tolerated
@@ -25,8 +25,8 @@ CLUSTERS = 4  # pieces from which they are the units of the standard error; bloc
 class Change(NamedTuple):
     """Change of the logarithm of the open-loop error, with standard errors."""
 
-    whole: float  # of all channels and horizons
-    whole_error: float
+    total: float  # of all channels and horizons
+    total_error: float
     channel: np.ndarray  # (3,) of V, beta, r
     channel_error: np.ndarray  # (3,)
 
@@ -37,7 +37,7 @@ class Change(NamedTuple):
         The error of a channel rises where it does by more than tolerated, and by its standard error.
         """
         rises = (self.channel > np.log1p(MAX_RISE)) & (self.channel > self.channel_error)
-        return self.whole < min(np.log1p(-MIN_FALL), -self.whole_error) and not rises.any()
+        return self.total < min(np.log1p(-MIN_FALL), -self.total_error) and not rises.any()
 
 
 def left_out_blocks(data: Pieces, buffer: int) -> np.ndarray | None:
@@ -58,20 +58,20 @@ def left_out_blocks(data: Pieces, buffer: int) -> np.ndarray | None:
 
 
 def fits_left_out(
-    problem: Problem, fit: Fit, at: Linearisation, selected: tuple[int, ...], out: np.ndarray
+    problem: Problem, fit: Fit, linearisation: Linearisation, selected: tuple[int, ...], out: np.ndarray
 ) -> np.ndarray:
     """Return the parameters (P, K) of `selected` fitted without the blocks `out` (P, C) of each piece, to first order.
 
-    `at` is the linearisation at `fit`.
+    `linearisation` is that at `fit`.
     """
     columns, C, K = problem.columns(selected), problem.data.num_blocks, len(problem.start)
     theta = np.tile(problem.start, (len(out), 1))
     if not len(columns):
         return theta
-    J, block = np.asarray(at.J)[..., columns], problem.data.block
+    J, block = np.asarray(linearisation.J)[..., columns], problem.data.block
     by_block = np.zeros((C, len(columns), len(columns))), np.zeros((C, len(columns)))
     np.add.at(by_block[0], block, np.einsum("ptij,ptik->ptjk", J, J, optimize=True))
-    np.add.at(by_block[1], block, np.einsum("ptij,pti->ptj", J, np.asarray(at.e)))
+    np.add.at(by_block[1], block, np.einsum("ptij,pti->ptj", J, np.asarray(linearisation.e)))
     for way in np.unique(out, axis=0):
         H, score = np.zeros((K, K)), np.zeros(K)
         H[np.ix_(columns, columns)], score[columns] = (part[~way].sum(axis=0) for part in by_block)
@@ -79,7 +79,9 @@ def fits_left_out(
     return theta
 
 
-def held_out_errors(problem: Problem, fit: Fit, at: Linearisation, selected: tuple[int, ...]) -> Errors | None:
+def held_out_errors(
+    problem: Problem, fit: Fit, linearisation: Linearisation, selected: tuple[int, ...]
+) -> Errors | None:
     """Return the open-loop errors of the effects `selected` on parts that they were fitted without.
 
     They are those after 1 step, and up to the horizon at which shares of the error are measured. None where the log is
@@ -89,15 +91,15 @@ def held_out_errors(problem: Problem, fit: Fit, at: Linearisation, selected: tup
     out = left_out_blocks(problem.data, int(np.ceil(steps[DECISIVE] * problem.data.dt / BLOCK)))
     if out is None:
         return None
-    theta = fits_left_out(problem, fit, at, selected, out)
+    theta = fits_left_out(problem, fit, linearisation, selected, out)
     return at_horizons(problem, predict(problem, theta, last=DECISIVE).error ** 2)
 
 
 def change_of(before: Errors, after: Errors) -> Change:
     """Return the change from the errors `before` to those `after` of the same predictions.
 
-    Channels and horizons count in the mean square of `before`, alike, and blocks of time by the logarithm of their
-    ratio: on an unstable drift a few would else decide.
+    Each channel and horizon is scaled by the mean square of `before`, so that all weigh the same. Blocks of time enter
+    by the logarithm of their ratio: otherwise a few would decide on an unstable drift.
     """
     old, new = before.squares[:, 1:], after.squares[:, 1:]
     there = np.isfinite(old)
@@ -115,8 +117,8 @@ def change_of(before: Errors, after: Errors) -> Change:
     count, cluster = _sums(names, known.sum(axis=1)), cluster[first]
     each = _mean_log(old, new, count, cluster)
     together = (one.sum(axis=1, keepdims=True) for one in (old, new, count))
-    whole = _mean_log(*together, cluster=cluster)
-    return Change(float(whole[0][0]), float(whole[1][0]), *each)
+    total = _mean_log(*together, cluster=cluster)
+    return Change(float(total[0][0]), float(total[1][0]), *each)
 
 
 def _sums(names: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -170,7 +170,7 @@ def diagnose(
     no part in the noise and the observer either. `effects` is the catalogue to choose from: all but those on
     request, and those of `config.beside`, if omitted. Another one is another model to compile. The gain is measured
     meanwhile: with `workers` = 1 in a process of its own, which halves the time where two cores are free (a script then
-    needs `if __name__ == "__main__"`), with 0 in a thread. `report` hears of every step. Raises `BadInput` for runs
+    needs `if __name__ == "__main__"`), with 0 in a thread. `report` is called at every step. Raises `BadInput` for runs
     whose sample times differ.
     """
     require_float64()

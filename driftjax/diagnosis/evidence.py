@@ -48,7 +48,7 @@ class Cause(NamedTuple):
     half_width: np.ndarray  # (k,) of the 95 % interval
     probability: float
     rivals: dict[int, float]  # effects that might act in its place, with their probabilities
-    alike: tuple[int, ...]  # effects whose signature is nearly the same
+    confusable: tuple[int, ...]  # effects whose signature is nearly the same
     invariance: float  # probability that chance makes its size differ as much between runs; 1 for a single run
     p_value: float  # that chance gives any effect a score as large as its own beside the other causes
     family_probability: float  # that it or another effect of its family acts
@@ -98,7 +98,7 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
             for p, x, w, s, end in rows
         }
         rivals = {problem.effects[i].name: p for i, p in cause.rivals.items()}
-        alike = sorted({*rivals, *(problem.effects[i].name for i in cause.alike)})
+        alike = sorted({*rivals, *(problem.effects[i].name for i in cause.confusable)})
         selection.append(
             NamedEffect(
                 effect.name,
@@ -169,8 +169,8 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     """Return per effect the smallest p-value of the hypothesis that its parameters are nearly the same in all runs.
 
     A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016), up to `TOLERANCE` of it: no model
-    is exact, and much data would show any difference. Scores of each run, all other members taken out, over their
-    information are estimates, whose spread makes Cochran's Q (1954); blocks say how far noise makes them vary.
+    is exact, and much data would show any difference. The score of each run over its information, other members
+    projected out, is an estimate; the spread of these is Cochran's Q (1954), with a variance from blocks of time.
     """
     columns, runs = problem.columns(selection.selected), np.unique(problem.data.run)
     if len(runs) < 2:
@@ -264,10 +264,10 @@ def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, mem
     Their p-values are adjusted for all effects, but not for the search itself.
     """
     rest = tuple(i for i in selection.selected if i != member)
-    psi, at = best_parameters(model, rest), selection.linearisation
+    psi, linearisation = best_parameters(model, rest), selection.linearisation
     back = psi - (selection.fit.theta - problem.start)
-    e = np.asarray(at.e) - np.asarray(at.J) @ back
-    return scores(problem, at._replace(e=e), problem.start + psi, rest, 0)
+    e = np.asarray(linearisation.e) - np.asarray(linearisation.J) @ back
+    return scores(problem, linearisation._replace(e=e), problem.start + psi, rest, 0)
 
 
 def significance(

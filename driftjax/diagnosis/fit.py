@@ -24,7 +24,7 @@ from driftjax.diagnosis.noise import (
     SLOW_CORRELATION,
     estimate_noise,
     measurement_noise,
-    telling_channels,
+    observed_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, samples_in_run
@@ -56,6 +56,7 @@ BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects 
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
 MOST_LOST = 0.5  # share of the time in which it may lose the car
+REFITS = 6  # refinements, each about derivatives of its own, at most
 REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
@@ -124,7 +125,7 @@ def initial_problem(
 ) -> Problem:
     """Build the problem with an initial guess of the noise and fixed observer gains.
 
-    Effects `without` which the question is put stay where they start, as do those whose columns a run lacks and, where
+    Effects `without` which the search is done keep their start values, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
     known, model = all(map(has_force, runs)), universal_car(vehicle, effects, stable_substeps(vehicle, runs))
@@ -191,7 +192,7 @@ def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
     valid = np.asarray(data.padded.valid)
     sigma = measurement_noise(np.asarray(data.padded.y), valid)
-    disturbance = np.where(telling_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
+    disturbance = np.where(observed_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
     return Noise(sigma, disturbance, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 
@@ -229,13 +230,17 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
     """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
-    at = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
-    if problem.data.skip and (lost := lost_samples(np.asarray(at.J))).any():  # a measured sideslip holds the observer
-        at = at._replace(J=np.where(lost[..., None, None], 0.0, np.asarray(at.J)), lost=lost)
+    linearisation = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    if (
+        problem.data.skip and (lost := lost_samples(np.asarray(linearisation.J))).any()
+    ):  # a measured sideslip holds the observer
+        linearisation = linearisation._replace(
+            J=np.where(lost[..., None, None], 0.0, np.asarray(linearisation.J)), lost=lost
+        )
     if problem.motion is None:
-        return at
+        return linearisation
     J = whitened_motion_derivatives(problem.model, problem.data, fit.theta, problem.motion, problem.active)
-    return at._replace(e=fit.e, J=np.concatenate([np.asarray(at.J), J], axis=2))
+    return linearisation._replace(e=fit.e, J=np.concatenate([np.asarray(linearisation.J), J], axis=2))
 
 
 def lost_samples(J: np.ndarray) -> np.ndarray:
@@ -249,22 +254,22 @@ def lost_samples(J: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(size > np.clip(LOST * usual, *LOST_LIMITS), axis=1)
 
 
-def time_lost(problem: Problem, at: Linearisation) -> float:
+def time_lost(problem: Problem, linearisation: Linearisation) -> float:
     """Return the time in which the observer loses the car [s]; raises `BadInput` where it is most of the time."""
-    if at.lost is None:
+    if linearisation.lost is None:
         return 0.0
     there = samples_in_run(np.asarray(problem.data.padded.valid))
-    if (share := np.sum(at.lost & there) / np.sum(there)) > MOST_LOST:
+    if (share := np.sum(linearisation.lost & there) / np.sum(there)) > MOST_LOST:
         raise BadInput(f"log: the observer loses the car in {100 * share:.0f} % of the time; check units, signs and "
                        "the vehicle, and give it the steering delay that `driftjax inspect` prints.")  # fmt: skip
-    return float(np.sum(at.lost & there) * problem.data.dt)
+    return float(np.sum(linearisation.lost & there) * problem.data.dt)
 
 
 def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
     """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
 
-    Measurements that it does not use, since it takes them for late ones of what was before the run, cost what noise
-    costs: otherwise a delay would pay by itself.
+    A delay assigns the first measurements to times before the run; these cost what noise costs, since leaving them out
+    would reward the delay.
     """
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     e = np.asarray(whiten(problem.gains, path.e))
@@ -289,9 +294,11 @@ def information(J: ArrayLike) -> np.ndarray:
     return np.einsum("ptij,ptik->jk", J, J, optimize=True)
 
 
-def information_and_score(at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
+def information_and_score(linearisation: Linearisation) -> tuple[np.ndarray, np.ndarray]:
     """Return the information matrix (K, K) and the score (K,)."""
-    return information(at.J), np.einsum("ptij,pti->j", np.asarray(at.J), np.asarray(at.e), optimize=True)
+    return information(linearisation.J), np.einsum(
+        "ptij,pti->j", np.asarray(linearisation.J), np.asarray(linearisation.e), optimize=True
+    )
 
 
 def refine(
@@ -324,19 +331,19 @@ def refine(
 
 
 def refit_to_convergence(
-    problem: Problem, fit: Fit, columns: np.ndarray, at: Linearisation | None = None, num: int = 6
+    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None
 ) -> tuple[Fit, Linearisation]:
     """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
 
-    `at` is the linearisation at the given `fit`, where it is known.
+    `linearisation` is that at the given `fit`, where it is known.
     """
-    at = linearise(problem, fit) if at is None else at
-    for _ in range(num):
-        better = refine(problem, fit, columns, at)
+    linearisation = linearise(problem, fit) if linearisation is None else linearisation
+    for _ in range(REFITS):
+        better = refine(problem, fit, columns, linearisation)
         if better is fit:
             break
-        fit, at = better, linearise(problem, better)
-    return fit, at
+        fit, linearisation = better, linearise(problem, better)
+    return fit, linearisation
 
 
 def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:

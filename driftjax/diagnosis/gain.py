@@ -178,16 +178,17 @@ class Share(NamedTuple):
 
     value: float  # share removed of the excess error of the nominal car; NaN where an excess is in doubt
     ci95: tuple[float, float]
-    left: float  # share of the model's own squared error that is excess
-    left_ci95: tuple[float, float]
+    remaining: float  # share of the model's own squared error that is excess
+    remaining_ci95: tuple[float, float]
 
 
 def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: int = DECISIVE) -> dict[str, Share]:
     """Return the `Share` of every model at the horizon number `at`; `nominal` is one of them.
 
-    A right model errs by `least`, or by less where any of these models does: what noise is said to make can then not
-    hide what a model explains. Errors count in the mean of `least` over their piece of a run, for on a drift some
-    starts spin and others do not; intervals are over blocks of time. Empty where no run lasts that long.
+    The error of a right model is `least`, or that of the best of these models where it is smaller, so that an
+    overestimated noise floor cannot hide what a model explains. Errors are scaled by the mean of `least` over their
+    piece of a run, since on a drift some starts spin and others do not; intervals are over blocks of time. Empty where
+    no run lasts that long.
     """
     squares = np.stack([one.squares[:, at] for one in (least, *errors.values())])
     squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has
@@ -219,7 +220,7 @@ def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: i
 def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:
     """Return the RMS error of `after` over that of `before` per horizon, with its 95 % interval: (horizons, 3).
 
-    Channels count in the mean square of `before`, alike. NaN where no run lasts that long.
+    Each channel is scaled by the mean square of `before`. NaN where no run lasts that long.
     """
     ratio = np.full((len(before.horizons), 3), np.nan)
     for at in range(len(ratio)):

@@ -51,12 +51,12 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
     buffer = int(np.ceil(horizon_steps(problem)[DECISIVE] * problem.data.dt / BLOCK))
     out = left_out_blocks(problem.data, buffer)
     about = problem._replace(start=theta)
-    corrected, at = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
+    corrected, linearisation = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
     thetas = {
         "nominal": problem.start,
         "other": theta,
-        "corrected": _without(about, corrected, at, selected, out),
-        "own": _without(problem, pair.fits[where], pair.at[where], pair.effects, out),
+        "corrected": _without(about, corrected, linearisation, selected, out),
+        "own": _without(problem, pair.fits[where], pair.linearisations[where], pair.effects, out),
     }
     models = {name: at_horizons(problem, predict(problem, theta).error ** 2) for name, theta in thetas.items()}
     own = models["own"]
@@ -67,9 +67,9 @@ def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) ->
 def closed_share(other: Errors, corrected: Errors, own: Errors, seed: int) -> Share | None:
     """Return how much of the squared error of `other` beyond that of `own` the `corrected` car removes.
 
-    At the decisive horizon, channels in the mean square of `own`, alike, with intervals over blocks of time. What is
-    left of the error of the corrected car counts as a whole: a channel that it predicts better makes up for one that
-    it predicts worse. None where no run lasts that long.
+    At the decisive horizon, each channel scaled by the mean square of `own`, with intervals over blocks of time. The
+    remaining error of the corrected car is the sum over channels: one that it predicts better makes up for one that it
+    predicts worse. None where no run lasts that long.
     """
     squares = np.stack([one.squares[:, DECISIVE] for one in (own, other, corrected)])
     squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has
@@ -89,10 +89,10 @@ def closed_share(other: Errors, corrected: Errors, own: Errors, seed: int) -> Sh
 
 
 def _without(
-    problem: Problem, fit: Fit, at: Linearisation, effects: tuple[int, ...], out: np.ndarray | None
+    problem: Problem, fit: Fit, linearisation: Linearisation, effects: tuple[int, ...], out: np.ndarray | None
 ) -> np.ndarray:
     """Return the parameters of `fit`, or for each piece (P, K) those fitted without the blocks `out`."""
-    return fit.theta if out is None else fits_left_out(problem, fit, at, effects, out)
+    return fit.theta if out is None else fits_left_out(problem, fit, linearisation, effects, out)
 
 
 def _ratio(own: Errors, other: Errors, seed: int) -> np.ndarray:

@@ -20,7 +20,7 @@ class Unidentifiable(NamedTuple):
 
     channels: tuple[str, ...]  # of the log format that it lacks
     wider: dict[str, float]  # named effect: its interval over that with a sideslip sensor
-    apart: dict[str, tuple[str, ...]]  # named effect: rivals that such a sensor would rule out
+    ruled_out: dict[str, tuple[str, ...]]  # named effect: rivals that such a sensor would rule out
     not_judged: tuple[str, ...]  # effects on the drive force, which was estimated
     lost_s: float = 0.0  # in which the observer loses the car [s]
 
@@ -34,7 +34,7 @@ class Unidentifiable(NamedTuple):
             words += [f"The interval of {name} would be {ratio:.1f} times narrower with {sensor}."
                       for name, ratio in self.wider.items()]  # fmt: skip
             words += [
-                f"Such a sensor would tell {name} from {', '.join(rivals)}." for name, rivals in self.apart.items()
+                f"Such a sensor would tell {name} from {', '.join(rivals)}." for name, rivals in self.ruled_out.items()
             ]
         if "Fxr" in self.channels:
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "

@@ -2,8 +2,8 @@
 
 Heading and position are integrals of V, beta and r, and accelerometers measure their rates: psi' = r,
 x' = V cos(psi + beta), ax = vx' - r vy and ay = vy' + r vx hold for any car (Ryu and Gerdes 2004; Bevly, Ryu and
-Gerdes 2006). The changes over windows of time are compared, so that nothing noisy is differentiated. What the further
-channels may err by themselves, such as biases of the accelerometers, is fitted beside and taken out.
+Gerdes 2006). The changes over windows of time are compared, so that nothing noisy is differentiated. Errors of pose
+and accelerations themselves, such as biases of the accelerometers, are projected out.
 """
 
 from typing import NamedTuple
@@ -39,7 +39,7 @@ class MotionResiduals(NamedTuple):
     """Differences of n windows in heading rate [rad/s], velocity along and across [m/s], ax and ay [m/s^2]."""
 
     e: Array  # (n, 5) measured less computed from V, beta and r
-    own: Array  # (n, 5, Q) derivatives by errors of the further channels themselves
+    by_sensors: Array  # (n, 5, Q) derivatives by errors of the further channels themselves
     valid: Array  # (n, 5) whether all was measured
 
 
@@ -226,7 +226,7 @@ def estimate_motion_noise(
     for _ in range(ITERATIONS):
         residuals = piece_residuals(model, data, theta)
         J = np.where(active, np.asarray(piece_derivatives(model, data, theta)), 0.0)
-        e, own = np.asarray(residuals.e), np.asarray(residuals.own)
+        e, own = np.asarray(residuals.e), np.asarray(residuals.by_sensors)
         step, left, used = robust_step(e, J, own, np.asarray(residuals.valid) > 0, (theta - start) / PRIOR)
         theta = np.clip(theta + step, *limits)
     noise = np.array([robust_scale(left[..., c][used[..., c]]) for c in range(len(FURTHER))])
@@ -314,7 +314,11 @@ def _whitened(residuals: MotionResiduals, noise: MotionNoise) -> tuple[np.ndarra
     """Return whitened residuals (P, n, 5), a basis (P, n, 5, q) of own errors, and which windows there are."""
     there = noise.used & (np.asarray(residuals.valid) > 0)
     e = np.where(there, np.asarray(residuals.e) / noise.sigma, 0.0)
-    return e, orthonormal(np.where(there[..., None], np.asarray(residuals.own) / noise.sigma[:, None], 0.0)), there
+    return (
+        e,
+        orthonormal(np.where(there[..., None], np.asarray(residuals.by_sensors) / noise.sigma[:, None], 0.0)),
+        there,
+    )
 
 
 def _at_ends(windows: np.ndarray, model: Universal, data: Pieces) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
-from driftjax.diagnosis.noise import telling_channels
+from driftjax.diagnosis.noise import observed_channels
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
@@ -41,11 +41,11 @@ def search_multistart(
 ) -> tuple[Problem, Selection]:
     """Search for effects, from other starts if that fails; return the problem and the selection.
 
-    Strong effects in data of little disturbance throw the observer of the nominal car off, whose noise is what remains
-    beside all effects; then the search goes round about. Where the steering is late by as much as a manoeuvre takes,
-    its derivative at no delay says little, and less grip seems to explain more: then the search begins late, too.
-    Where the fitted car needs far less process noise than was assumed, for strong effects are more than their
-    derivatives at the nominal car say, the search goes on with its noise.
+    With strong effects and little disturbance the observer of the nominal car diverges, because its noise is what no
+    effect explains: then the search starts with the noise that the nominal car needs. With a steering delay as long as
+    a manoeuvre, the derivative at no delay says little and less grip seems to explain more: then the search also
+    starts from a large delay. Where the fitted car needs far less process noise than was assumed, since strong effects
+    exceed what their derivatives at the nominal car predict, the search is repeated with its noise.
     """
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
@@ -107,13 +107,13 @@ def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
     used = samples_in_run(valid)
     variance = np.asarray(problem.gains.P)[..., range(3, 6), range(3, 6)]
     second = (np.asarray(path.d) ** 2 + variance)[used].mean(axis=0)
-    return (second / problem.noise.disturbance**2)[telling_channels(valid, data.informative)]
+    return (second / problem.noise.disturbance**2)[observed_channels(valid, data.informative)]
 
 
 def search_with_own_noise(
     problem: Problem, rough: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> tuple[Problem, Selection]:
-    """Search again with the noise of the car fitted in `rough`, from its effects; what is nominal stays as there."""
+    """Search again with the noise of the car fitted in `rough`, from its effects; nominal values stay."""
     own = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(own, evaluate_fit(own, rough.fit.theta), own.columns(rough.selected))[0]
     selection = search(own, require_finite_cost(fit), seed, rough.selected, most, report)

@@ -18,8 +18,8 @@ def name_effects(
 ) -> tuple[Problem, Selection]:
     """Search for effects, none of them less probable than a rival; return the problem searched in and the selection.
 
-    Exploratory effects that the false discovery rate does not allow are left out again. `report` hears of the effects
-    named at each step.
+    Exploratory effects that the false discovery rate does not allow are left out again. `report` is called with
+    the effects named at each step.
     """
     problem, selection = search_multistart(problem, seed, most, report)
     while True:
@@ -91,8 +91,8 @@ def refitted(
     """Return the selection with the effects `selected` in place of its own, fitted from `psi` (K,)."""
     columns = problem.columns(selected)
     fit = refine(problem, evaluate_fit(problem, problem.start + psi), columns, selection.linearisation)
-    fit, at = refit_to_convergence(problem, fit, columns)
-    last = scores(problem, at, fit.theta, selected, seed + len(selected))
+    fit, linearisation = refit_to_convergence(problem, fit, columns)
+    last = scores(problem, linearisation, fit.theta, selected, seed + len(selected))
     return selection._replace(
-        selected=selected, fit=fit, linearisation=at, scores=last, replacements=None, significance=None
+        selected=selected, fit=fit, linearisation=linearisation, scores=last, replacements=None, significance=None
     )

@@ -28,28 +28,26 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
-SILENT_DISTURBANCE = 0.5  # and that of a channel that does not tell it
-UNSEEN = 10.0  # bound of such a disturbance, over the first one
+SILENT_DISTURBANCE = 0.5  # that of a channel that does not determine it, in the same unit
+UNOBSERVED = 10.0  # largest disturbance of such a channel, over the assumed one
 CORRELATION = 0.3  # correlation time of disturbances assumed before any is known [s]
-UNMEASURED = (
-    0.15  # standard deviation assumed of a channel without any measurement: of a sideslip, half at the start [rad]
-)
-LINEAR = 0.1  # slow errors, in measurement noise, and disturbances, in first ones, below which variances are searched
+UNMEASURED = 0.15  # standard deviation of an unmeasured channel: of a sideslip, half at the start [rad]
+LINEAR = 0.1  # slow errors over measurement noise, disturbances over first ones, below which variances are searched
 FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
-NO_SLOW = 1e-3  # the least
-MOST_SLOW = 100.0  # and the largest: where a log is filtered, its white errors are next to none
-SLOW_CORRELATION = 0.3  # and their correlation time [s]
-LONGEST_SLOW = 1.0  # at most: what lasts longer has a cause that is to be named, such as a bias [s]
-SLOW_EVIDENCE = 18.5  # by which slow errors lower twice the log-likelihood: 0.999 quantile of chi^2 of 4 parameters
-SEARCHED = 8000  # samples that it is estimated from
+NO_SLOW = 1e-3  # least slow errors, in measurement noise
+MOST_SLOW = 100.0  # largest slow errors: in a filtered log white errors nearly vanish
+SLOW_CORRELATION = 0.3  # correlation time of slow errors assumed before any are known [s]
+LONGEST_SLOW = 1.0  # largest correlation time of slow errors: what lasts longer has a cause to be named, as a bias [s]
+SLOW_EVIDENCE = 18.5  # least rise of twice the log-likelihood by slow errors: 0.999 quantile of chi^2 of 4 parameters
+SEARCHED = 8000  # samples that the noise is estimated from
 ITERATIONS = 30  # of the search, at most
-LONGEST = 1.5  # longest step of any variable
-DAMPING = 1e-2  # of the first step, over the curvature
+LONGEST = 1.5  # longest step of any variable of the search
+DAMPING = 1e-2  # of the first step of the search, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
 LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
-PROMISE = 3e-3  # fall of twice the log-likelihood below which a step is not worth it
+PROMISE = 3e-3  # predicted rise of twice the log-likelihood below which the search ends
 
-Expansion = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
+QuadraticModel = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
 
 def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -66,8 +64,8 @@ def robust_deviation(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
-def telling_channels(valid: np.ndarray, informative: np.ndarray) -> np.ndarray:
-    """Return which channels (3,) tell their own noise: measured, by `valid` (P, T, 3), with innovations that count."""
+def observed_channels(valid: np.ndarray, informative: np.ndarray) -> np.ndarray:
+    """Return which channels (3,) determine their noise: measured, by `valid` (P, T, 3), with innovations that count."""
     return np.logical_and(informative.any(axis=0), valid.any(axis=(0, 1)))
 
 
@@ -101,8 +99,8 @@ def restricted_likelihood(
     return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters, theta
 
 
-class Scale(NamedTuple):
-    """Variables of the search: logarithms of variances, with an offset where they may vanish."""
+class NoiseScale(NamedTuple):
+    """Scale of the variables of the search: logarithms of variances, with an offset where they may vanish."""
 
     first: Float[Array, "11"]  # noise at variables 0
     offset: Float[Array, "11"]  # noise below which a variable is linear in the variance
@@ -116,15 +114,15 @@ class Scale(NamedTuple):
         return jnp.sqrt((self.first**2 + self.offset**2) * jnp.exp(2 * x) - self.offset**2)
 
 
-def search_scale(first: Noise) -> Scale:
+def search_scale(first: Noise) -> NoiseScale:
     """Return the variables of a search that begins at the noise `first`."""
     zero = np.zeros(3)
     offset = Noise(zero, LINEAR * first.disturbance, 0.0, LINEAR * first.sigma, 0.0)
-    return Scale(jnp.asarray(first.as_vector()), jnp.asarray(offset.as_vector()))
+    return NoiseScale(jnp.asarray(first.as_vector()), jnp.asarray(offset.as_vector()))
 
 
 def information_of_noise(
-    x: Float[Array, "11"], scale: Scale, steps: Steps, e: Array, L: Array, dt: float, informative: Array
+    x: Float[Array, "11"], scale: NoiseScale, steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> Float[Array, "11 11"]:
     """Return half the expected curvature of `restricted_likelihood` by the variables, of known parameters.
 
@@ -147,7 +145,7 @@ def information_of_noise(
     return jnp.sum(jax.vmap(piece)(steps, e, L), axis=0)
 
 
-def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Array, dt: float, informative: Array):
+def _expansion(x: Array, scale: NoiseScale, steps: Steps, e: Array, J: Array, L: Array, dt: float, informative: Array):
     """Return `restricted_likelihood`, its gradient, and `information_of_noise`, that of some pieces for all."""
     value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, informative)
     (cost, theta), slope = jax.value_and_grad(value, has_aux=True)(x)
@@ -156,7 +154,9 @@ def _expansion(x: Array, scale: Scale, steps: Steps, e: Array, J: Array, L: Arra
     return cost, slope, information_of_noise(x, scale, some, own, L, dt, informative) / share
 
 
-def search(expand: Callable[[np.ndarray], Expansion], lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
+def fisher_scoring(
+    expand: Callable[[np.ndarray], QuadraticModel], lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Minimise within bounds from 0 by damped Fisher scoring; returns the variables (n,) and the value.
 
     `expand` gives value, gradient and half the expected curvature. Damping as in Levenberg and Marquardt (Nocedal and
@@ -203,31 +203,31 @@ def estimate_noise(
         scale = search_scale(first)
         lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
 
-        def expand(x: np.ndarray) -> Expansion:
+        def expand(x: np.ndarray) -> QuadraticModel:
             value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, J, gains.L, dt, use)
             return float(value), np.asarray(slope), np.asarray(H)
 
-        x, value = search(expand, lower, upper)
+        x, value = fisher_scoring(expand, lower, upper)
         return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(x)))), value
 
-    tells = telling_channels(np.asarray(steps.valid), informative)
-    low, high = noise_bounds(start, tells, dt)
+    observed = observed_channels(np.asarray(steps.valid), informative)
+    low, high = noise_bounds(start, observed, dt)
     least = start if slow_known else start._replace(slow=low.slow)
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
     white, cost = minimise(least, low._replace(**fixed), high._replace(**fixed))
-    if slow_known or not tells[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
+    if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
-    slow, lower_cost = minimise(white._replace(slow=np.where(tells, start.slow, low.slow)), low, high)
+    slow, lower_cost = minimise(white._replace(slow=np.where(observed, start.slow, low.slow)), low, high)
     return slow if lower_cost < cost - SLOW_EVIDENCE else white
 
 
-def noise_bounds(start: Noise, tells: np.ndarray, dt: float) -> tuple[Noise, Noise]:
-    """Return the bounds of the noise; other channels than those that `tells` (3,) keep their white errors alone."""
+def noise_bounds(start: Noise, observed: np.ndarray, dt: float) -> tuple[Noise, Noise]:
+    """Return the bounds of the noise; channels that are not `observed` (3,) keep their white errors alone."""
     low = Noise(
-        np.where(tells, 0.2, 1.0) * start.sigma, 1e-4 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
+        np.where(observed, 0.2, 1.0) * start.sigma, 1e-4 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
     )
     high = Noise(
-        np.where(tells, 5.0, 1.0) * start.sigma, np.where(tells, 1e3, UNSEEN) * start.disturbance, 5.0,
-        np.where(tells, MOST_SLOW, NO_SLOW) * start.sigma, LONGEST_SLOW,
+        np.where(observed, 5.0, 1.0) * start.sigma, np.where(observed, 1e3, UNOBSERVED) * start.disturbance, 5.0,
+        np.where(observed, MOST_SLOW, NO_SLOW) * start.sigma, LONGEST_SLOW,
     )  # fmt: skip
     return low, high

@@ -91,7 +91,7 @@ def set_state(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: F
 def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun:
     """Shift every measurement back by whole steps of the sensors' delay, to the sample that it belongs to.
 
-    Commands are those given then, and depend on nothing that is measured later, so that predictions remain predictions.
+    Commands stay at their own time and depend on nothing measured later, so that predictions remain predictions.
     """
     T, whole = len(run.y), model.split_delays(dt)[0].astype(int)
     at = jnp.arange(T)[:, None] + whole
@@ -172,7 +172,7 @@ class Steps(NamedTuple):
     F: Float[Array, "T 3 K"]  # by theta
     slip: Float[Array, "T 2 3"]  # slip angles by the state
     push: Float[Array, "T 6 3"]  # next augmented state, by additional rates during the step
-    late: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
+    delay: Float[Array, "T 3"]  # share of a step by which the sensors are late, whole steps apart
     valid: Float[Array, "T 3"]  # as in `Path`
     first: Float[Array, "6 K"]  # augmented state at the first sample, by theta
 
@@ -227,7 +227,7 @@ class SampleDerivatives(NamedTuple):
     F: Float[Array, "n 3 K"]
     slip: Float[Array, "n 2 3"]
     push: Float[Array, "n 6 3"]
-    late: Float[Array, "n 3"]
+    delay: Float[Array, "n 3"]
 
 
 def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place, dt: float) -> SampleDerivatives:

@@ -1,7 +1,8 @@
 """Find outliers: single samples of a sensor that differ from both neighbours by much more than its noise.
 
-They say nothing of the car and are left out before anything is fitted (Hampel 1985), so that no hypothesis can buy
-them. A car's own motion lasts for several samples; a step, or a value that is held, leaves one neighbour only.
+They contain nothing about the car and are removed before anything is fitted (Hampel 1985), so that no hypothesis can
+gain by explaining them. A car's own motion lasts for several samples; a step, or a value that is held, differs from one
+neighbour only.
 """
 
 import dataclasses
@@ -37,9 +38,9 @@ def outliers(y: np.ndarray) -> np.ndarray:
 
 
 def _stand_alone(y: np.ndarray) -> np.ndarray:
-    """Return which samples (n,) leave both neighbours alike, and the cubic through four, by more than noise does.
+    """Return which samples (n,) deviate from both neighbours to the same side, and from the cubic through four.
 
-    Nor may it be by a few steps of the quantisation.
+    By more than noise does, and by more than a few steps of the quantisation.
     """
     change = np.diff(y)
     before, after = change[1:-2], -change[2:-1]

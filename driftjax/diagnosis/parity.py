@@ -29,7 +29,7 @@ UNITS = ("m/s^2", "rad/s")
 class Windows(NamedTuple):
     """Measured minus integrated motion, as mean rates over n windows without missing samples."""
 
-    rest: np.ndarray  # (n, 2) of V [m/s^2] and beta [rad/s]
+    residual: np.ndarray  # (n, 2) of V [m/s^2] and beta [rad/s]
     ends: np.ndarray  # (n, 2) variance from the noise of the first and the last sample, the same for all
     within: np.ndarray  # (n, 2) variance from the noise of all samples on the right-hand side
     block: np.ndarray  # (n,) number of the block of time

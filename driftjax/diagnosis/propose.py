@@ -80,8 +80,8 @@ def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selec
     """Return the information (K, K) that each of `runs` would add, linearised at the fit."""
     data = pieces(vehicle, runs)
     own = observer_gains(problem.model, data, problem.start, problem.noise.as_vector(), fixed_gain(data))
-    at = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
-    return [information(at.J[data.run == i]) for i in range(len(runs))]
+    linearisation = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
+    return [information(linearisation.J[data.run == i]) for i in range(len(runs))]
 
 
 def _least_sure(problem: Problem, selection: Selection, named: list[Cause], added: np.ndarray) -> float:
@@ -100,7 +100,7 @@ def _least_sure(problem: Problem, selection: Selection, named: list[Cause], adde
 
 def _apart(problem: Problem, selection: Selection, one: int, rival: int, others: np.ndarray, H: np.ndarray) -> float:
     """Return the cost that remains of the effect `one` when the `rival` replaces it, refitted with all `others`."""
-    columns, given = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
-    P = partial_out(H, given)[:, columns]
+    columns, fitted = problem.columns((one,)), np.concatenate([others, problem.columns((rival,))])
+    P = partial_out(H, fitted)[:, columns]
     theta = selection.fit.theta[columns]
     return float(theta @ P.T @ H @ P @ theta)

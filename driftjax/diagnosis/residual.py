@@ -1,7 +1,7 @@
 """Residual forces: forces of each axle beyond the model, and the variables they depend on.
 
-A disturbance of the rates is a force along the car, one to the left and a moment, and these are, whatever the car, a
-drive force and a lateral force of each axle. A cause that sits at one axle therefore shows at that axle only.
+A disturbance of the rates is a longitudinal force, a lateral force and a moment, which are equivalent to a drive force
+and a lateral force on each axle. A cause at one axle therefore appears at that axle only.
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ def observer_path(problem: Problem, theta: np.ndarray) -> tuple[Path, Steps]:
 def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
     """Estimate the noise that the nominal car needs on `path` when no effect explains its errors.
 
-    The slow errors of the sensors are the same for every car: they must not take what the nominal one gets wrong.
+    The slow errors of the sensors are the same for every car: they must not absorb errors of the nominal one.
     """
     bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
     data = problem.data

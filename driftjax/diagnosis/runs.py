@@ -217,15 +217,15 @@ class Linearisation(NamedTuple):
     lost: np.ndarray | None = None  # (P, T) samples from which on the observer has lost the car; None: nowhere
 
 
-def fixed_gain(data: Pieces, share: float = FIXED_GAIN) -> Gains:
-    """Return fixed gains, for use before any noise is known: each innovation is applied by `share`.
+def fixed_gain(data: Pieces) -> Gains:
+    """Return fixed gains, for use before any noise is known: `FIXED_GAIN` of each innovation is applied.
 
     A sideslip that is not measured follows from speed and yaw rate, to which it returns by itself.
     """
     num = len(data.run)
     zeros = lambda *shape: np.zeros((num, *shape))
     L = zeros(data.size, 9, 3)
-    L[..., :3, :] = share * np.eye(3)
+    L[..., :3, :] = FIXED_GAIN * np.eye(3)
     array = lambda *shape: jnp.asarray(zeros(*shape))
     still = Decay(array(), array())
     return Gains(jnp.asarray(L), array(data.size, 3, 3), still, array(data.size, 9, 9), array())
@@ -293,7 +293,7 @@ def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Pa
     by_u, first = map_pieces(lambda run: call(by_commands, model, where, run, data.dt), len(data.run), data.padded)
     only = jnp.asarray(active, float)
     C, F = only * (one.by_theta + one.by_u @ by_u), only * one.F
-    return Steps(one.A, C, one.D, F, one.slip, one.push, one.late, path.valid, only * first)
+    return Steps(one.A, C, one.D, F, one.slip, one.push, one.delay, path.valid, only * first)
 
 
 def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, active: np.ndarray) -> Linearisation:

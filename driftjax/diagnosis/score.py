@@ -4,9 +4,9 @@ Scores are summed over blocks of time, and blocks get random signs: the largest 
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
 Miller 2008).
 
-No |T| passes the root of the number of blocks in which an effect acts. What acts in few (a power limit, a patch of
-road) is therefore tested by its score over the deviation that the information gives it, dispersion included, without
-the block that says most. Both tests share the family-wise rate.
+|T| cannot exceed the root of the number of blocks in which an effect acts. An effect that acts in few (a power limit, a
+patch of road) is therefore tested by its score over the standard deviation that follows from information and
+dispersion, without the block of the largest score. Both tests share the family-wise rate.
 """
 
 from collections.abc import Sequence
@@ -104,9 +104,11 @@ def partial_out(H: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return P
 
 
-def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tuple[int, ...], seed: int) -> Scores:
-    """Test all effects outside `selected` at the fit that the linearisation `at` belongs to."""
-    H, blocks = sums_by_block(problem, at.e, at.J)
+def scores(
+    problem: Problem, linearisation: Linearisation, theta: np.ndarray, selected: tuple[int, ...], seed: int
+) -> Scores:
+    """Test all effects outside `selected` at the fit that the `linearisation` belongs to."""
+    H, blocks = sums_by_block(problem, linearisation.e, linearisation.J)
     columns = problem.columns(selected)
     P = partial_out(H, columns)
     effective, information = blocks @ P, P.T @ H @ P
@@ -123,7 +125,9 @@ def scores(problem: Problem, at: Linearisation, theta: np.ndarray, selected: tup
         joint[i] = joint_score(effective[:, c], U[None, c])[0]
     chance = null_max_scores(effective, own, one_sided, seed, list(together.values()))
     gains = np.array([_gain(problem, information, U, T, i, selected) for i in range(len(problem.effects))])
-    few = few_block_p_values(problem, effective, np.asarray(at.J) @ P if selected else np.asarray(at.J), own, one_sided)
+    few = few_block_p_values(
+        problem, effective, np.asarray(linearisation.J) @ P if selected else np.asarray(linearisation.J), own, one_sided
+    )
     few = None if few is None else np.where(allowed, few, 1.0)
     return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed, few)
 

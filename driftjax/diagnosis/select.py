@@ -70,12 +70,12 @@ class SelectionStep:
     problem: Problem
     selected: tuple[int, ...]
     fit: Fit
-    at: Linearisation
+    linearisation: Linearisation
 
     @cached_property
     def errors(self) -> Errors | None:
         """Return open-loop errors on parts left out of the fit; None where the log is too short."""
-        return held_out_errors(self.problem, self.fit, self.at, self.selected)
+        return held_out_errors(self.problem, self.fit, self.linearisation, self.selected)
 
     def improves(self, before: "SelectionStep") -> bool:
         """Return whether left-out parts are predicted better than by `before`, or the log is too short to test."""
@@ -90,14 +90,14 @@ def search(
 
     Steps beyond the first effects must predict parts left out of the fit better.
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
-    `report` hears of the effects named at each step.
+    `report` is called with the effects named at each step.
     """
     first_at = linearise(problem, start)
     first = scores(problem, first_at, start.theta, (), seed)
     motion = () if selected else motion_effects(problem, start, first_at, seed, most)
     selected, free = selected or motion, FIRST + len(motion)
     now = fitted(problem, start, selected, first_at)
-    remaining = scores(problem, now.at, now.fit.theta, selected, seed) if selected else first
+    remaining = scores(problem, now.linearisation, now.fit.theta, selected, seed) if selected else first
     barred: frozenset[int] = frozenset()
     while True:
         if now.selected:
@@ -105,21 +105,23 @@ def search(
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = extend_selection(now, (now.fit, now.at), limit, free, barred)
+        new = extend_selection(now, (now.fit, now.linearisation), limit, free, barred)
         if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
             new = extend_selection(now, (start, first_at), limit, free, barred)
         if new is None:
             new, barred = drop_bounded(now, free, barred)
         if new is None:
-            return Selection(now.selected, now.fit, now.at, remaining, problem, start, first, free)
+            return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, first, free)
         now = new
-        remaining = scores(problem, now.at, now.fit.theta, now.selected, seed + len(now.selected))
+        remaining = scores(problem, now.linearisation, now.fit.theta, now.selected, seed + len(now.selected))
 
 
-def fitted(problem: Problem, start: Fit, selected: tuple[int, ...], at: Linearisation | None = None) -> SelectionStep:
-    """Return the step with the effects `selected` fitted from `start`, whose linearisation is `at` where known."""
-    fit, at = refit_to_convergence(problem, start, problem.columns(selected), at)
-    return SelectionStep(problem, selected, fit, at)
+def fitted(
+    problem: Problem, start: Fit, selected: tuple[int, ...], linearisation: Linearisation | None = None
+) -> SelectionStep:
+    """Return the step with the effects `selected` fitted from `start`, whose `linearisation` may be known."""
+    fit, linearisation = refit_to_convergence(problem, start, problem.columns(selected), linearisation)
+    return SelectionStep(problem, selected, fit, linearisation)
 
 
 def bounded(step: SelectionStep) -> list[int]:
@@ -146,7 +148,7 @@ def extend_selection(
 def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
     """Remove or replace an effect at its bound; return the step and the barred effects.
 
-    The data ask for more of such an effect than is plausible: it stands for something else, and stays only where
+    The data ask for more of such an effect than is plausible: it stands in for another cause, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
     """
     problem = now.problem
@@ -156,21 +158,21 @@ def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple
         less, out = fitted(problem, evaluate_fit(problem, theta), rest), barred | {i}
         if not now.improves(less):
             return less, out
-        other = extend_selection(less, (less.fit, less.at), len(now.selected), free, out)
+        other = extend_selection(less, (less.fit, less.linearisation), len(now.selected), free, out)
         if other is not None and not now.improves(other):
             return other, out
     return None, barred
 
 
-def motion_effects(problem: Problem, start: Fit, at: Linearisation, seed: int, most: int) -> tuple[int, ...]:
+def motion_effects(problem: Problem, start: Fit, linearisation: Linearisation, seed: int, most: int) -> tuple[int, ...]:
     """Return the effects that pose and accelerations name by themselves, to first order about the fit `start`.
 
     These know no car, only sensors and the road: their test has its own error rate.
     """
     if problem.motion is None:
         return ()
-    e, J = (np.asarray(a)[:, :, len(MEASURED) :] for a in (at.e, at.J))
-    sensors = at._replace(e=e, J=J)
+    e, J = (np.asarray(a)[:, :, len(MEASURED) :] for a in (linearisation.e, linearisation.J))
+    sensors = linearisation._replace(e=e, J=J)
     model, selected = quadratic_cost(problem, start, sensors), ()
     while len(selected) < most:
         psi = best_parameters(model, selected)
@@ -193,15 +195,15 @@ def better_sets(
 
     Of the sets that promise less in the quadratic model `about` a fit, those that promise least are refitted.
     """
-    problem, trials, at = now.problem, [], about[1]
+    problem, trials, linearisation = now.problem, [], about[1]
     for one in promising_sets(now, about, limit, barred):
-        trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), at, num=1)
+        trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), linearisation, num=1)
         trials.append((one.effects, trial))
     penalised = lambda item: penalised_cost(problem, item[1], item[0])
     trials.sort(key=penalised)
     refitted = {}
     for effects, trial in trials[:REFITS]:
-        trial, effects = refine_material(problem, trial, effects, at)
+        trial, effects = refine_material(problem, trial, effects, linearisation)
         refitted[effects] = min(refitted.get(effects, trial), trial, key=lambda fit: fit.cost)
     cost_limit = penalised((now.selected, now.fit)) - MARGIN
     return sorted((item for item in refitted.items() if penalised(item) < cost_limit), key=penalised)
@@ -213,7 +215,7 @@ def promising_sets(
     """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
-    About another fit than the present one, what the present set costs is what the model there says of it.
+    Where that is not the fit of `now`, the cost of the present set is predicted by the same model.
     """
     problem = now.problem
     model = quadratic_cost(problem, *about)
@@ -243,11 +245,11 @@ def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
 
 
 def refine_material(
-    problem: Problem, trial: Fit, effects: tuple[int, ...], at: Linearisation
+    problem: Problem, trial: Fit, effects: tuple[int, ...], linearisation: Linearisation
 ) -> tuple[Fit, tuple[int, ...]]:
     """Refine `trial` over `effects`, without those that turn out immaterial; return the fit and the effects left."""
     while True:
-        trial = refine(problem, trial, problem.columns(effects), at, tolerance=ROUGH)
+        trial = refine(problem, trial, problem.columns(effects), linearisation, tolerance=ROUGH)
         left = tuple(i for i in effects if is_material(problem, trial, i))
         if left == effects:
             return trial, effects

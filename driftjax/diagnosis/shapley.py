@@ -27,16 +27,16 @@ class ErrorShare(NamedTuple):
     ci95: tuple[float, float]  # over blocks of time
 
 
-def shapley_shares(problem: Problem, selection: Selection, seed: int = 0) -> dict[int, ErrorShare]:
+def shapley_shares(problem: Problem, selection: Selection) -> dict[int, ErrorShare]:
     """Return the share of every named effect in the fall of the cost of V, beta and r, to first order about the fit."""
     members = selection.selected
     if not members:
         return {}
-    at, moved = selection.linearisation, selection.fit.theta - problem.start
-    e, J = (np.asarray(a)[:, :, : len(MEASURED)] for a in (at.e, at.J))
+    linearisation, moved = selection.linearisation, selection.fit.theta - problem.start
+    e, J = (np.asarray(a)[:, :, : len(MEASURED)] for a in (linearisation.e, linearisation.J))
     H, blocks = sums_by_block(problem, e + J @ moved, J)  # scores (C, K) of the nominal car, to first order
     H += np.eye(len(H)) / PRIOR**2
-    weights = np.random.default_rng(seed).multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), RESAMPLES)
+    weights = np.random.default_rng(0).multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), RESAMPLES)
     g = np.concatenate([blocks.sum(axis=0)[None], weights @ blocks])  # (1 + RESAMPLES, K), the data themselves first
     value: dict[tuple[int, ...], np.ndarray] = {(): np.zeros(len(g))}
     for size in range(1, len(members) + 1):

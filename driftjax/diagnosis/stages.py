@@ -1,9 +1,9 @@
 """Fit effects stage by stage: gentle stretches of a log are used before harder ones.
 
 A stage frees the effects of its own kind and those of earlier stages, and counts only innovations of its own
-stretches. Effects of later stages are considered: they are not estimated, but what is estimated depends on them, and
-its covariance says how (consider filter; Schmidt 1966). The estimate and that covariance are the next stage's prior,
-so that harder stretches move an earlier estimate only by as much as both deserve.
+stretches. Effects of later stages are not estimated, but their uncertainty is part of the covariance of the estimate
+(consider filter; Schmidt 1966). Estimate and covariance are the next stage's prior, so that harder stretches move an
+earlier estimate according to the precision of both.
 """
 
 from collections.abc import Callable
@@ -78,10 +78,12 @@ class StagedFit(NamedTuple):
     dispersion: np.ndarray  # (4,) of scores over their information, by kind of stretch; infinite where none counted
     moved: np.ndarray  # (K,) change by later stages, in standard deviations of the estimate of the own stage
 
-    def weigh(self, at: Linearisation) -> Linearisation:
+    def weigh(self, linearisation: Linearisation) -> Linearisation:
         """Return innovations and derivatives weighted as in the fit: by the root of their dispersion."""
         weight = np.append(1 / np.sqrt(self.dispersion), 0.0)[self.stretch]
-        return at._replace(e=at.e * weight[..., None], J=np.asarray(at.J) * weight[..., None, None])
+        return linearisation._replace(
+            e=linearisation.e * weight[..., None], J=np.asarray(linearisation.J) * weight[..., None, None]
+        )
 
 
 def fit_staged(
@@ -89,7 +91,7 @@ def fit_staged(
 ) -> tuple[Problem, Fit, StagedFit]:
     """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
 
-    `loose` has the noise of the nominal car, as for a fit at once. `report` hears of every pass and stage.
+    `loose` has the noise of the nominal car, as for a fit at once. `report` is called at every pass and stage.
     """
     words = lambda number: lambda stage: report(f"pass {number}, {stage.label}")
     stretch, columns = find_stretches(loose), loose.columns(selected)
@@ -111,10 +113,10 @@ def run_stages(
     expected: np.ndarray,
     begin: Callable[[CalibrationStage], None] = lambda stage: None,
 ) -> StagedFit:
-    """Run all stages once for the parameters `columns`, from `theta` (K,): there those of later stages stay meanwhile.
+    """Run all stages once for the parameters `columns`, from `theta` (K,), where those of later stages stay.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
-    on each other, or that no car explains, count less than those of other stages. `begin` hears of every stage.
+    on each other, or that no car explains, count less than those of other stages. `begin` is called at every stage.
     """
     K, names = len(problem.owner), np.array([problem.effects[i].name for i in problem.owner])
     chosen, freed, dispersion = np.isin(np.arange(K), columns), np.zeros(K, bool), np.full(len(Stretch), np.inf)
@@ -133,15 +135,17 @@ def run_stages(
         precision = known + np.diag(prior)
         centre = np.linalg.solve(precision, known @ theta + prior * problem.start)
         part = restrict_to_samples(problem, active)._replace(start=centre, precision=excess * precision)
-        fit, at = refit_to_convergence(part, require_finite_cost(evaluate_fit(part, theta)), np.flatnonzero(freed))
-        theta, H = fit.theta, information(at.J) / excess
+        fit, linearisation = refit_to_convergence(
+            part, require_finite_cost(evaluate_fit(part, theta)), np.flatnonzero(freed)
+        )
+        theta, H = fit.theta, information(linearisation.J) / excess
         known, own_information = (
             marginal_precision(precision + H, freed),
             marginal_precision(own_information + np.diag(DEAD * prior) + H, freed),
         )
         prior[freed] = 0.0  # contained in what is known
         own[first], spread[first] = theta[first], np.sqrt(np.diag(np.linalg.inv(known + np.diag(prior))))[first]
-        dispersion[list(stage.stretches)] = stage_dispersion(part, at, np.flatnonzero(freed))
+        dispersion[list(stage.stretches)] = stage_dispersion(part, linearisation, np.flatnonzero(freed))
     precision = own_information + np.diag(DEAD * prior)
     return StagedFit(theta, stretch, precision, weight, dispersion, (theta - own) / spread)
 
@@ -151,9 +155,9 @@ def least_samples(problem: Problem) -> float:
     return LEAST * float(problem.model.base.unit_time) / problem.data.dt
 
 
-def stage_dispersion(part: Problem, at: Linearisation, columns: np.ndarray) -> float:
+def stage_dispersion(part: Problem, linearisation: Linearisation, columns: np.ndarray) -> float:
     """Return how many times their information the scores of the `columns` vary by, over blocks that have any."""
-    H, blocks = sums_by_block(part, at.e, at.J)
+    H, blocks = sums_by_block(part, linearisation.e, linearisation.J)
     some = blocks[:, columns].any(axis=1)
     return overdispersion(H + np.eye(len(H)) / PRIOR**2, blocks[some], columns)
 
@@ -175,8 +179,8 @@ def restrict_to_samples(problem: Problem, active: np.ndarray) -> Problem:
 def marginal_precision(precision: np.ndarray, freed: np.ndarray) -> np.ndarray:
     """Return the precision (K, K) of all parameters after a stage that estimated those `freed` (K,).
 
-    `precision` (K, K) is the sum of the prior one and the information of the stage. Whatever the other parameters
-    are, the freed ones lie about the minimum of the stage's cost at these; about the others the stage says nothing.
+    `precision` (K, K) is the sum of the prior one and the information of the stage. The freed parameters are
+    conditioned on the others; about the others the stage has no information.
     """
     row = precision[freed]
     return row.T @ np.linalg.solve(row[:, freed], row)

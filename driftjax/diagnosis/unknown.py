@@ -1,7 +1,7 @@
 """Detect errors that no effect of the catalogue explains: generic terms in every rate, axle force and sensor.
 
 After the search, errors that depend on one variable each (speed, sideslip, drive, time, heading, place ...) are put to
-the same test as effects. What they explain beside the effects named says what is wrong and what it depends on.
+the same test as effects. What they explain beyond the named effects shows what is wrong and what it depends on.
 """
 
 from typing import NamedTuple
@@ -69,7 +69,7 @@ class GenericTerms(NamedTuple):
     kinds: list[tuple[str, str, str, int]]  # (n) variable, function, key of `CHANNELS`, channel
     U: np.ndarray  # (n,)
     F: np.ndarray  # (n, n) their information
-    own: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
+    distinct: np.ndarray  # (n,) whether a term is distinguishable from the hypothesis
     e: np.ndarray  # (P, T, c) whitened innovations
     J: np.ndarray  # (P, T, c, K+n) their derivatives by all effects and terms
     P: np.ndarray  # (K+n, n) what takes the hypothesis out of those by the terms
@@ -119,7 +119,7 @@ def sensor_functions(problem: Problem, path: Path) -> dict[str, tuple[str, Array
 def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexplained:
     """Test the errors that remain after the named effects, and rank the variables that explain them.
 
-    Several effects that together earn no more than one generic term by itself only imitate what the catalogue lacks.
+    Several effects that together lower the cost by no more than one generic term only imitate what the catalogue lacks.
     """
     remaining = generic_terms(problem, selection.linearisation, selection.scores, selection.selected, seed)
     base = selection.base
@@ -142,20 +142,20 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
 
 
 def generic_terms(
-    problem: Problem, at: Linearisation, tested: Scores, selected: tuple[int, ...], seed: int
+    problem: Problem, linearisation: Linearisation, tested: Scores, selected: tuple[int, ...], seed: int
 ) -> GenericTerms:
-    """Score the generic terms at the hypothesis `selected`, which `at` and `tested` belong to."""
-    rates = [(v, *one) for v, terms in rate_functions(problem, at.path).items() for one in terms.items()]
-    sensors = [(v, *one) for v, one in sensor_functions(problem, at.path).items()]
+    """Score the generic terms at the hypothesis `selected`, which `linearisation` and `tested` belong to."""
+    rates = [(v, *one) for v, terms in rate_functions(problem, linearisation.path).items() for one in terms.items()]
+    sensors = [(v, *one) for v, one in sensor_functions(problem, linearisation.path).items()]
     kinds = [
         (v, name, where, channel) for functions, places in ((rates, ("rate", "force")), (sensors, ("sensor",)))
         for v, name, _ in functions for where in places for channel in range(len(CHANNELS[where]))
     ]  # fmt: skip
-    J = _sensitivities(problem, at, [value for *_, value in rates], [value for *_, value in sensors])
+    J = _sensitivities(problem, linearisation, [value for *_, value in rates], [value for *_, value in sensors])
     K = len(problem.lower)
-    further = np.asarray(at.J).shape[2] - len(MEASURED)  # channels that no term acts on
-    J = np.concatenate([np.asarray(at.J), np.pad(J, ((0, 0), (0, 0), (0, further), (0, 0)))], axis=-1)
-    H, blocks = sums_by_block(problem, at.e, J)
+    further = np.asarray(linearisation.J).shape[2] - len(MEASURED)  # channels that no term acts on
+    J = np.concatenate([np.asarray(linearisation.J), np.pad(J, ((0, 0), (0, 0), (0, further), (0, 0)))], axis=-1)
+    H, blocks = sums_by_block(problem, linearisation.e, J)
     P = partial_out(H, problem.columns(selected))
     effective, information = blocks @ P, P.T @ H @ P
     own = np.diag(information) > CONDITION * np.diag(H)
@@ -163,22 +163,22 @@ def generic_terms(
     T = studentised_scores(effective, own)
     chance = null_max_scores(effective, own, np.zeros(len(T), bool), seed)
     p_value = (1 + np.sum(chance >= np.abs(T).max(initial=0.0))) / (len(chance) + 1)
-    U, e = effective.sum(axis=0)[K:], np.asarray(at.e)
+    U, e = effective.sum(axis=0)[K:], np.asarray(linearisation.e)
     return GenericTerms(kinds, U, information[K:, K:], own[K:], e, J, P[:, K:], float(p_value))
 
 
 def rank_variables(terms: GenericTerms) -> dict[str, float]:
     """Rank the variables by the fall of the cost that their terms promise, the largest first."""
     names = list(dict.fromkeys(variable for variable, *_ in terms.kinds))
-    each = {name: _penalised_gain(terms.U, terms.F, np.array([k[0] in ("1", name) for k in terms.kinds]) & terms.own)
-            for name in names}  # fmt: skip
+    among = lambda name: np.array([kind[0] in ("1", name) for kind in terms.kinds]) & terms.distinct
+    each = {name: _penalised_gain(terms.U, terms.F, among(name)) for name in names}
     return dict(sorted(each.items(), key=lambda item: -item[1]))
 
 
 def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
     """Return the fall of the cost that the best single term promises, and that term."""
     information = np.diag(terms.F)
-    gain = np.where(terms.own, terms.U**2 / np.where(terms.own, information, 1.0), 0.0)
+    gain = np.where(terms.distinct, terms.U**2 / np.where(terms.distinct, information, 1.0), 0.0)
     at = int(np.argmax(gain))
     _, function, where, channel = terms.kinds[at]
     size, unit = term_scales(problem.model)[where][channel], UNITS[where][channel]
@@ -207,10 +207,15 @@ def rates_of_forces(car: SingleTrack, path: Path) -> Array:
     return jax.jit(by_force)(jnp.zeros(2), jnp.asarray(path.z), jnp.asarray(path.u))
 
 
-def _sensitivities(problem: Problem, at: Linearisation, rates: list[Array], sensors: list[Array]) -> np.ndarray:
+def _sensitivities(
+    problem: Problem, linearisation: Linearisation, rates: list[Array], sensors: list[Array]
+) -> np.ndarray:
     """Return whitened derivatives (P, T, 3, terms): by rates and axle forces, five per function (P, T), and sensors."""
-    steps, size = at.steps, {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()}
-    force = steps.push @ rates_of_forces(problem.model.base.nominal, at.path) * size["force"]
+    steps, size = (
+        linearisation.steps,
+        {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()},
+    )
+    force = steps.push @ rates_of_forces(problem.model.base.nominal, linearisation.path) * size["force"]
     push = jnp.concatenate([steps.push * size["rate"], force], axis=-1)
     rate_columns = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
     readings = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)

@@ -48,8 +48,8 @@ class Explained(NamedTuple):
 
     share: float  # NaN where it is in doubt that anything is to be explained
     ci95: tuple[float, float]
-    left: float  # share of its own squared error that a right model would not make
-    left_ci95: tuple[float, float]
+    remaining: float  # share of its own squared error that a right model would not make
+    remaining_ci95: tuple[float, float]
     horizon: float  # [s]
     held_out: bool  # whether measured on runs without which the effects were named
 
@@ -60,7 +60,7 @@ class Explained(NamedTuple):
         doubt a model, however significant. Equivalence is judged by size (Schuirmann 1987; ISO 19364).
         """
         enough = self.ci95[1] >= 1 - tolerated and self.ci95[0] >= MOST  # false where the share is NaN
-        return not enough and self.left_ci95[0] > tolerated
+        return not enough and self.remaining_ci95[0] > tolerated
 
 
 def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
@@ -68,7 +68,7 @@ def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Ex
     if "extended" not in shares:
         return None
     one = shares["extended"]
-    return Explained(one.value, one.ci95, one.left, one.left_ci95, horizon, held_out)
+    return Explained(one.value, one.ci95, one.remaining, one.remaining_ci95, horizon, held_out)
 
 
 def decide_verdict(
@@ -78,8 +78,8 @@ def decide_verdict(
     """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
-    and no run is long enough to measure its size. Where the drive force was estimated, what is named is UNKNOWN too:
-    no test knows how such a force errs, and errors of it were named as effects (experiments.missing_channels).
+    and no run is long enough to measure its size. Where the drive force was estimated, the verdict is UNKNOWN too:
+    the errors of such a force are not modelled, and were named as effects (experiments.missing_channels).
     Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
     that effects and term explain together; else they may stand for a cause that the catalogue lacks.
     """
@@ -155,7 +155,7 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
-    """Return what the named effects explain, and what the rest goes with."""
+    """Return, in words, what the named effects explain, and which variable the rest depends on."""
     rest = f"rest goes most with {' and '.join(list(remaining.variables)[:2])}." if remaining.significant else ""
     if explained is None:
         return [f"The {rest}"] if rest else []

@@ -9,7 +9,6 @@ from jax import Array
 
 from driftjax.core import RESULTS, Control, State
 from driftjax.equilibrium.solve import (
-    ANY,
     Equilibrium,
     Fixed,
     Model,
@@ -42,7 +41,7 @@ def continuation(
     fixed: Fixed,
     guess: tuple[State, Control],
     *,
-    branch: Array | int = ANY,
+    branch: Array | int,
 ) -> Equilibrium:
     """Continue the steady state of `nominal` at `guess` through f + eta d to that of `nominal + residual`.
 

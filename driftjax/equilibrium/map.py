@@ -66,7 +66,8 @@ def equilibria(vehicle: VehicleConfig, V: ArrayLike, r: ArrayLike) -> xr.Dataset
     """Solve for every steady state of a car at speeds `V` (n,) [m/s] and yaw rates `r` (n,) [rad/s].
 
     Damped Gauss-Newton from every root of the decoupled problem, each confirmed on the full car, named effects
-    included. Dimensions (point, root); entries without a state are NaN and have branch -1 (see `Branch`).
+    included. Dimensions (point, root), SI; entries without a state are NaN and have branch -1 (see `Branch`). Raises
+    `BadInput` for shapes that differ.
     """
     require_float64()
     V, r = np.atleast_1d(np.asarray(V, float)), np.atleast_1d(np.asarray(r, float))

@@ -141,9 +141,7 @@ def _judge(worst: Array, on_branch: Array) -> RESULTS:
     return RESULTS.where(jnp.isfinite(worst), result, RESULTS.non_finite)  # pyright: ignore
 
 
-def solve_nominal(
-    nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int, throw: bool = False
-) -> Equilibrium:
+def solve_nominal(nominal: SingleTrack, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:
     """Solve for the nominal car's steady state on `branch` without a guess; `no_root` if the published car has none.
 
     With a friction ellipse the closed form of the published car, which has none, is the guess.
@@ -152,5 +150,4 @@ def solve_nominal(
     x, u, exists = pick(fixed.roots(published), branch)
     out = solve_equilibrium(nominal, nominal, fixed, (x, u), branch=branch)
     result = RESULTS.where(exists, out.result, RESULTS.no_root)  # pyright: ignore[reportArgumentType]
-    out = eqx.tree_at(lambda e: e.result, out, result)
-    return result.error_if(out, result != RESULTS.successful) if throw else out
+    return eqx.tree_at(lambda e: e.result, out, result)

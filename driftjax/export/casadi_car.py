@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -14,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from driftjax.core import BadInput, Control, State
-from driftjax.export.target import Format, ReducedCar, car_with, write_text
+from driftjax.export.target import Format, ReducedCar, car_with, save_text
 from driftjax.sim.step import LaggedState
 from driftjax.sim.travel import Travel, travel
 from driftjax.vehicle import VehicleConfig, actuator_lags, build_car
@@ -114,7 +113,7 @@ def write_casadi(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         "rates": {"x": list(rates.names), "start": rates.start.tolist()},
         "step": {"x": list(fine.names), "start": fine.start.tolist(), "dt_s": dt, "lap_m": lap},
     }
-    return ("rates.casadi", "step.casadi", write_text(folder / "casadi.json", json.dumps(content, indent=1) + "\n"))
+    return ("rates.casadi", "step.casadi", save_text(folder / "casadi.json", json.dumps(content, indent=1) + "\n"))
 
 
 CASADI = Format(
@@ -126,10 +125,3 @@ CASADI = Format(
     ),
     write_casadi,
 )
-
-
-def advance_model(vehicle: VehicleConfig, dt: float, lap: float = 1000.0) -> CasadiModel:
-    """Return the simulator's step over `dt` [s], as in step.casadi, in JAX."""
-    num = substeps(vehicle, dt)
-    fine = step_model(vehicle, dt / num, lap)
-    return fine._replace(function=lambda x, u: jax.lax.fori_loop(0, num, lambda _, x: fine.function(x, u), x))

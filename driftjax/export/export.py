@@ -30,7 +30,7 @@ class Export:
     """What it is."""
     files: tuple[Path, ...]
     """Files that were written."""
-    held: tuple[str, ...]
+    represented: tuple[str, ...]
     """Effects of the car that the files hold."""
     lost: tuple[str, ...]
     """Effects of the car that the format cannot hold."""
@@ -42,7 +42,8 @@ class Export:
     def to_json(self) -> dict[str, Any]:
         """Return the content of export.json."""
         return {
-            "to": self.to, "title": self.title, "files": [path.name for path in self.files], "held": list(self.held),
+            "to": self.to, "title": self.title, "files": [path.name for path in self.files],
+            "held": list(self.represented),
             "lost": {name: EFFECTS[name].sentence for name in self.lost}, "notes": list(self.notes),
             "loss": self.loss._asdict() if self.loss else None,
         }  # fmt: skip
@@ -50,7 +51,7 @@ class Export:
     def __str__(self) -> str:
         """Return the report that `driftjax export` prints."""
         lines = [self.title, *(f"  {path}" for path in self.files)]
-        lines += [f"held: {', '.join(self.held)}"] * bool(self.held)
+        lines += [f"held: {', '.join(self.represented)}"] * bool(self.represented)
         lines += [f"lost: {name} ({EFFECTS[name].sentence})" for name in self.lost] or ["lost: no effect of this car"]
         lines += [f"note: {note}." for note in self.notes]
         return "\n".join([*lines, *([_sentence(self.loss)] if self.loss else [])])

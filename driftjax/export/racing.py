@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.export.steady import cornering, grip_limits, truncate_at_peak
-from driftjax.export.target import AXLES, Format, ReducedCar, write_text, write_yaml
+from driftjax.export.target import AXLES, Format, ReducedCar, save_text, save_yaml
 from driftjax.vehicle.effect import reference
 
 STEERS, SPEEDS = 60, 50  # rows and columns of the steering table
@@ -38,8 +38,8 @@ def write_race_stack(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     text = io.StringIO()
     np.savetxt(text, table, delimiter=",")
     return (
-        write_yaml(folder / f"{reduced.name}_pacejka.yaml", model),
-        write_text(folder / f"{reduced.name}_pacejka_lookup_table.csv", text.getvalue()),
+        save_yaml(folder / f"{reduced.name}_pacejka.yaml", model),
+        save_text(folder / f"{reduced.name}_pacejka_lookup_table.csv", text.getvalue()),
     )
 
 
@@ -51,8 +51,8 @@ def write_tum(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     force = reduced.forces[1] / (1 + reduced.value("power_limit.p") * V * max(reduced.forces[1], 0.0))
     machine = np.minimum(force / reduced.car.m, drive)
     return (
-        write_text(folder / "ggv.csv", _csv("v_mps,ax_max_mps2,ay_max_mps2", V, brake, side)),
-        write_text(folder / "ax_max_machines.csv", _csv("v_mps,ax_max_machines_mps2", V, machine)),
+        save_text(folder / "ggv.csv", _csv("v_mps,ax_max_mps2,ay_max_mps2", V, brake, side)),
+        save_text(folder / "ax_max_machines.csv", _csv("v_mps,ax_max_machines_mps2", V, machine)),
     )
 
 
@@ -78,7 +78,7 @@ def write_gym(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         "a_max": max(force, -reduced.forces[0]) / car.m, "v_min": -0.25 * reduced.top_speed, "v_max": reduced.top_speed,
         "width": v.width, "length": v.length,
     }  # fmt: skip
-    return (write_yaml(folder / "f1tenth_gym.yaml", params),)
+    return (save_yaml(folder / "f1tenth_gym.yaml", params),)
 
 
 ENVELOPE = ("load_sensitivity", "load_transfer_long", "load_transfer_lat", "downforce", "sliding_friction",

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from driftjax.export.target import AXLES, Format, ReducedCar, write_text, write_yaml
+from driftjax.export.target import AXLES, Format, ReducedCar, save_text, save_yaml
 
 ID = 5  # vehicle number of the files; CommonRoad's own are 1 to 4
 SPIN = 0.016  # spin inertia of the wheels of one axle over m R_w^2, as of a sedan (3 kg m^2) [-]
@@ -64,8 +64,8 @@ def write_commonroad(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         "r_by1": by, "r_cy1": cy, "r_ey1": ey,
     }  # fmt: skip
     return (
-        write_yaml(folder / f"parameters_vehicle{ID}.yaml", vehicle),
-        write_yaml(folder / "parameters_tire.yaml", {"tire": tire}),
+        save_yaml(folder / f"parameters_vehicle{ID}.yaml", vehicle),
+        save_yaml(folder / "parameters_tire.yaml", {"tire": tire}),
     )
 
 
@@ -84,7 +84,7 @@ def write_autoware(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         "debug_steer_scaling_factor": 1 + value("steer_gain.p"),
         "x_stddev": 0.0001, "y_stddev": 0.0001,
     }  # fmt: skip
-    return (write_yaml(folder / "simulator_model.param.yaml", {"/**": {"ros__parameters": parameters}}),)
+    return (save_yaml(folder / "simulator_model.param.yaml", {"/**": {"ros__parameters": parameters}}),)
 
 
 def write_open_car_dynamics(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
@@ -131,7 +131,7 @@ def write_open_car_dynamics(reduced: ReducedCar, folder: Path) -> tuple[str, ...
             body |= {f"z.tire_model.{wheel}.{axis}.{name}": value for name, value in names.items()}
     content |= {f"{OCD}.{name}": value for name, value in body.items()}
     text = json.dumps(dict(sorted(content.items())), indent=4)
-    return (write_text(folder / "OCD_Vehicle_FX__PT1__SINGLE_TRACK__MF_SIMPLE__DEFAULT.json", text + "\n"),)
+    return (save_text(folder / "OCD_Vehicle_FX__PT1__SINGLE_TRACK__MF_SIMPLE__DEFAULT.json", text + "\n"),)
 
 
 COMMONROAD = Format(

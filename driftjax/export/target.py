@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import yaml
 
-from driftjax.core import write_atomically
+from driftjax.core import write_text
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, effects_by_name, reference
 from driftjax.vehicle.effect.flow import Car
@@ -103,12 +103,12 @@ def car_with(vehicle: VehicleConfig, names: tuple[str, ...]) -> Universal:
     return model.with_parameters(jnp.asarray(parameters) / model.scale)
 
 
-def write_text(path: Path, text: str) -> str:
-    """Write a text file atomically; return its name."""
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+def save_text(path: Path, text: str) -> str:
+    """Write a text file; return its name."""
+    write_text(path, text)
     return path.name
 
 
-def write_yaml(path: Path, content: dict) -> str:
+def save_yaml(path: Path, content: dict) -> str:
     """Write a YAML file; return its name."""
-    return write_text(path, yaml.safe_dump(content, sort_keys=False))
+    return save_text(path, yaml.safe_dump(content, sort_keys=False))

@@ -131,6 +131,24 @@ class GP(eqx.Module):
         latent = jnp.exp(2 * self.hyper.log_amplitude) - jnp.sum(v**2, axis=-1)
         return jnp.maximum(latent, 0.0) * self.output_scale**2  # rounding may leave -1e-16
 
+    def covariance(self, z: Array) -> Array:
+        """Return the posterior covariance (D, P, P) of the latent function between the inputs `z` (P, nf)."""
+        amplitude = jnp.exp(2 * self.hyper.log_amplitude)
+        k = amplitude[:, None, None] * jnp.moveaxis(jax.vmap(self.correlations)(z), 0, 2)  # (D, M, P)
+        v = jax.vmap(lambda L, k: solve_triangular(L, k, lower=True))(self.L, k)
+
+        def prior(log_lengthscale: Array) -> Array:
+            a = z / self.scale * jnp.exp(-log_lengthscale)
+            return KERNELS[self.kernel](jnp.sum((a[:, None] - a[None]) ** 2, axis=-1))
+
+        latent = amplitude[:, None, None] * jax.vmap(prior)(self.hyper.log_lengthscale) - jnp.moveaxis(v, 1, 2) @ v
+        return latent * self.output_scale[:, None, None] ** 2
+
+    @property
+    def noise_variance(self) -> Array:
+        """Return the variance (D,) of the noise of the targets."""
+        return jnp.exp(2 * self.hyper.log_noise) * self.output_scale**2
+
 
 def data_scales(Z: Array, Y: Array, mask: Array) -> tuple[Array, Array]:
     """Return the standard deviation of each input and the root mean square of each output; 1 where it is 0."""

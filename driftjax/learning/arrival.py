@@ -6,6 +6,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.control.table import ReferenceTable
+from driftjax.core import Control
 from driftjax.learning.residual import lag_response, smooth
 from driftjax.sim import Trace
 
@@ -26,8 +27,10 @@ def planned_arrival(table: ReferenceTable, lead: Array | float) -> Arrival:
     return Arrival(jnp.stack([x.V, x.beta, x.r, zero, -x.beta]), inputs, inputs, jnp.zeros((), int))
 
 
-def update_arrival(before: Arrival, trace: Trace, s0: Array, lags: Float[Array, " 2"], dt: Array) -> Arrival:
-    """Update `before` with one lap (time on the leading axis), from measurements and commands only.
+def update_arrival(
+    before: Arrival, trace: Trace, command: Control, s0: Array, lags: Float[Array, " 2"], dt: Array
+) -> Arrival:
+    """Update `before` with one lap (time on the leading axis), from measurements and the commands that acted only.
 
     `s0` [m] is where the drift controller takes over; a lap that does not get there changes nothing.
     """
@@ -37,7 +40,7 @@ def update_arrival(before: Arrival, trace: Trace, s0: Array, lags: Float[Array, 
     share = jnp.clip((s0 - sensed.s[n - 1]) / jnp.maximum(sensed.s[n] - sensed.s[n - 1], 1e-9), 0.0, 1.0)
     at = lambda values: values[n - 1] + share * (values[n] - values[n - 1])
     x = jnp.stack([at(smooth(values)) for values in (sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta)])
-    commands = jnp.stack([trace.command.delta, trace.command.Fxr], axis=1)
+    commands = jnp.stack([command.delta, command.Fxr], axis=1)
     lagged_input, _ = lag_response(commands, lags, dt)
     known = jnp.any(past) & jnp.all(jnp.isfinite(x))
     mean = lambda old, new: jnp.where(known, old + (new - old) / (before.laps + 1), old)

@@ -74,6 +74,19 @@ class ExploreConfig:
     correction: bool = True
     """Correct the path that is aimed at by the measured lateral error, by k/K of it with candidate k of K: iterative
     learning control (Arimoto, Kawamura and Miyazaki 1984). Applies to every kind of `speeds`."""
+    acquisition: Literal["paper", "knowledge_gradient", "expected_improvement", "thompson", "random"] = "paper"
+    """What chooses the next lap: `paper` is Algorithm 1 on the candidates of `speeds`. The others choose among a fixed
+    grid of speeds, sideslips and excitations, each planned on the learnt car, by its predicted lateral error: least
+    error less what the remaining laps gain by the data (`knowledge_gradient`), expected improvement, least error in one
+    sample of the Gaussian process (`thompson`), or at `random`."""
+    speed_range: tuple[float, float] = (-0.08, 0.04)
+    """Grid: smallest and largest change of the planned speed, as a share of the cornering speed [-]."""
+    num_speeds: int = 7
+    """Grid: number of speeds."""
+    sideslips: tuple[float, ...] = (0.8, 1.0, 1.2)
+    """Grid: factors on the planned sideslip [-]."""
+    dither: tuple[float, float] = (0.01, 0.02)
+    """Grid: amplitude of the excitation of steering [rad] and drive [share of the weight]; zeros for none."""
     fixed_laps: bool = False
     """For comparisons: offer all `num_sets` candidates, those of equal speed too, and drive all `laps` even where no
     entry has a candidate left."""
@@ -84,7 +97,17 @@ class ExploreConfig:
         require(0 <= self.lam <= 1, f"key 'lam' is {self.lam}; lambda lies in 0..1.")
         require(self.num_sets >= 0, f"key 'num_sets' is {self.num_sets}; give 0 for no exploration, or more.")
         require(self.laps >= 1, f"key 'laps' is {self.laps}; give at least 1, or no sets for no exploration.")
+        require(self.num_speeds >= 1, f"key 'num_speeds' is {self.num_speeds}; give at least 1.")
+        require(len(self.sideslips) > 0, "key 'sideslips' is empty; give at least one factor, such as 1.")
+        low, high = self.speed_range
+        require(-0.5 < low <= high < 0.5, f"key 'speed_range' is {self.speed_range}; give two shares within +-0.5.")
+        require(min(self.dither) >= 0, f"key 'dither' is {self.dither}; give amplitudes of 0 or more.")
         require(0 < self.gamma_share < 0.5, f"key 'gamma_share' is {self.gamma_share}; give a share below 0.5.")
+
+    @property
+    def kind(self) -> Literal["sets", "random", "uniform", "planned"]:
+        """Kind of the speeds that Algorithm 1 chooses from: the planned one where another rule chooses."""
+        return self.speeds if self.acquisition == "paper" else "planned"
 
     @property
     def num_laps(self) -> int:
@@ -108,6 +131,12 @@ class LearnConfig:
     """Sensor noise: a shipped name or a YAML."""
     plants: int = 4
     """Plants drawn from the car's distribution and driven side by side."""
+    estimator: bool = False
+    """Drive by an extended Kalman filter on the learnt car, which also bridges the delay of the commands; else by the
+    bare measurements. The delay is known to it, and to what is learnt, in any case."""
+    population: Literal["near", "wide"] = "near"
+    """Distribution of the drawn plants: `near` the nominal car, or `wide`, with friction biased by -5 % and spread by
+    15 %, stiffness by 20 %, yaw inertia by 10 % and payload up to 10 %."""
     first_plant: int = 0
     """Number of the first plant drawn: with 16, and 16 plants, numbers 16 to 31 of the same sequence."""
     plant: tuple[Path, ...] = ()
@@ -125,6 +154,9 @@ class LearnConfig:
     and the measured arrival are used in any case."""
     measured_arrival: bool = True
     """Plan the corner from the mean state measured where the drift controller takes over; else from the planned one."""
+    excitation: tuple[float, float] = (0.0, 0.0)
+    """Amplitude of a multisine added to steering [rad] and drive [share of the weight] in the nominal lap, from which
+    the first GP is learnt: without it the feedback ties inputs to states, and their effects cannot be told apart."""
     gpr_laps: int = 3
     """Most GP laps; fewer where the error has converged. 0: nominal laps only, neither GP laps nor exploration."""
     converged: float = 0.05
@@ -152,6 +184,11 @@ class LearnConfig:
     explore: ExploreConfig = field(default_factory=ExploreConfig)
 
     @property
+    def distribution(self) -> str:
+        """Name of the distribution that plants are drawn from."""
+        return self.car if self.population == "near" else f"{self.car}_{self.population}"
+
+    @property
     def batch_size(self) -> int:
         """Laps driven side by side."""
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
@@ -159,6 +196,7 @@ class LearnConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "plants", "noise_seeds")
         require_at_least(self, 0, "first_plant", "seed", "gpr_laps")
+        require(min(self.excitation) >= 0, f"key 'excitation' is {self.excitation}; give amplitudes of 0 or more.")
         require(len(self.controllers) > 0, "key 'controllers' is empty; name path, paper or both.")
         require_at_least(self, 0, "converged")
         require_positive(self, "entry_error")
@@ -189,5 +227,7 @@ def files_of(config: LearnConfig) -> dict[str, Path]:
     """Return the files that the options name, and the distribution of the car's plants unless plants are given."""
     named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
     files = {kind: find_config(kind, name) for kind, name in named.items()}
-    given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {"plant": f"{config.car}_distribution"}
+    given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {
+        "plant": f"{config.distribution}_distribution"
+    }
     return files | {key: find_config("plant", name) for key, name in given.items()}

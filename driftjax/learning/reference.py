@@ -63,17 +63,18 @@ def steady_corner(table: ReferenceTable, drift_beta: float) -> Corner:
 
 
 class Aim(eqx.Module):
-    """Exploration targets added to the planned reference."""
+    """Exploration targets: changes of the planned reference."""
 
     V: Array  # added to the speed aimed at [m/s]
+    beta: Array  # factor on the sideslip aimed at [-]
     s: Float[Array, " K"]  # arc lengths from the first to the last of the drift section [m]
     e: Float[Array, " K"]  # offset from the path to aim at there [m]
 
 
 def no_aim(table: ReferenceTable) -> Aim:
-    """Return zero targets: the planned speed and path."""
+    """Return the targets that change nothing: planned speed, sideslip and path."""
     s = jnp.linspace(table.drift_start, table.drift_end, AIM_POINTS)
-    return Aim(jnp.zeros(()), s, jnp.zeros(AIM_POINTS))
+    return Aim(jnp.zeros(()), jnp.ones(()), s, jnp.zeros(AIM_POINTS))
 
 
 class Planned(eqx.Module):
@@ -109,22 +110,28 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
     return math.ceil(float(np.sum(float(table.spacing) / np.asarray(table.V)[inside])) / dt)
 
 
+def aimed_reference(table: ReferenceTable, aim: Aim, s: Float[Array, " N+1"]) -> Reference:
+    """Return what is aimed at where the car is expected, at the arc lengths `s`."""
+    plan = table.reference(s)
+    e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
+    turned = (aim.beta - 1) * plan.beta  # the course stays
+    return Reference(plan.V + aim.V, plan.beta + turned, plan.r, e, plan.theta - turned, plan.kappa)
+
+
 def entry_table(
     ocp: DriftOCP, table: ReferenceTable, arrival: Arrival, lead: Array, aim: Aim, options: Options
 ) -> Planned:
     """Plan the corner that the model in `ocp` can drive: one optimal control problem from the straight.
 
     Starts `lead` metres before the drift section in the state `arrival` and tracks path and sideslip of the plan in
-    `table`; speed, yaw rate and inputs follow from the model. `aim` is added to the target speed and path. Where the
+    `table`; speed, yaw rate and inputs follow from the model. `aim` changes target speed, sideslip and path. Where the
     solve fails, a homotopy leads from the nominal car to the corrected one in `ENTRY_SHARES`. Rows outside the horizon
     keep the plan, as does the whole table where the homotopy fails too.
     """
     s0 = table.drift_start - lead
     s = table.schedule(s0, ocp.horizon, ocp.dt)
-    plan = table.reference(s)
-    e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
-    target = Reference(plan.V + aim.V, plan.beta, plan.r, e, plan.theta, plan.kappa)
-    X, U = plan.states(), table.inputs(s[:-1])
+    target = aimed_reference(table, aim, s)
+    X, U = table.reference(s).states(), table.inputs(s[:-1])
 
     def attempt(last: Attempt, share: Array) -> tuple[Attempt, None]:
         steps = jnp.where(last.error < ENTRY_ERROR, 0, options.max_steps)
@@ -141,12 +148,12 @@ def entry_table(
     first = Attempt(X, U, jnp.asarray(jnp.inf), jnp.asarray(0.0), jnp.asarray(0))
     best, _ = jax.lax.scan(attempt, first, jnp.asarray(ENTRY_SHARES))
     good = best.error < ENTRY_ERROR
-    new = _onto(table, s, best.X, best.U)
+    new = put_onto(table, s, best.X, best.U)
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, table)
     return Planned(new, good, best.error, best.num_steps)
 
 
-def _onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
+def put_onto(table: ReferenceTable, s: Array, X: Float[Array, "N+1 5"], U: Float[Array, "N 2"]) -> ReferenceTable:
     """Replace the rows of `table` between the ends of `s` by the trajectory."""
     grid = table.start + table.spacing * jnp.arange(table.V.shape[0])
     inside = (grid >= s[0]) & (grid <= s[-1])

@@ -60,6 +60,22 @@ def lagged_input(command: Float[Array, " T"], lag: Array, dt: Array) -> Float[Ar
     return lag_response(command, lag, dt)[1]
 
 
+def delayed(command: Float[Array, " T"], delay: Array, dt: Array) -> Float[Array, " T"]:
+    """Return the mean over each step of the command that acts there, `delay` [s] after its sample; 0 before the first.
+
+    Within a step a command that changes is replaced by its mean, as the lags are slower than that.
+    """
+    steps = delay / dt
+    at = jnp.arange(len(command))
+
+    def earlier(k: Array) -> Array:
+        return jnp.where(at >= k, command[jnp.maximum(at - k, 0)], 0.0)
+
+    whole = jnp.floor(steps + 1e-9).astype(int)
+    part = steps - whole
+    return (1 - part) * earlier(whole) + part * earlier(whole + 1)
+
+
 class Samples(NamedTuple):
     """Consecutive smoothed states of a lap, the commands between them, and which pairs are valid (T-1,)."""
 
@@ -69,8 +85,13 @@ class Samples(NamedTuple):
     mask: Bool[Array, " T-1"]
 
 
-def samples(trace: Trace) -> Samples:
-    """Return pairs of measured states from one lap (time on the leading axis).
+def acting_commands(trace: Trace, delay: Array, dt: Array) -> Control:
+    """Return the commands of a lap as they act, `delay` [s] after their samples."""
+    return Control(*(delayed(command, delay, dt) for command in trace.command))
+
+
+def samples(trace: Trace, command: Control) -> Samples:
+    """Return pairs of measured states from one lap (time on the leading axis), between which `command` acted.
 
     A pair is valid where the drift controller drove, including the corner entry, where the model would otherwise have
     no data, and where the whole smoothing window belongs to the lap.
@@ -84,7 +105,7 @@ def samples(trace: Trace) -> Samples:
     whole = alive[: trace.alive.shape[0]] & alive[2 * half :]
     finite = jnp.all(jnp.isfinite(jnp.stack([*before, *after])), axis=0)
     mask = whole[:-1] & whole[1:] & trace.decision.drifting[:-1] & finite
-    return Samples(before, after, jax.tree.map(lambda a: a[:-1], trace.command), mask)
+    return Samples(before, after, jax.tree.map(lambda a: a[:-1], command), mask)
 
 
 def rows(nominal: AnyCar, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> tuple[Array, Array, Array]:

@@ -65,7 +65,7 @@ def check_files(config: LearnConfig) -> None:
     load_sensors(config.sensors)
     load_plants(config.plant)
     if not config.plant:
-        load_distribution(config.car)
+        load_distribution(config.distribution)
 
 
 def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Set up an experiment: plants, path, sensors, seeds and controllers as one batch."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.control.driver import Driver, SwitchConfig
+from driftjax.control.estimator import Estimator, build_estimator
 from driftjax.control.lqr import ScheduledLQR, schedule_lqr
 from driftjax.control.mpc import DriftOCP, MPCConfig, Weights, drift_ocp
 from driftjax.control.pursuit import pure_pursuit
@@ -35,7 +36,7 @@ from driftjax.vehicle import (
 from driftjax.vehicle.single_track import G
 
 # Offsets folded into an entry's noise key, besides stage numbers for the noise of laps; the key itself draws nothing
-LEARNING, SPEEDS = 1000, 2000
+LEARNING, SPEEDS, ACQUISITION = 1000, 2000, 3000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +74,15 @@ class Scenario:
     def batch_size(self) -> int:
         """Return the number of batch entries."""
         return len(self.batch)
+
+    @property
+    def margin(self) -> Array:
+        """Return the least distance from the centre line to a border, less half the car's width [m]."""
+        return jnp.minimum(jnp.min(self.track.w_left), jnp.min(self.track.w_right)) - self.vehicle.width / 2
+
+    def amplitude(self, steering: float, drive: float) -> Array:
+        """Return the amplitude (2,) of an excitation of steering [rad] and drive [share of the weight] in rad and N."""
+        return jnp.array([steering, drive * self.vehicle.m * G])
 
     def over_batch(self, tree):
         """Repeat `tree` along a leading batch axis."""
@@ -141,7 +151,7 @@ def lay_out(
 
     `lap` is the length of the track [m].
     """
-    drawn = (config.car, config.plants, config.seed, config.first_plant)
+    drawn = (config.distribution, config.plants, config.seed, config.first_plant)
     plants = [] if on else load_plants(config.plant) or draw_plants(*drawn)
     names = [on[0]] if on else [plant.name for plant in plants]
     each = [
@@ -210,8 +220,17 @@ def _gains(ocp: DriftOCP, table: ReferenceTable, num: int, lead: float, rate_fac
     return jax.lax.map(one, (ocp, table))
 
 
-def build_drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual: Residual) -> Driver:
-    """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch)."""
+def build_drivers(
+    scenario: Scenario,
+    kind: Literal["mpc", "lqr", "pursuit"],
+    table: ReferenceTable,
+    residual: Residual,
+    dither: Array | None = None,
+) -> Driver:
+    """Build the drivers of the batch: `kind` drives the drift section along `table` (leading axis: batch).
+
+    The drift MPC adds an excitation of amplitude `dither` (batch, 2) [rad, N] to its commands, none if omitted.
+    """
     config, vehicle = scenario.config, scenario.vehicle
     ocp = problems(scenario, residual)
     gains = _gains(ocp, table, scenario.horizon, config.switch.lead, config.lqr_price) if kind == "lqr" else None
@@ -220,4 +239,14 @@ def build_drivers(scenario: Scenario, kind: str, table: ReferenceTable, residual
     pursuit = scenario.over_batch(pure_pursuit(config.pursuit, vehicle))
     limits = scenario.over_batch(jnp.asarray([switch.lead, switch.trail, switch.handover_beta]))
     path, options = scenario.over_batch((scenario.plan.path, options))
-    return Driver(kind, path, table, pursuit, gains, ocp, options, *limits.T)  # pyright: ignore[reportArgumentType]
+    dither = jnp.zeros((scenario.batch_size, 2)) if dither is None else dither
+    lead, trail, handover = limits.T
+    estimator = scenario.over_batch(_estimator(scenario)) if config.estimator else None
+    return Driver(kind, path, table, pursuit, gains, ocp, options, lead, trail, handover, estimator, dither)
+
+
+def _estimator(scenario: Scenario) -> Estimator:
+    car, sensors = scenario.vehicle, scenario.sensors
+    noise = jnp.hypot(sensors.of_channels("sigma"), sensors.of_channels("slow"))
+    size = scenario.corner.V_b, car.m * G, car.a, car.Iz
+    return build_estimator(noise, sensors.delay, scenario.config.mpc.dt, *size)

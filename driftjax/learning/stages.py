@@ -5,7 +5,9 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from driftjax.learning.acquire import Acquired, acquire, candidate_grid
 from driftjax.learning.arrival import planned_arrival
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.explore import Candidates, candidates, choose, offset, remaining
@@ -41,7 +43,8 @@ def first_progress(scenario: Scenario) -> Progress:
     batch, K = scenario.batch_size, scenario.config.explore.num_sets
     curve = jnp.zeros((batch, AIM_POINTS))
     sets = jnp.zeros((batch, K, AIM_POINTS))
-    none = Candidates(curve, curve, curve, curve, curve, curve[:, 0], sets, sets[..., 0], jnp.ones((batch, K), bool))
+    visited, one = jnp.ones((batch, K), bool), curve[:, 0]
+    none = Candidates(curve, curve, curve, curve, curve, one, sets, sets[..., 0], visited, one)
     return initial_progress(scenario, none)
 
 
@@ -84,7 +87,8 @@ def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned
     """Drive one lap per entry by the drift MPC before learning, and return it with the reference that it tracked."""
     initial = _initial_residual(scenario)
     planned = _nominal_reference(scenario, initial)
-    return run_stage(scenario, build_drivers(scenario, "mpc", planned.table, initial), number), planned
+    dither = scenario.over_batch(scenario.amplitude(*scenario.config.excitation))
+    return run_stage(scenario, build_drivers(scenario, "mpc", planned.table, initial, dither), number), planned
 
 
 def _initial_residual(scenario: Scenario) -> Residual:
@@ -131,34 +135,67 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
     if name == "gpr-best":
         known, _ = _layers(scenario, progress.model_state.residual)
         on_path = jnp.zeros_like(progress.candidates.aimed)
-        new_candidates = candidates(scenario, stage.laps.trace, known, on_path, number)
+        planned = jnp.full(scenario.batch_size, scenario.corner.V_b)
+        new_candidates = candidates(scenario, stage.laps.trace, known, on_path, planned, number)
         progress = eqx.tree_at(lambda p: p.candidates, progress, new_candidates)
     return progress, _data(scenario, stage, "mpc", best.residual, progress.candidates)
 
 
+class _Proposal(eqx.Module):
+    """What every entry drives next (leading axis: batch)."""
+
+    index: Array  # candidate, which sets the gain of the path's correction
+    aim: Aim
+    dither: Array  # (batch, 2) amplitude of the excitation [rad, N]
+    left: Array  # whether the entry had a candidate left
+    acquired: Acquired | None  # what was predicted, unless Algorithm 1 chose
+
+
+def _propose(scenario: Scenario, progress: Progress, known: Residual, number: int) -> _Proposal:
+    """Choose the next lap of every entry, by Algorithm 1 or by predicted errors."""
+    proposed, options = progress.candidates, scenario.config.explore
+    if options.acquisition == "paper":
+        index, V_ep, left = choose(scenario, proposed, known)
+        aimed = jnp.where(left[:, None], offset(scenario, proposed, index), proposed.aimed)
+        same = jnp.ones(scenario.batch_size)
+        aim = Aim(V_ep - scenario.corner.V_b, same, proposed.s, aimed)
+        return _Proposal(index, aim, jnp.zeros((scenario.batch_size, 2)), left, None)
+    # the path is corrected as in the other kinds: by 1/K after a better lap, then by more
+    index = jnp.minimum(jnp.sum(proposed.visited, axis=1), options.num_sets - 1)
+    aimed = offset(scenario, proposed, index)
+    still = Aim(jnp.zeros_like(proposed.current), jnp.ones_like(proposed.current), proposed.s, aimed)
+    plan = plan_reference(scenario, known, progress.arrival, still).table
+    laps_left = stage_names(scenario.config).index("explore-best") - number - 1
+    chosen = acquire(scenario, known, progress.arrival, plan, aimed, progress.best.error, laps_left, number)
+    aim = Aim(chosen.V, chosen.beta, proposed.s, jnp.where(chosen.possible[:, None], aimed, proposed.aimed))
+    return _Proposal(index, aim, chosen.dither, chosen.possible, chosen)
+
+
 def _explore(scenario: Scenario, progress: Progress, number: int):
-    """Drive one lap of Algorithm 1: choose, plan, drive, learn.
+    """Drive one lap of exploration: choose, plan, drive, learn.
 
     None where every entry has driven all its sets, unless the number of laps is fixed.
     """
-    proposed = progress.candidates
+    candidates_before = progress.candidates
     known, residual = _layers(scenario, progress.model_state.residual)
-    chosen, V_ep, left = choose(scenario, proposed, known)
+    proposal = _propose(scenario, progress, known, number)
+    left, aimed = proposal.left, proposal.aim.e
     if not bool(jnp.any(left)) and not scenario.config.explore.fixed_laps:
         return None
-    aimed = jnp.where(left[:, None], offset(scenario, proposed, chosen), proposed.aimed)
-    planned = plan_reference(scenario, known, progress.arrival, Aim(V_ep - scenario.corner.V_b, proposed.s, aimed))
+    planned = plan_reference(scenario, known, progress.arrival, proposal.aim)
     # an entry that has driven all its sets repeats its best
     best = progress.best.table, progress.best.residual
     table, used = eqx.filter_jit(where_tree)(left, (planned.table, residual), best)
-    stage = run_stage(scenario, build_drivers(scenario, "mpc", table, used), number)
+    dither = jnp.where(left[:, None], proposal.dither, 0.0)
+    stage = run_stage(scenario, build_drivers(scenario, "mpc", table, used, dither), number)
     before = progress.best.error
     progress = update_progress(scenario, progress, stage, used, number)
     better = progress.best.error < before
     known, _ = _layers(scenario, progress.model_state.residual)
-    rest = remaining(scenario, proposed, chosen, aimed, better, stage.laps.trace, known, number)
+    trace, current = stage.laps.trace, jnp.where(left, scenario.corner.V_b + proposal.aim.V, candidates_before.current)
+    rest = remaining(scenario, candidates_before, proposal.index, aimed, current, better, trace, known, number)
     progress = eqx.tree_at(lambda p: (p.candidates, p.explored), progress, (rest, jnp.asarray(True)))
-    return progress, _data(scenario, stage, "mpc", used, proposed, planned)
+    return progress, _data(scenario, stage, "mpc", used, candidates_before, planned, proposal.acquired)
 
 
 def _data(
@@ -168,6 +205,7 @@ def _data(
     residual: Residual | None = None,
     proposed: Candidates | None = None,
     planned: Planned | None = None,
+    acquired: Acquired | None = None,
 ):
     values = stage_values(scenario, stage, kind)
     if planned is not None:
@@ -186,6 +224,12 @@ def _data(
         widest = proposed.widest[:, None]
         values |= {f"vset_{name}": getattr(proposed, name) for name in ("s", "origin", "target", "V", "V_ep")}
         values |= {"vset_lower": proposed.origin - widest, "vset_upper": proposed.origin + widest}
+    if acquired is not None:
+        grid, assessed = candidate_grid(scenario), acquired.assessment
+        values |= {"grid_V": scenario.corner.V_b + grid.V, "grid_beta": scenario.corner.beta * grid.beta}
+        values |= {"grid_excited": jnp.any(grid.dither > 0, axis=1), "grid_chosen": acquired.index}
+        values |= {f"grid_{name}": getattr(assessed, name) for name in assessed._fields}
+        values["grid_drivable"] = acquired.drivable
     if kind == "pursuit":  # it does not depend on the controller: one block of entries suffices
         num = scenario.batch_size // len(scenario.config.controllers)
         values = {name: value if name == "t" else np.asarray(value)[:num] for name, value in values.items()}

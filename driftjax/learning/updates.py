@@ -14,7 +14,7 @@ from driftjax.learning.config import GPConfig
 from driftjax.learning.explore import Candidates
 from driftjax.learning.model import ModelState, empty, update_model
 from driftjax.learning.reference import Aim, Planned, entry_table, no_aim, step_table
-from driftjax.learning.residual import estimate_lags, known_effect_basis, rows, samples
+from driftjax.learning.residual import acting_commands, estimate_lags, known_effect_basis, rows, samples
 from driftjax.learning.scenario import LEARNING, Scenario, entry_problems
 from driftjax.learning.stage import StageResult
 from driftjax.parallel import vmap_batch
@@ -62,16 +62,19 @@ def learn_batch(
     dt: Array,
     lead: Array,
     shortest: Array,
+    delay: Array,
     config: GPConfig,
 ) -> tuple[ModelState, Arrival]:
     """Update models and arrivals of batch entries (both before, lap, its reference, keys)."""
     known_basis = known_effect_basis(nominal) if config.orthogonal else None
 
     def one(model_state: ModelState, arrival: Arrival, trace: Trace, table: ReferenceTable, key: Array):
-        lap = samples(trace)
+        command = acting_commands(trace, delay, dt)
+        lap = samples(trace, command)
         lags = estimate_lags(nominal, lap, dt) if config.lags else model_state.residual.lags
         model_state = update_model(model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest)
-        return model_state, update_arrival(arrival, trace, table.drift_start - lead, model_state.residual.lags, dt)
+        s0, lags = table.drift_start - lead, model_state.residual.lags
+        return model_state, update_arrival(arrival, trace, command, s0, lags, dt)
 
     return vmap_batch(one)(*batch)
 
@@ -86,7 +89,8 @@ def update_progress(
     keys = jax.vmap(lambda key: jax.random.fold_in(key, LEARNING + number))(scenario.keys)
     batch = (progress.model_state, progress.arrival, stage.laps.trace, stage.table, keys)
     config = scenario.config
-    numbers = (as_float(number) for number in (config.mpc.dt, config.switch.lead, config.gp.shortest))
+    numbers = (as_float(number) for number in
+               (config.mpc.dt, config.switch.lead, config.gp.shortest, scenario.sensors.delay))  # fmt: skip
     model_state, arrival = scenario.executor.map(learn_batch, batch, scenario.nominal, *numbers, config.gp.program)
     arrival = arrival if config.measured_arrival else progress.arrival
     best = progress.best

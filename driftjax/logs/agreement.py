@@ -7,14 +7,12 @@ import numpy as np
 
 from driftjax.logs.checks import SLOW
 from driftjax.logs.log import Run
-from driftjax.logs.sampling import fill_gaps, surrounding
+from driftjax.logs.sampling import Channels, fill_gaps, surrounding
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
 MAX_SHIFT = 0.5  # largest time shift, either way [s]
 MAX_LATERAL_ACCELERATION = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
 MIN_SAMPLES = 50  # samples that a check needs
-
-Channels = dict[str, np.ndarray]
 
 
 class Agreement(NamedTuple):

@@ -46,7 +46,12 @@ class Inspection:
 
 
 def inspect(log: Log, wheelbase: float | None = None) -> Inspection:
-    """Inspect a log; with the car's `wheelbase` [m] the yaw rate is compared with the steering too."""
+    """Summarise the channels of a log and check whether they agree with each other.
+
+    Each channel that others determine is compared with that prediction: slope, offset, time shift [s]. With the car's
+    `wheelbase` [m] the yaw rate is compared with the steering, too. `str` of the result is a table; `content()` gives
+    plain values in SI.
+    """
     return Inspection(log, _channels(log), agreements(log.runs, wheelbase))
 
 

@@ -24,7 +24,7 @@ CHUNK_SIZE = 2**20  # bytes
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run with an even sample time; arrays (n,), NaN where a measured value is missing."""
+    """One run with an even sample time: arrays (n,) in SI and radians, left positive; NaN where a value is missing."""
 
     name: str
     t: np.ndarray
@@ -171,11 +171,13 @@ def _free_name(name: str, taken: Container[str]) -> str:
     return free
 
 
-def write_log(path: Path, runs: Sequence[Run]) -> None:
+def write_log(path: str | Path, runs: Sequence[Run]) -> None:
     """Write runs in the log format, as CSV or Parquet by the suffix of `path`, atomically.
 
-    Missing values become empty cells; numbers keep every digit.
+    Missing values become empty cells; numbers keep every digit. Raises `BadInput` without a run, for another suffix and
+    for a path that cannot be written.
     """
+    path = Path(path)
     if not runs:
         raise BadInput(f"{path}: there is no run to write; give one at least.")
     extra = [name for name in EXTRA if any(name in run.extra for run in runs)]

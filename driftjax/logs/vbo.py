@@ -65,9 +65,9 @@ def _units(sections: dict[str, list[tuple[int, str]]], names: tuple[str, ...]) -
     units = []
     for k, name in enumerate(names):
         words = titles[k] if k < len(titles) else []
-        said = next((UNITS[word] for word in words if word in UNITS), None)
+        stated = next((UNITS[word] for word in words if word in UNITS), None)
         known = STANDARD.get(name.lower())
-        units.append(said or (known if known is not None else next(own, "")))
+        units.append(stated or (known if known is not None else next(own, "")))
     return tuple(units)
 
 

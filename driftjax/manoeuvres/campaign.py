@@ -120,7 +120,7 @@ def drive_manoeuvre(
 
 
 def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -> tuple[tuple[Run, ...], Truth]:
-    """Drive a campaign on `vehicle` with all effects at `theta` (typical sizes); returns logged runs and the truth.
+    """Drive a campaign on `vehicle` with effects `theta` (K,) (`effect_strengths`); return logged runs and the truth.
 
     A run that spins is drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program
     serves any number of them; another run length or car compiles anew.

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from driftjax.core import BadInput, from_dict, read_yaml, write_atomically
+from driftjax.core import BadInput, from_dict, read_yaml, write_text
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
 from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
@@ -55,15 +55,18 @@ def _number(text: str, word: str) -> float:
     return value
 
 
-def write_truth(path: Path, truth: Truth, vehicle: str, combined_slip: float, campaign: Campaign) -> None:
-    """Write `truth` of the base car `vehicle` (a name or a file), SI, as `read_truth` reads it."""
+def write_truth(path: str | Path, truth: Truth, vehicle: str, combined_slip: float, campaign: Campaign) -> None:
+    """Write the truth of the runs of a `campaign` (see `record_runs`) as YAML, SI, for `Diagnosis.drive_proposal`.
+
+    `vehicle` names the base car, a shipped one or a file, and `combined_slip` [-] its friction ellipse.
+    """
     content: dict[str, Any] = {
         "vehicle": vehicle, "combined_slip": combined_slip, "effects": truth.effects, "noise": truth.noise,
         "process_noise": truth.process_noise, "seed": campaign.seed, "campaign": to_dict(campaign),
         "left_out": list(truth.left_out),
     }  # fmt: skip
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+    write_text(Path(path), text)
 
 
 def read_truth(path: Path) -> tuple[VehicleConfig, Float[np.ndarray, "K"], Campaign]:

@@ -65,19 +65,19 @@ def _program(function: Callable[..., PyTree], args: tuple) -> tuple[Compiled, li
     traced = tuple(map(eqx.is_array, leaves))
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
     static = [None if eqx.is_array(leaf) else leaf for leaf in leaves]
-    around = (jax.default_backend(), jax.config.values["jax_enable_x64"])
+    settings = (jax.default_backend(), jax.config.values["jax_enable_x64"])
     devices = {device for leaf in arrays if isinstance(leaf, jax.Array) and leaf.committed for device in leaf.devices()}
     default = _default_device()
     devices -= {default}
     shapes = tuple(map(jax.typeof, arrays))
-    key = (function, structure, traced, shapes, tuple(map(repr, static)), around, default, frozenset(devices))
+    key = (function, structure, traced, shapes, tuple(map(repr, static)), settings, default, frozenset(devices))
     if key not in _programs:
         with _locks_guard:
             lock = _locks.setdefault(key, threading.Lock())
         with lock:  # of several threads one compiles
             if key not in _programs:
                 like = arrays if devices else list(map(_unplaced, shapes))
-                _programs[key] = _compiled(_Plain(function, structure, static, traced), like, around)
+                _programs[key] = _compiled(_Plain(function, structure, static, traced), like, settings)
     run, skeleton, _ = _programs[key]
     return run, arrays, skeleton
 
@@ -101,9 +101,9 @@ def _strongly_typed(leaf: Any) -> Any:
     return np.asarray(leaf) if weak and len(leaf.devices()) == 1 else leaf
 
 
-def _compiled(plain: "_Plain", arrays: list, around: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
+def _compiled(plain: "_Plain", arrays: list, settings: tuple) -> tuple[Compiled, PyTree, "_Plain"]:
     """Compile the program, from its stored form where there is one."""
-    if (path := _path(plain, arrays, around)) is None:
+    if (path := _path(plain, arrays, settings)) is None:
         return jax.jit(plain).lower(*arrays).compile(), plain.skeleton, plain
     with _file_lock(path):
         lowered, skeleton = _stored(path, plain, arrays)
@@ -133,11 +133,11 @@ def _file_lock(path: Path) -> Iterator[None]:
                 lock.unlink(missing_ok=True)
 
 
-def _path(plain: "_Plain", arrays: list, around: tuple) -> Path | None:
+def _path(plain: "_Plain", arrays: list, settings: tuple) -> Path | None:
     """Return where the program is stored; None where it must not be."""
     cache, shapes = jax.config.values["jax_compilation_cache_dir"], [str(jax.typeof(a)) for a in arrays]
     name, module = plain.function.__qualname__, plain.function.__module__
-    text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, around))
+    text = repr((module, name, plain.structure, plain.traced, shapes, plain.static, settings))
     # a value that prints as an address is another in each process; a GPU needs calls that cannot be exported
     if cache is None or " at 0x" in text or jax.default_backend() != "cpu":
         return None
@@ -178,8 +178,8 @@ class _Plain:
         self.skeleton: PyTree = None
 
     def __call__(self, *arrays):
-        given = iter(arrays)
-        leaves = [next(given) if is_array else leaf for leaf, is_array in zip(self.static, self.traced, strict=True)]
+        values = iter(arrays)
+        leaves = [next(values) if is_array else leaf for leaf, is_array in zip(self.static, self.traced, strict=True)]
         out, structure = jax.tree.flatten(self.function(*jax.tree.unflatten(self.structure, leaves)))
         arrays_out = [leaf for leaf in out if eqx.is_array(leaf)]
         places = iter(range(len(arrays_out)))

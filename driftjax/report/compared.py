@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from driftjax.core import write_atomically
+from driftjax.core import write_text
 from driftjax.logs.columns import MEASURED
 from driftjax.report.html import Cell, collapsible, document, figures, image, paragraph, section, table
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, OTHER, legend_below, new_figure, save
@@ -114,7 +114,7 @@ def write_comparison(run: RunFolder) -> Path:
     content, page = run.read_json("compare"), run.path / "report.html"
     pictures = [save(plot_gap(content), run.path / "figures", "gap")] if content["gap"] else []
     text = log_comparison_page(run, content, pictures)
-    write_atomically(page, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(page, text)
     return page
 
 

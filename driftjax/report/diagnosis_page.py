@@ -6,7 +6,7 @@ from typing import Any
 
 import xarray as xr
 
-from driftjax.core import write_atomically
+from driftjax.core import write_text
 from driftjax.logs.columns import MEASURED
 from driftjax.report.diagnosis import (
     TITLES,
@@ -58,10 +58,10 @@ MODELS = {
 
 
 def write_diagnosis(run: RunFolder) -> Path:
-    """Write figures/*.png and .pdf and report.html from the folder alone; returns the page's path."""
+    """Write figures/*.png and .pdf and report.html of a diagnosis from its folder alone; return the page's path."""
     pictures = [save(figure, run.path / "figures", name) for name, figure in diagnosis_figures(run)]
     page, text = run.path / "report.html", diagnosis_page(run, pictures)
-    write_atomically(page, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(page, text)
     return page
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from driftjax.core import write_atomically
+from driftjax.core import write_text
+from driftjax.report.candidates import plot_candidates
 from driftjax.report.comparison import plot_comparison
 from driftjax.report.drives import lap_drives, shown_vehicle, stage_kind
 from driftjax.report.exploration import plot_gp_data, plot_speed_sets
@@ -28,6 +29,7 @@ TITLES = {
     "velocity": "Speed tracking",
     "posture": "Posture in the corner",
     "speed_sets": "Speed sets of the active explorer",
+    "candidates": "Predicted errors of the candidates",
     "gp_data": "Data of the Gaussian process",
 }
 KEYS = ("lateral_error", "velocity_rmse", "drift_share")  # numbers of a stage's row, in the order of its table
@@ -49,6 +51,7 @@ def learn_figures(run: RunFolder) -> Iterator[tuple[str, Figure]]:
             "posture": plot_posture(run, plan, controller, vehicle),
             "velocity": plot_velocity(run, plan, controller),
             "speed_sets": plot_speed_sets(run, controller),
+            "candidates": plot_candidates(run, controller),
             "gp_data": plot_gp_data(run, controller),
         }
         yield from ((f"{name}_{controller}", figure) for name, figure in figures.items() if figure is not None)
@@ -63,7 +66,7 @@ def write_report(run: RunFolder) -> Path:
     words = results_table(run.read_json("results")) if run.has("results.json") else f"finished so far: {run.finished()}"
     (run.path / "table.txt").write_text(words + "\n", encoding="utf-8")
     page, text = run.path / "report.html", learn_page(run, pictures)
-    write_atomically(page, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(page, text)
     return page
 
 

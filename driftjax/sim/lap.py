@@ -13,7 +13,7 @@ from jax import Array
 
 from driftjax.core import Control, as_float, require_positive
 from driftjax.parallel import vmap_batch
-from driftjax.sim.sensors import SensorConfig, measure
+from driftjax.sim.sensors import SensorConfig, first_slow_errors, measure, next_slow_errors
 from driftjax.sim.travel import Travel
 from driftjax.sim.universal_plant import AnyPlant
 from driftjax.track import Track
@@ -94,7 +94,9 @@ class Laps(eqx.Module):
 
 class _Carry(NamedTuple):
     plant: PlantState | Travel
-    command: Control
+    command: Control  # acting now
+    pending: tuple[Control, ...]  # commands on their way to the actuators, the oldest first
+    slow: Array  # (batch, 6) slow errors of the sensors
     s: Array
     true_s: Array
     code: Array
@@ -126,20 +128,31 @@ def _judge(plant: AnyPlant, state: Any, command: Control, path: Track, s: Array,
     return s, e, motion, jnp.where(finite, code, int(LapCode.NON_FINITE))
 
 
-def _at_start(plants: AnyPlant, paths: Track, speed: Array, memory: Any) -> _Carry:
+def _at_start(
+    plants: AnyPlant, paths: Track, speed: Array, memory: Any, sensors: SensorConfig, pending: int, keys: Array
+) -> _Carry:
     """Return the initial states: every car rolls at `speed` [m/s] along the start of its path."""
     x0, y0, psi0, _ = vmap_batch(lambda p: p.pose(0.0))(paths)
     state = vmap_batch(lambda p, *start: p.rolling(*start))(plants, speed, x0, y0, psi0)
     zero = jnp.zeros_like(speed)
-    return _Carry(state, Control(zero, zero), zero, zero, jnp.full(speed.shape, int(LapCode.RUNNING)), memory)
+    slow, none = vmap_batch(lambda key: first_slow_errors(sensors, key=key))(keys), Control(zero, zero)
+    code = jnp.full(speed.shape, int(LapCode.RUNNING))
+    return _Carry(state, none, pending * (none,), slow, zero, zero, code, memory)
 
 
-def _sense(sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, key: Array):
+def sensed_on(path: Track, s: Array, V: Array, beta: Array, r: Array, x: Array, y: Array, psi: Array) -> Sensed:
+    """Return a motion with its place along `path`; `s` [m] is about where that is."""
+    s, e = path.project(x, y, s)
+    return Sensed(V, beta, r, x, y, psi, s, e, wrap(psi - path.pose(s)[2]))
+
+
+def _sense(
+    sensors: SensorConfig, plant: AnyPlant, state: Any, command: Control, path: Track, s: Array, slow: Array, key: Array
+) -> tuple[Motion, Sensed]:
     """Return the true motion and the measurements of one batch entry; `s` [m] is its last arc length."""
     motion = plant.motion(state, command)
-    m = measure(plant.sensor_reading(state, motion), sensors, key=key)
-    s, e = path.project(m.x, m.y, s)
-    return motion, Sensed(m.V, m.beta, m.r, m.x, m.y, m.psi, s, e, wrap(m.psi - path.pose(s)[2]))
+    m = measure(plant.sensor_reading(state, motion), sensors, key=key, slow=slow)
+    return motion, sensed_on(path, s, *m)
 
 
 def _scan_laps(step: Callable[[_Carry, Array], tuple[_Carry, Trace]], carry: _Carry, num: int) -> tuple[_Carry, Trace]:
@@ -153,6 +166,31 @@ def _scan_laps(step: Callable[[_Carry, Array], tuple[_Carry, Trace]], carry: _Ca
         return jax.lax.cond(anyone, step, lambda c, _: (c, blank), carry, k)
 
     return jax.lax.scan(step_or_rest, carry, steps)
+
+
+class _Delay(NamedTuple):
+    """Delay of the commands: whole control steps, and plant steps into the next one."""
+
+    whole: int
+    part: int
+
+    @property
+    def pending(self) -> int:
+        """Return the number of commands that are on their way at the start of a step."""
+        return self.whole + (self.part > 0)
+
+
+def _delay(sensors: SensorConfig, config: LapConfig, dt: float) -> _Delay:
+    return _Delay(*divmod(round(sensors.delay * config.substeps / dt), config.substeps))
+
+
+def _advance(
+    plant: AnyPlant, state: Any, commands: tuple[Control, ...], dt: Array, substeps: int, part: int
+) -> Any:  # fmt: skip
+    """Advance one batch entry by a control step: the first command acts for `part` plant steps, the second after."""
+    if part:
+        state = plant.advance(state, commands[0], dt * part / substeps, part)
+    return plant.advance(state, commands[-1], dt * (substeps - part) / substeps, substeps - part)
 
 
 def drive(
@@ -170,29 +208,33 @@ def drive(
     """Drive one lap per batch entry (leading axis of `plants`, `paths`, `speed` [m/s], `memory`, `keys`).
 
     `policy` maps measurements, its memory and the flags of the running laps to commands, new memory and a record of
-    the decision. An entry that spins, stalls, leaves the path or becomes non-finite is frozen with its code; the others
-    continue. The noise of an entry depends on its own key only, so that a batch equals its single laps.
+    the decision. Commands act after the `delay` of the sensors, rounded to steps of the plant. An entry that spins,
+    stalls, leaves the path or becomes non-finite is frozen with its code; the others continue. The noise of an entry
+    depends on its own key only, so that a batch equals its single laps.
     """
-    step_time = as_float(dt)
-    sense = vmap_batch(partial(_sense, sensors))
+    step_time, delay = as_float(dt), _delay(sensors, config, dt)
+    advance = lambda p, x, u: _advance(p, x, u, step_time, config.substeps, delay.part)
+    sense: Callable[..., tuple[Motion, Sensed]] = vmap_batch(partial(_sense, sensors))
 
     @jax.jit  # traced once for its shapes and for the scan
     def step(carry: _Carry, k: Array) -> tuple[_Carry, Trace]:
         alive = carry.code == int(LapCode.RUNNING)
         key = vmap_batch(lambda one: jax.random.fold_in(one, k))(keys)
-        readings: tuple[Motion, Sensed] = sense(plants, carry.plant, carry.command, paths, carry.s, key)
-        motion, sensed = readings
+        motion, sensed = sense(plants, carry.plant, carry.command, paths, carry.s, carry.slow, key)
         command, memory, decision = policy(sensed, carry.memory, alive)
-        advance = vmap_batch(lambda p, x, u: p.advance(x, u, step_time, config.substeps))
-        after = advance(plants, carry.plant, command)
+        queue = (*carry.pending, command)
+        acting = queue[: len(queue) - delay.whole]  # those that act during this step
+        after = vmap_batch(advance)(plants, carry.plant, acting)
         judged = vmap_batch(lambda p, x, u, path, s: _judge(p, x, u, path, s, config))
-        true_s, _, _, code = judged(plants, after, command, paths, carry.true_s)
-        now_s, now_e, _, _ = judged(plants, carry.plant, command, paths, carry.true_s)
-        new = where_tree(alive, _Carry(after, command, sensed.s, true_s, code, memory), carry)
+        true_s, _, _, code = judged(plants, after, acting[-1], paths, carry.true_s)
+        now_s, now_e, _, _ = judged(plants, carry.plant, acting[-1], paths, carry.true_s)
+        slow = vmap_batch(lambda c, key: next_slow_errors(sensors, c, step_time, key=key))(carry.slow, key)
+        later = _Carry(after, acting[-1], queue[1:] if carry.pending else (), slow, sensed.s, true_s, code, memory)
+        new = where_tree(alive, later, carry)
         trace = Trace(alive, sensed, *motion[:6], now_s, now_e, motion.delta, motion.Fxr, command, decision)
         return new, trace
 
     num = max(1, round(config.time_limit / dt))  # 0.3 / 0.1 is below 3
-    last, trace = _scan_laps(step, _at_start(plants, paths, speed, memory), num)
+    last, trace = _scan_laps(step, _at_start(plants, paths, speed, memory, sensors, delay.pending, keys), num)
     code = jnp.where(last.code == int(LapCode.RUNNING), int(LapCode.TIMEOUT), last.code)
     return Laps(jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), trace), code, step_time)

@@ -12,7 +12,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from driftjax.core import Control, State
+from driftjax.core import Control, State, markov_step
 from driftjax.sim.rollout import SETTLE
 from driftjax.sim.step import steady_lagged_state
 from driftjax.sim.travel import Travel, delay_buffer, sensor_reading, travel
@@ -60,7 +60,7 @@ def markov_noise(key: Array, num: int, sigma: Array, correlation: Array, dt: flo
     white = sigma * jax.random.normal(key, (num, 3))
 
     def on(last, kick):
-        now = left * last + jnp.sqrt(1 - left**2) * kick
+        now = markov_step(last, kick, left)
         return now, now
 
     return jnp.concatenate([white[:1], jax.lax.scan(on, white[0], white[1:])[1]])
@@ -132,7 +132,7 @@ def record(
         command = jnp.clip(u_ref - manoeuvre.K @ (filtered - x_ref), now.command - dt * rate, now.command + dt * rate)
         command = jnp.clip(command, lower, upper)
         left = jnp.exp(-dt / conditions.correlation)
-        push = left * now.push + jnp.sqrt(1 - left**2) * kick
+        push = markov_step(now.push, kick, left)
         row = Recording(y, command, car.place, jnp.stack(car.x), car.position, now.a)
         u = Control(command[0], command[1])
 

@@ -2,19 +2,22 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
-from driftjax.core import find_config, from_dict, read_yaml, require
+from driftjax.core import find_config, from_dict, markov_step, read_yaml, require
 from driftjax.vehicle import Motion
+
+SLOW = 1 << 20  # folded into a sample's key for the noise of the slow errors
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Standard deviations of the measurement noise, white and independent between channels."""
+    """Errors of the sensors: white noise, slow errors and bias of the channels, and the delay of the control loop."""
 
     sigma_V: float = 0.0
     """Speed [m/s]."""
@@ -28,10 +31,35 @@ class SensorConfig:
     """Position along y [m]."""
     sigma_psi: float = 0.0
     """Heading [rad]."""
+    slow_V: float = 0.0
+    """Standard deviation of a slow error of the speed [m/s], a first-order process; so for the other channels."""
+    slow_beta: float = 0.0
+    """Of the sideslip [rad]."""
+    slow_r: float = 0.0
+    """Of the yaw rate [rad/s]."""
+    slow_x: float = 0.0
+    """Of the position along x [m]."""
+    slow_y: float = 0.0
+    """Of the position along y [m]."""
+    slow_psi: float = 0.0
+    """Of the heading [rad]."""
+    slow_time: float = 0.5
+    """Correlation time of the slow errors [s]."""
+    bias_beta: float = 0.0
+    """Constant error of the sideslip, as of a sensor mounted askew [rad]."""
+    delay: float = 0.0
+    """Time from a sample to the moment at which the command computed from it reaches the actuators [s]."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            require(value >= 0, f"key '{name}' is {value}; a standard deviation must not be negative.")
+            if name.startswith(("sigma_", "slow_")):
+                require(value >= 0, f"key '{name}' is {value}; a standard deviation must not be negative.")
+        require(self.slow_time > 0, f"key 'slow_time' is {self.slow_time}; it must be a positive time in seconds.")
+        require(self.delay >= 0, f"key 'delay' is {self.delay}; it must not be negative.")
+
+    def of_channels(self, kind: Literal["sigma", "slow"]) -> Float[Array, "6"]:
+        """Return the standard deviations of V, beta, r, x, y, psi."""
+        return jnp.array([getattr(self, f"{kind}_{name}") for name in Measurement._fields])
 
 
 class Measurement(NamedTuple):
@@ -46,14 +74,32 @@ class Measurement(NamedTuple):
 
 
 def load_sensors(name: str | Path) -> SensorConfig:
-    """Load a sensor YAML: a path, or the name of a shipped set (`sedan`: GNSS/INS, `rc`: motion capture)."""
+    """Load a sensor YAML: a path, or the name of a shipped set.
+
+    `sedan` is GNSS/INS and `rc` motion capture at their best; `sedan_field` and `rc_field` have slow errors, a bias of
+    the sideslip and a delay of 40 ms, and `rc_field` the position of a lidar.
+    """
     path = find_config("sensors", name)
     return from_dict(SensorConfig, read_yaml(path), str(path))
 
 
-def measure(motion: Motion, sensors: SensorConfig, *, key: Array) -> Measurement:
-    """Add Gaussian noise to `motion`, drawn from `key`; the same key gives the same noise."""
-    sigma = [getattr(sensors, f"sigma_{name}") for name in Measurement._fields]
-    true = Measurement(motion.V, motion.beta, motion.r, motion.x, motion.y, motion.psi)
+def first_slow_errors(sensors: SensorConfig, *, key: Array) -> Float[Array, "6"]:
+    """Draw the slow errors of the first sample."""
+    return sensors.of_channels("slow") * jax.random.normal(jax.random.fold_in(key, SLOW), (6,))
+
+
+def next_slow_errors(sensors: SensorConfig, slow: Float[Array, "6"], dt: Array, *, key: Array) -> Float[Array, "6"]:
+    """Return the slow errors one sample of `dt` [s] later: a first-order Gauss-Markov process."""
+    return markov_step(slow, first_slow_errors(sensors, key=key), jnp.exp(-dt / sensors.slow_time))
+
+
+def measure(
+    motion: Motion, sensors: SensorConfig, *, key: Array, slow: Float[Array, "6 ..."] | float = 0.0
+) -> Measurement:
+    """Add noise drawn from `key`, bias and `slow` errors to `motion`; the same key gives the same noise."""
+    true = Measurement(motion.V, motion.beta + sensors.bias_beta, motion.r, motion.x, motion.y, motion.psi)
     noise = jax.random.normal(key, (6, *jnp.shape(motion.V)), jnp.result_type(motion.V))
-    return Measurement(*(value + scale * unit for value, scale, unit in zip(true, sigma, noise, strict=True)))
+    sigma = sensors.of_channels("sigma")
+    slow = jnp.broadcast_to(slow, noise.shape)
+    return Measurement(*(value + scale * unit + c for value, scale, unit, c in
+                         zip(true, sigma, noise, slow, strict=True)))  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, write_atomically, write_text
 
 
 def write_netcdf(path: Path, data: xr.Dataset) -> None:
@@ -35,7 +35,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
 def write_json(path: Path, values: Any) -> None:
     """Write strict JSON: numbers that are not finite become null."""
     text = json.dumps(to_json_types(values), indent=2, allow_nan=False)
-    write_atomically(path, lambda p: p.write_text(text + "\n", encoding="utf-8"))
+    write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> Any:

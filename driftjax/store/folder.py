@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 import yaml
 
-from driftjax.core import BadInput, read_yaml, write_atomically
+from driftjax.core import BadInput, read_yaml, write_atomically, write_text
 from driftjax.store import files
 from driftjax.store.variables import SHARED
 from driftjax.store.versions import versions
@@ -46,7 +46,7 @@ class RunFolder:
             path.mkdir(parents=True, exist_ok=True)
             files.write_json(path / "versions.json", {"verb": verb} | versions())
             text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
-            write_atomically(path / CONFIG, lambda p: p.write_text(text, encoding="utf-8"))
+            write_text(path / CONFIG, text)
         except OSError as error:
             folder.discard()
             raise BadInput(f"{path}: cannot be written ({error.strerror}); give another --out.") from None

@@ -96,6 +96,19 @@ STAGE: dict[str, Variable] = {
     "vset_V_ep": Variable(("lane", "set"), "m/s", "cornering speed to explore of each set"),
     "vset_lower": Variable(("lane", "point"), "m/s", "lower bound of the generated speeds"),
     "vset_upper": Variable(("lane", "point"), "m/s", "upper bound of the generated speeds"),
+    "grid_V": Variable(("candidate",), "m/s", "cornering speed of the candidate"),
+    "grid_beta": Variable(("candidate",), "rad", "sideslip of the candidate, left positive"),
+    "grid_excited": Variable(("candidate",), "1", "whether steering and drive of the candidate are excited"),
+    "grid_drivable": Variable(("lane", "candidate"), "1", "whether a plan exists that stays on the road"),
+    "grid_error": Variable(("lane", "candidate"), "m", "expected mean absolute lateral error of the candidate"),
+    "grid_deviation": Variable(
+        ("lane", "candidate"), "m", "standard deviation of its lateral error, root mean square over the drift section"
+    ),
+    "grid_on_road": Variable(("lane", "candidate"), "1", "least probability of staying on the road along its plan"),
+    "grid_gain": Variable(
+        ("lane", "candidate"), "m", "knowledge gradient: expected decrease of the least expected error by driving it"
+    ),
+    "grid_chosen": Variable(("lane",), "1", "index of the candidate driven"),
 }
 
 _NODE, _POINT = ("node",), ("point",)

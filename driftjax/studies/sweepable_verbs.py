@@ -21,18 +21,18 @@ from driftjax.store import RunFolder
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.studies.paper.config import PaperConfig
 from driftjax.sweep import Work
-from driftjax.sweep.trial import Row
+from driftjax.sweep.trial import TrialRow
 from driftjax.vehicle import load_vehicle
 
-Options = dict[str, Any]
+VerbOptions = dict[str, Any]
 
 
-def complete_learn(options: Options) -> Options:
+def complete_learn(options: VerbOptions) -> VerbOptions:
     """Complete options of `learn` with the car's shipped ones."""
     return to_dict(complete_learn_config(options, "a trial"))
 
 
-def learn_files(config: Options) -> list[Path]:
+def learn_files(config: VerbOptions) -> list[Path]:
     """Return the files that `learn` reads."""
     return list(files_of(from_dict(LearnConfig, config, "a trial")).values())
 
@@ -41,7 +41,7 @@ _routes: dict[str, Route] = {}  # of this process, by what they were made from: 
 ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
 
 
-def learn_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def learn_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
     """Yield the laps of every stage."""
     options = from_dict(LearnConfig, config, "a trial")
     made_from = json.dumps([config[name] for name in ROUTE])
@@ -65,22 +65,22 @@ class LogConfig:
     options: DiagnoseConfig = field(default_factory=DiagnoseConfig)
 
 
-def complete_diagnose(options: Options) -> Options:
+def complete_diagnose(options: VerbOptions) -> VerbOptions:
     """Complete options of `diagnose`."""
     return to_dict(from_dict(LogConfig, options, "a trial"))
 
 
-def diagnose_files(config: Options) -> list[Path]:
+def diagnose_files(config: VerbOptions) -> list[Path]:
     """Return the logs, the vehicle's YAML and, where one is given, the column map's; shipped ones among them."""
     columns = [find_config("columns", config["columns"])] if config["columns"] else []
     return [*map(Path, config["logs"]), find_config("vehicle", config["vehicle"]), *columns]
 
 
-def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def diagnose_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
     """Yield the verdict, and the gain on held-out runs."""
-    given = from_dict(LogConfig, config, "a trial")
-    log = read_log(given.logs, given.columns, runs=given.runs, cut=given.cut)
-    content = diagnose(load_vehicle(given.vehicle, given.combined_slip), log, given.options).content()
+    options = from_dict(LogConfig, config, "a trial")
+    log = read_log(options.logs, options.columns, runs=options.runs, cut=options.cut)
+    content = diagnose(load_vehicle(options.vehicle, options.combined_slip), log, options.options).content()
     names, gain = [cause["effect"] for cause in content["causes"]], content["gain"]
     ahead = gain["skill_horizon_s"]
     at = None if ahead is None else gain["horizons_s"].index(ahead)
@@ -89,26 +89,26 @@ def diagnose_rows(config: Options, executor: BatchExecutor, folder: Path) -> Ite
             "error_ratio": ratio[at] if ratio and at is not None else None, "skill": skill}]  # fmt: skip
 
 
-def complete_paper(options: Options) -> Options:
+def complete_paper(options: VerbOptions) -> VerbOptions:
     """Complete options of `paper`."""
     config = from_dict(PaperConfig, options, "a trial")
     require(config.main, "key 'main' is false; the rows of a sweep are those of the main comparison.")
     return to_dict(config)
 
 
-def paper_files(config: Options) -> list[Path]:
+def paper_files(config: VerbOptions) -> list[Path]:
     """Return the files that the shipped options of the cars name."""
     return [path for car in config["cars"] for path in files_of(load_learn_config(car)).values()]
 
 
-def paper_rows(config: Options, executor: BatchExecutor, folder: Path) -> Iterator[list[Row]]:
+def paper_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
     """Yield the means of every method of the comparison, whose runs are in `folder` until it is finished."""
     from driftjax.studies.paper.run import run_comparison
 
     there = (folder / "config.yaml").exists()
     run = RunFolder.open(folder) if there else RunFolder.create(folder, config, "paper")
     results = run_comparison(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
-    rows: list[Row] = []
+    rows: list[TrialRow] = []
     for car, result in results["cars"].items():
         for controller, methods in result["methods"].items():
             for stage, figures in methods.items():

@@ -7,6 +7,5 @@ from driftjax.sweep.executors import open_executor as open_executor
 from driftjax.sweep.run import SweepResult as SweepResult
 from driftjax.sweep.run import finish_sweep as finish_sweep
 from driftjax.sweep.run import open_sweep as open_sweep
-from driftjax.sweep.run import run_sweep as run_sweep
 from driftjax.sweep.source import check as check
 from driftjax.sweep.trial import Work as Work

@@ -112,14 +112,14 @@ def explained_share(y: np.ndarray, group: np.ndarray) -> float:
     return float((between - (held.sum() - 1) * within / free) / (between + within))
 
 
-def sensitivity(analysis: Analysis, seed: int = 0) -> Shares | None:
+def sensitivity(analysis: Analysis) -> Shares | None:
     """Compute the share of the variance that each field explains by itself (its first-order index), and each pair
     beyond its two, with a 95 % bootstrap interval over trials; None of too few trials or of equal ones."""
     groups = {name: groups_of(values) for name, values in analysis.values.items() if len(np.unique(values)) > 1}
     y = analysis.objective
     if len(y) < ENOUGH or np.ptp(y) == 0 or not groups:
         return None
-    resampled = np.random.default_rng(seed).integers(0, len(y), (RESAMPLES, len(y)))
+    resampled = np.random.default_rng(0).integers(0, len(y), (RESAMPLES, len(y)))
     shares = lambda group: np.array([explained_share(y[pick], group[pick]) for pick in (np.arange(len(y)), *resampled)])
     estimates = {name: shares(group) for name, group in groups.items()}  # the estimate, then those of resampled trials
     num = max(2, min(BINS, int((len(y) / CELL) ** 0.5)))

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from driftjax.core import BadInput, from_dict, read_yaml, require, require_at_least
 
 Value = bool | int | float | str | None
-Point = dict[str, Value]  # a combination of values
+DesignPoint = dict[str, Value]  # a combination of values
 
 
 @dataclass(frozen=True)

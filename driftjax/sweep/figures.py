@@ -31,12 +31,12 @@ def _log(analysis: Analysis, name: str) -> bool:
     return isinstance(options, Range) and options.log
 
 
-def _label(analysis: Analysis, name: str, axis: Axes, which: str = "x") -> None:
-    getattr(axis, f"set_{which}label")(name)
+def _label(analysis: Analysis, name: str, axis: Axes) -> None:
+    axis.set_xlabel(name)
     if name in analysis.labels:
-        getattr(axis, f"set_{which}ticks")(range(len(analysis.labels[name])), analysis.labels[name])
+        axis.set_xticks(range(len(analysis.labels[name])), analysis.labels[name])
     elif _log(analysis, name):
-        getattr(axis, f"set_{which}scale")("log")
+        axis.set_xscale("log")
 
 
 def plot_main_effects(analysis: Analysis, folder: Path) -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 from driftjax.core import BadInput
 from driftjax.logs.extras import import_extra
 from driftjax.sweep.analysis import analyse
-from driftjax.sweep.config import Choices, Point, SweepConfig
+from driftjax.sweep.config import Choices, DesignPoint, SweepConfig
 from driftjax.sweep.source import Source
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial, objective
@@ -68,7 +68,7 @@ class OptunaSource(Source):
             suggested = self._study.ask()
             yield from self._of(suggested, self._point(suggested))
 
-    def _of(self, suggested: Any, point: Point) -> Iterator[Trial]:
+    def _of(self, suggested: Any, point: DesignPoint) -> Iterator[Trial]:
         """Yield the trial, unless one with the same values has a result already."""
         if set(point) != set(self.config.varied):
             point = self._point(suggested)  # stopped while its values were drawn
@@ -79,8 +79,8 @@ class OptunaSource(Source):
         self._running[trial.id] = suggested
         yield trial
 
-    def _point(self, suggested: Any) -> Point:
-        point: Point = {}
+    def _point(self, suggested: Any) -> DesignPoint:
+        point: DesignPoint = {}
         for name, values in self.config.varied.items():
             if isinstance(values, Choices):
                 point[name] = suggested.suggest_categorical(name, values.values)

@@ -26,10 +26,10 @@ def open_laps(root: Path) -> duckdb.DuckDBPyConnection:
         name = f"part{len(parts)}"
         files = [str(path) for path in sorted((run.path / PARTS).glob("*.parquet"))]
         if run.verb == "sweep" and files:
-            given = {"folder": str(run.path), "verb": str(run.config["verb"])} | _car(run.config.get("base", {}))
-            extra = ", ".join(f"{_text(value)} as {key}" for key, value in given.items())
+            fixed = {"folder": str(run.path), "verb": str(run.config["verb"])} | _car(run.config.get("base", {}))
+            extra = ", ".join(f"{_text(value)} as {key}" for key, value in fixed.items())
             held = database.read_parquet(files, union_by_name=True)  # pyright: ignore[reportArgumentType]
-            columns = [column for column in held.columns if column not in given]
+            columns = [column for column in held.columns if column not in fixed]
             quoted = ", ".join(f'"{column}"' for column in columns)
             database.register(name, held.project(f"{quoted}, {extra}").to_arrow_table())
         elif rows := list(_rows(run)):

@@ -18,7 +18,7 @@ from driftjax.sweep.engine import Report, devices, run_trials
 from driftjax.sweep.executors import open_executor
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.optuna_source import OptunaSource
-from driftjax.sweep.source import DesignSource, check
+from driftjax.sweep.source import DesignSource
 from driftjax.sweep.store import Store
 from driftjax.sweep.trial import Work
 
@@ -47,29 +47,12 @@ class OpenSweep:
     share: tuple[int, int]  # index of this process and number of processes
 
 
-def run_sweep(
-    config: SweepConfig,
-    work: Work,
-    out: str | Path,
-    *,
-    workers: int | None = None,
-    ray: str | None = None,
-    hosts: bool = False,
-    report: Report = lambda text, done, total: None,
-) -> SweepResult:
-    """Run the trials that the folder `out` lacks, and write results.json and figures of all trials.
-
-    `work` runs one trial, such as `driftjax.studies.sweepable_verbs.WORKS[config.verb]`. `workers` processes run side
-    by side, one per core where left out; `ray` is the address of a cluster to use instead. With `hosts` this is one
-    of several processes of a job, each with a share of the trials. Raises `BadInput` where the verb cannot take the
-    options, and where `out` holds another sweep.
-    """
-    check(config, work)
-    return finish_sweep(open_sweep(config, work, Path(out), hosts), workers=workers, ray=ray, report=report)
-
-
 def open_sweep(config: SweepConfig, work: Work, out: Path, hosts: bool = False) -> OpenSweep:
-    """Create or open the folder of a sweep; nothing runs yet."""
+    """Create or open the folder of a sweep; nothing runs yet.
+
+    `work` runs one trial, such as `driftjax.studies.sweepable_verbs.WORKS[config.verb]`. With `hosts` this is one of
+    several processes of a job, each with a share of the trials. Raises `BadInput` where `out` holds another sweep.
+    """
     share = join_hosts() if hosts else (0, 1)
     require(share[1] == 1 or config.design != "optuna", "--hosts: use --ray, or workers, for a design by Optuna.")
     store = Store(out, config, work)
@@ -83,7 +66,10 @@ def finish_sweep(
     ray: str | None = None,
     report: Report = lambda text, done, total: None,
 ) -> SweepResult:
-    """Run the missing trials, then analyse all trials; writes results.json and figures."""
+    """Run the missing trials, then analyse all trials; writes results.json and figures.
+
+    `workers` processes run side by side, one per core where left out; `ray` is the address of a cluster instead.
+    """
     config, folder, store = opened.config, opened.folder, opened.store
     num = workers or (1 if devices() is not None else num_cores())  # devices are filled by this process
     with store.locked(opened.share[0]):
@@ -102,9 +88,9 @@ def finish_sweep(
 
 def join_hosts() -> tuple[int, int]:
     """Wait for all processes of the job; return the index of this one and how many there are."""
-    given = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
+    variables = (os.environ.get("JAX_NUM_PROCESSES"), os.environ.get("JAX_PROCESS_ID"))
     try:  # JAX finds all three by itself under Slurm and Open MPI, and the address in the environment
-        num, this = (None if value is None else int(value) for value in given)
+        num, this = (None if value is None else int(value) for value in variables)
         jax.distributed.initialize(num_processes=num, process_id=this)
     except (ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())[:200]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from driftjax.sweep.config import Choices, Point, SweepConfig
+from driftjax.sweep.config import Choices, DesignPoint, SweepConfig
 from driftjax.sweep.trial import Outcome, Trial, Watch, Work, make_trial
 
 
@@ -19,7 +19,7 @@ def num_points(config: SweepConfig) -> int:
     return math.prod(len(values.values) for values in config.varied.values() if isinstance(values, Choices))
 
 
-def points(config: SweepConfig) -> Iterator[Point]:
+def points(config: SweepConfig) -> Iterator[DesignPoint]:
     """Yield the combinations of a grid, of random draws or of a Latin hypercube (McKay et al. 1979), in order.
 
     A random design is the beginning of any longer one of the same seed.
@@ -88,18 +88,18 @@ class DesignSource(Source):
             ids.add(trial.id)
 
 
-def _program(config: SweepConfig, point: Point) -> tuple[str, ...]:
+def _program(config: SweepConfig, point: DesignPoint) -> tuple[str, ...]:
     """Return the values that need a program of their own: all but floating-point numbers."""
     return tuple("" if isinstance(value, float) else repr(value) for value in point.values())
 
 
-def _hash(point: Point) -> int:
+def _hash(point: DesignPoint) -> int:
     """Return a hash of a combination that assigns it to a process; equal combinations have equal hashes."""
     return int(hashlib.sha256(json.dumps(point, sort_keys=True).encode()).hexdigest()[:8], 16)
 
 
 def check(config: SweepConfig, work: Work) -> None:
-    """Raise `BadInput` where the verb cannot take a value of a field by itself, beside the first of all others."""
+    """Raise `BadInput` for a value of a field that the verb refuses when all other fields have their first value."""
     ends = {name: list(f.values) if isinstance(f, Choices) else [f.value_at(0.0), f.value_at(1.0)]
             for name, f in config.varied.items()}  # fmt: skip
     first = {name: values[0] for name, values in ends.items()}

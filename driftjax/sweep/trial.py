@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from driftjax.core import BadInput, set_option
 from driftjax.parallel import BatchExecutor, source_hash
-from driftjax.sweep.config import Point, SweepConfig, Value
+from driftjax.sweep.config import DesignPoint, SweepConfig, Value
 
-Row = dict[str, Value]
+TrialRow = dict[str, Value]
 Watch = Callable[[int, float], bool]  # of a step and the mean objective up to it: whether to give the trial up
 
 
@@ -26,7 +26,7 @@ class Work:
     """Complete and check options given where they differ from the defaults; raises `BadInput`."""
     files: Callable[[dict[str, Any]], list[Path]]
     """Return the files and folders that a trial reads; their contents are part of its id."""
-    rows: Callable[[dict[str, Any], BatchExecutor, Path], Iterator[list[Row]]]
+    rows: Callable[[dict[str, Any], BatchExecutor, Path], Iterator[list[TrialRow]]]
     """Yield the rows of every step as it ends; the folder is for the trial's own files."""
     columns: dict[str, type]
     """Columns of the rows."""
@@ -38,7 +38,7 @@ class Trial:
 
     id: str  # of options, contents of files, and the source that the work's functions depend on
     number: int  # in the design
-    point: Point
+    point: DesignPoint
     config: dict[str, Any]
 
 
@@ -50,7 +50,7 @@ class Outcome:
     status: Literal["done", "failed", "pruned"]
     error: str  # traceback of one that failed
     seconds: float
-    rows: list[Row]
+    rows: list[TrialRow]
 
     @property
     def sentence(self) -> str:
@@ -58,7 +58,7 @@ class Outcome:
         return " ".join((self.error.strip().splitlines() or [""])[-1].split())[:300]
 
 
-def make_trial(work: Work, config: SweepConfig, number: int, point: Point) -> Trial:
+def make_trial(work: Work, config: SweepConfig, number: int, point: DesignPoint) -> Trial:
     """Make the trial of a combination of values; raises `BadInput` where the verb cannot take it."""
     options = work.complete(config.base | {name: value for name, value in point.items() if "." not in name})
     for name, value in point.items():
@@ -95,7 +95,7 @@ def run_trial(
     return Outcome(trial, "done", "", time.monotonic() - begun, rows)
 
 
-def objective(rows: list[Row], figure: str, stage: str = "") -> float:
+def objective(rows: list[TrialRow], figure: str, stage: str = "") -> float:
     """Return the mean of a figure over the rows of one stage (the last by default); NaN where a value is missing."""
     stages = [row.get("stage") for row in rows]
     wanted = stage or (stages[-1] if stages else "")

@@ -77,17 +77,16 @@ class Track(eqx.Module):
         x, y, psi, _ = self.pose(s)
         return x - e * jnp.sin(psi), y + e * jnp.cos(psi)
 
-    def project(self, x: ArrayLike, y: ArrayLike, s_guess: ArrayLike, window: ArrayLike | None = None):
+    def project(self, x: ArrayLike, y: ArrayLike, s_guess: ArrayLike):
         """Return `(s, e)` of the foot point near `s_guess`; e > 0 is left of the centre line [m].
 
-        Nearest of the points within `window` [m] (default 12 grid spacings) of `s_guess`, then Newton on
-        (p - c(s)) . t(s) = 0 with steps of at most one spacing: a neighbouring leg outside the window is
-        never chosen. `s` continues from `s_guess`: on a closed track it may lie outside [0, length). Unique
+        Nearest of the points within 12 grid spacings of `s_guess`, then Newton on
+        (p - c(s)) . t(s) = 0 with steps of at most one spacing: a neighbouring leg beyond that is never
+        chosen. `s` continues from `s_guess`: on a closed track it may lie outside [0, length). Unique
         where |e kappa| < 1. Gradients are those of the exact foot point.
         """
         x, y, s_guess = as_float(x), as_float(y), lax.stop_gradient(as_float(s_guess))
-        window = WINDOW * self.spacing if window is None else as_float(window)
-        s = s_guess + window * jnp.linspace(-1.0, 1.0, 4 * WINDOW + 1)
+        s = s_guess + WINDOW * self.spacing * jnp.linspace(-1.0, 1.0, 4 * WINDOW + 1)
         cx, cy, _, _ = self.pose(s)
         return self._refine(x, y, s[jnp.argmin((x - cx) ** 2 + (y - cy) ** 2)])
 

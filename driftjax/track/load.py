@@ -88,7 +88,8 @@ KINDS = {"corner": CornerConfig, "playground": PlaygroundConfig, "csv": CsvConfi
 def load_track(name: str | Path, narrow: bool = False) -> Track:
     """Load a track from a CSV or YAML file, or a shipped one by name (`sedan_corner`, `rc_corner`, ...).
 
-    `narrow`: for a CSV, draw in an inner border that folds over itself, instead of refusing the track.
+    Lengths are in metres. `narrow`: for a CSV, draw in an inner border that folds over itself, instead of refusing the
+    track. Raises `BadInput` that names file and row or key.
     """
     path = Path(name)
     if path.suffix.lower() == ".csv":

@@ -58,6 +58,7 @@ class TuneConfig:
         require(self.weights > 1, f"key 'weights' is {self.weights}; give a factor above 1.")
         require(self.lead > 1, f"key 'lead' is {self.lead}; give a factor above 1.")
         require(self.blend > 0, f"key 'blend' is {self.blend}; give a length in metres above 0.")
+        require(not self.learn.estimator, "key 'estimator': the blended switch of `tune` needs bare measurements.")
         require(not self.learn.plant, "key 'plant' names plants; those of `tune` are drawn.")
         held = (*self.learn.path.Q, self.learn.switch.lead)
         require(min(held) > 0, f"keys 'Q' and 'lead' hold {held}; what is 0 cannot be tuned by factors.")

@@ -1,4 +1,4 @@
-"""Tyre of the nominal car whose side force may take another course with slip than the formula's."""
+"""Tyre of the nominal car whose side force over slip may have another form than the formula's."""
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ def bent_angle(bent: Array, C: Array, c2: Array, c3: Array, c4: Array) -> Array:
 def _bent_angle_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     """Return the angle and its derivative: the slopes are computed once, however many directions there are.
 
-    Without the barrier XLA computes what is used several times anew in every derivative that it fuses.
+    Without the barrier XLA recomputes shared values in every derivative that it fuses.
     """
     angle, pull = jax.vjp(bent_angle.fun, *jnp.broadcast_arrays(*primals))
     angle, slopes = jax.lax.optimization_barrier((angle, pull(jnp.ones_like(angle))))

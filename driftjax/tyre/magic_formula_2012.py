@@ -209,7 +209,10 @@ def _sign(x: Array) -> Array:
 
 
 def magic_formula(file: TyreFile, values: Mapping[str, float] | None = None) -> MagicFormula2012:
-    """Build the tyre of a file; coefficients that it lacks are 0, scale factors 1, and PKY4 is 2."""
+    """Build the tyre of a file, SI; coefficients that it lacks are 0, scale factors 1, and PKY4 is 2.
+
+    `values` replace those of the file, for instance by arrays to differentiate by.
+    """
     written = file.values if values is None else values
     filled = {name: written.get(name, 1.0) for name in SCALES} | {name: written.get(name, 0.0) for name in COEFFICIENTS}
     filled |= {"FNOMIN": written["FNOMIN"], "NOMPRES": written.get("NOMPRES", 1e5) or 1e5}

@@ -42,7 +42,7 @@ class TyreFile:
 
 
 def read_tir(path: str | Path) -> TyreFile:
-    """Read a tyre property file; raises `BadInput` that names file, line or key where it is none, or not in SI.
+    """Read a tyre property file; raises `BadInput` that names file, line or key if it is not one, or not in SI.
 
     Nothing in it is executed. Keys of [UNITS] and [MODEL] are checked; tables, such as [SHAPE], are kept as lines.
     """
@@ -116,7 +116,7 @@ def _take(where: str, section: str, key: str, written: str, values: dict[str, fl
 
 
 def write_tir(path: str | Path, file: TyreFile) -> None:
-    """Write a tyre property file: the lines as they were, with the present numbers; new keys come at the end."""
+    """Write a tyre property file: the lines as they were, with the present numbers, SI; new keys come at the end."""
     left = dict(file.values)
     lines = []
     for line in file.lines:

@@ -101,7 +101,11 @@ def beyond_peak(car: AnyCar, x: State, u: Control) -> Array:
 
 
 def build_car(vehicle: VehicleConfig) -> AnyCar:
-    """Build the car that `vehicle` describes: the nominal one with its named effects that act in steady state."""
+    """Build the car that `vehicle` describes: the nominal one with its named effects that act in steady state.
+
+    `car(x, u)` returns the rates of a `State` x under a `Control` u, SI per second, differentiable by both and by the
+    car's own parameters. Effects of sensors, delays and the road are left out (see `unmodelled_effects`).
+    """
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
     names = tuple(name for name in EFFECTS if name in _named(vehicle) and not exclusion_reason(EFFECTS[name]))
     if not names:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_atomically
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_text
 from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import EFFECTS, Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
@@ -27,7 +27,7 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     ones at the static load of a wheel), at the top or below `nominal`, and for an extended car `effects`
     (effect -> parameter -> value in SI, or {value, ci95_half}), `covariance` ({parameters: [effect.parameter], matrix})
     and `noise` (see `EstimatedNoise`), as `driftjax diagnose` writes them into extended.yaml. `combined_slip` replaces
-    the file's friction ellipse: 0 none (as published), 1 a circle.
+    the file's friction ellipse: 0 none (as published), 1 a circle. Raises `BadInput` that names file and key.
     """
     path = find_config("vehicle", name)
     content = read_yaml(path)
@@ -47,16 +47,16 @@ def load_vehicle(name: str | Path, combined_slip: float | None = None) -> Vehicl
     where = f"{path}: key 'effects'"
     effects = _mapping({} if effects is None else effects, where)
     estimates = _effect_parameters(effects, vehicle, where)
-    given = [one.parameter in effects[one.effect] for one in estimates]
-    matrix = () if covariance is None else _covariance(covariance, estimates, given, f"{path}: key 'covariance'")
+    in_file = [one.parameter in effects[one.effect] for one in estimates]
+    matrix = () if covariance is None else _covariance(covariance, estimates, in_file, f"{path}: key 'covariance'")
     at = f"{path}: key 'noise'"
     estimated_noise = None if noise is None else from_dict(EstimatedNoise, _mapping(noise, at), at)
     vehicle = dataclasses.replace(vehicle, effects=estimates, covariance=matrix, noise=estimated_noise)
     return vehicle if combined_slip is None else vehicle.with_combined_slip(combined_slip)
 
 
-def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
-    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects, their covariance, and noise."""
+def write_vehicle(path: str | Path, vehicle: VehicleConfig) -> None:
+    """Write a vehicle as `load_vehicle` reads it: nominal parameters, effects, their covariance, and noise, SI."""
     nominal = {key: value for key, value in dataclasses.asdict(vehicle).items() if key not in BESIDE}
     effects: dict[str, dict[str, Any]] = {}
     for one in vehicle.effects:
@@ -68,7 +68,7 @@ def write_vehicle(path: Path, vehicle: VehicleConfig) -> None:
     if vehicle.noise:
         content["noise"] = dataclasses.asdict(vehicle.noise)
     text = yaml.safe_dump(content, sort_keys=False)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(Path(path), text)
 
 
 def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -97,10 +97,10 @@ def with_effects(vehicle: VehicleConfig, effects: Mapping[str, Mapping[str, floa
 
     The covariance of its effects is dropped. Raises `BadInput` for unknown names and for values out of bounds.
     """
-    given = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
+    new = _effect_parameters({name: dict(values) for name, values in effects.items()}, vehicle, "effects")
     own = [one for one in vehicle.effects if one.effect not in effects]
     order = list(EFFECTS)
-    parameters = sorted((*own, *given), key=lambda one: order.index(one.effect))
+    parameters = sorted((*own, *new), key=lambda one: order.index(one.effect))
     return dataclasses.replace(vehicle, effects=tuple(parameters), covariance=())
 
 
@@ -144,11 +144,11 @@ def _number(written: Any, where: str) -> float:
 
 
 def _covariance(
-    written: Any, estimates: tuple[EffectParameterValue, ...], given: list[bool], where: str
+    written: Any, estimates: tuple[EffectParameterValue, ...], in_file: list[bool], where: str
 ) -> tuple[tuple[float, ...], ...]:
-    """Check the covariance of the parameters `given` in the file; return it with zeros for all other `estimates`."""
+    """Check the covariance of the parameters that are `in_file`; return it with zeros for all other `estimates`."""
     parts = _mapping(written, where)
-    names = [one.name for one, is_given in zip(estimates, given, strict=True) if is_given]
+    names = [one.name for one, there in zip(estimates, in_file, strict=True) if there]
     if parts.keys() != {"parameters", "matrix"} or parts["parameters"] != names:
         raise BadInput(f"{where} needs 'matrix', and 'parameters': [{', '.join(names)}], in this order.")
     rows = parts["matrix"]
@@ -163,5 +163,5 @@ def _covariance(
             if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
                 raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
     full = np.zeros((len(estimates), len(estimates)))
-    full[np.ix_(given, given)] = matrix
+    full[np.ix_(in_file, in_file)] = matrix
     return tuple(map(tuple, full.tolist()))

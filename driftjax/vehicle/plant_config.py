@@ -122,10 +122,10 @@ class PlantConfig:
     def build(self) -> DoubleTrack:
         """Build the double-track car."""
 
-        def part(cls: type[T], **given: Any) -> T:
-            """Build a part from the values of this file that have the names of its fields, and `given` ones."""
-            names = [field.name for field in fields(cls) if field.name not in given]  # pyright: ignore[reportArgumentType]
-            return cls(**{name: getattr(self, name) for name in names}, **given)
+        def part(cls: type[T], **more: Any) -> T:
+            """Build a part from the values of this file that have the names of its fields, and `more` ones."""
+            names = [field.name for field in fields(cls) if field.name not in more]  # pyright: ignore[reportArgumentType]
+            return cls(**{name: getattr(self, name) for name in names}, **more)
 
         mu, B = np.array([self.muf, self.muf, self.mur, self.mur]), np.array([self.Bf, self.Bf, self.Br, self.Br])
         wheels = part(Wheels, radius=self.wheel_radius, inertia=self.wheel_inertia)

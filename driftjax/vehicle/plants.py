@@ -50,7 +50,10 @@ class Spread:
 
 
 def load_plant(name: str | Path) -> PlantConfig:
-    """Read a plant YAML: a path, or a shipped name; a key `base` names the plant whose other values it takes."""
+    """Read a plant YAML: a path, or a shipped name; a key `base` names the plant whose other values it takes.
+
+    SI and radians. Raises `BadInput` that names file and key.
+    """
     path = find_config("plant", name)
     return from_dict(PlantConfig, _resolved(path), str(path))
 
@@ -69,7 +72,10 @@ def _resolved(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
-    """Load base plant and parameter distributions from `configs/plant/<car>_distribution.yaml`."""
+    """Load base plant and parameter distributions from `configs/plant/<car>_distribution.yaml`.
+
+    Shipped are `sedan`, `rc` and, wider and not centred on the nominal car, `sedan_wide` and `rc_wide`.
+    """
     try:
         path = find_config("plant", f"{car}_distribution")
     except BadInput:
@@ -90,7 +96,8 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
 def draw_plants(car: str, num: int, seed: int, first: int = 0) -> list[PlantConfig]:
     """Draw `num` plants of `car` from number `first` on; plant i depends only on `seed` and i.
 
-    `mu` is the mean friction of the axles and `mu_difference` front minus rear over that mean.
+    The distributions are those of `configs/plant/<car>_distribution.yaml`; there `mu` is the mean friction of the axles
+    and `mu_difference` front minus rear over that mean. Raises `BadInput` for a car without distributions.
     """
     base, spreads = load_distribution(car)
     plants = []

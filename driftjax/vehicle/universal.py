@@ -49,7 +49,7 @@ class Universal(eqx.Module):
         return Universal(self.base, self.effects, self.scale, theta, self.substeps)
 
     def _through(self, station: Station, record, *context):
-        """Apply all effects of a station; a barrier keeps XLA from computing it anew in every derivative it fuses."""
+        """Apply all effects of a station; a barrier keeps XLA from recomputing it in every derivative it fuses."""
         values = self.values(station)
         for effect in self.effects:
             if effect.station == station:

@@ -1,4 +1,4 @@
-"""Drive like manoeuvres on two cars, one with less grip at the rear, and ask their logs what differs."""
+"""Drive like manoeuvres on two cars, one with less grip at the rear, and compare their logs."""
 
 import sys
 

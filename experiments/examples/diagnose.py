@@ -1,4 +1,4 @@
-"""Hide an effect in a simulated car, then ask its log what the nominal car gets wrong."""
+"""Hide an effect in a simulated car, and diagnose from its log what the nominal car gets wrong."""
 
 import sys
 

@@ -70,7 +70,7 @@ def draw_effect(name: str, vehicle: dj.VehicleConfig, rng: np.random.Generator) 
 
 
 def draw_names(num: int, rng: np.random.Generator) -> list[str]:
-    """Return `num` effects, friction of both axles never beside that of one."""
+    """Draw `num` effects; friction of both axles and of one axle exclude each other."""
     while True:
         names = [str(name) for name in rng.choice(list(PARAMETERS), num, replace=False)]
         if not ("friction" in names and {"friction_front", "friction_rear"} & set(names)):

@@ -86,7 +86,7 @@ def wiggle(rng: np.random.Generator, t: np.ndarray, slowest: float, fastest: flo
 
 
 def drift(size: Size, rng: np.random.Generator, t: np.ndarray) -> Plan:
-    """Hold a drift while steering and drive are stirred."""
+    """Hold a drift while steering and drive are excited."""
     turn = rng.choice([-1.0, 1.0])
     radius = turn * (size.a + size.b) * rng.uniform(4, 10)
     motion, command = steady_drift(size, -turn * rng.uniform(0.3, 0.5), radius)
@@ -96,7 +96,7 @@ def drift(size: Size, rng: np.random.Generator, t: np.ndarray) -> Plan:
 
 
 def cruise(size: Size, speed: np.ndarray, steer: np.ndarray, push: np.ndarray, hold: float = HOLD) -> Plan:
-    """Steer and push as given, the speed (T,) held by the drive."""
+    """Apply planned steering and drive; feedback on the drive holds the speed (T,)."""
     still = np.zeros_like(speed)
     gain = np.array([[0.0, 0.0, 0.0], [hold * size.m / size.unit_time, 0.0, 0.0]])
     return Plan(np.stack([speed, still, still], 1), np.stack([steer, push], 1), gain)

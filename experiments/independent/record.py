@@ -84,7 +84,7 @@ class Actuation:
 def drive(
     car: Car, plans: list[Plan], limits: Limits, noise: np.ndarray, gusts: np.ndarray, dt: float, substeps: int
 ) -> Motion:
-    """Drive all plans side by side; `noise` (T, 3, R) is what the driver's senses err by, `gusts` (T, 3, R)
+    """Drive all plans side by side; `noise` (T, 3, R) is the error of what the driver senses, `gusts` (T, 3, R)
     accelerations forwards, to the left and in yaw."""
     reference, ahead = (np.stack([plan[i] for plan in plans], -1) for i in (0, 1))
     K, h = np.stack([plan.gain for plan in plans], -1), dt / substeps
@@ -116,7 +116,7 @@ def lost(car: Car, motion: Motion) -> np.ndarray:
 
 
 def sense(car: Car, motion: Motion, noise: np.ndarray, dt: float, substeps: int) -> dict[str, np.ndarray]:
-    """Return what V, beta and r are measured as (T, R): of a point off the centre, off by bias and scale, and late."""
+    """Return measured V, beta and r (T, R): of a point off the centre, with bias, scale and delay."""
     s, at = car.strength, np.arange(len(noise)) * substeps
     vx = motion.z[:, VX] - s("imu_lever_arm", "l_y") * motion.z[:, R]
     vy = motion.z[:, VY] + s("imu_lever_arm", "l_x") * motion.z[:, R]

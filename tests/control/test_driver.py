@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.control.dither import corner_excitation
 from driftjax.control.driver import Driver, DriverState, decide
 from driftjax.control.lqr import ScheduledLQR
 from driftjax.control.mpc import MPCConfig, Weights, drift_ocp
@@ -28,7 +29,7 @@ def driver(kind) -> Driver:
     ocp = drift_ocp(MPCConfig(horizon=3), Weights(), CAR, no_residual(zero_gp(4, 5, 3)))
     gains = ScheduledLQR(jnp.array([30.0, 70.0]), jnp.zeros((2, 2, 9)))
     return Driver(kind, path, table, pure_pursuit(PursuitConfig(), CAR), gains, ocp, Options(),
-                  lead=6.0, trail=4.0, handover_beta=0.15)  # fmt: skip
+                  lead=6.0, trail=4.0, handover_beta=0.15, estimator=None, dither=jnp.zeros(2))  # fmt: skip
 
 
 def engaged(kind, s: float, beta: float, drifting: bool) -> bool:
@@ -89,7 +90,7 @@ def sliding(s: float) -> Sensed:
 def step(one, sensed, memory):
     """One step of the drift MPC, alone."""
     problem = one.mpc_problem(sensed, memory)
-    return one.apply_solution(problem, solve_mpc(one.ocp, *problem), memory)
+    return one.apply_solution(problem, solve_mpc(one.ocp, *problem), sensed, memory)
 
 
 def test_where_a_solve_fails_the_last_good_plan_is_driven_one_step_later():
@@ -128,3 +129,23 @@ def test_each_entry_is_driven_by_its_own_controller_and_the_others_do_not_matter
     np.testing.assert_allclose(command.delta[1], alone.command.delta, rtol=1e-6)
     np.testing.assert_allclose(np.stack(command)[:, 0], pursue(one, sliding(10.0), start), rtol=1e-9)
     assert memory.drifting.tolist() == [False, True, False]
+
+
+def test_the_excitation_is_added_within_the_corner_and_within_the_limits():
+    one = driver("mpc")
+    sensed, start = sliding(45.0), one.start()._replace(command=jnp.asarray([-0.29, 6000.0]))
+    excited, large = (
+        eqx.tree_at(lambda d: d.dither, one, jnp.array(amplitude)) for amplitude in ((0.004, 100.0), (1.0, 1e5))
+    )
+    still, moved, far = (
+        np.stack(step(each, sensed, start)[0].command) for each in (one, excited, large)
+    )
+    share = (45.0 - (40.0 - 6.0)) / (60.0 - (40.0 - 6.0))
+    expected = np.array([0.004, 100.0]) * np.asarray(corner_excitation(jnp.asarray(share)))
+    rate, before = np.asarray(one.ocp.rate), np.asarray(start.command)
+    np.testing.assert_allclose(moved, np.clip(still + expected, before - rate, before + rate), rtol=1e-9)
+    assert np.any(moved != still) and np.all(np.abs(far - before) <= rate * (1 + 1e-12))
+    np.testing.assert_array_equal(
+        step(excited, sensed, start)[1].command, moved
+    )  # the next step starts from it
+    np.testing.assert_array_equal(excited.excitation(jnp.asarray(70.0)), 0.0)

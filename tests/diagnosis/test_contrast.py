@@ -98,11 +98,11 @@ def test_the_share_of_the_gap_that_is_closed_counts_all_channels_together():
     most, none = (
         closed_share(errors(2.0, 2.0), corrected, own, 0) for corrected in (errors(1.2, 1.0), errors(2.0, 2.0))
     )
-    assert most and most.value == pytest.approx(1 - 0.44 / 6, abs=0.03) and most.ci95[0] > 0.9 and most.left < 0.2
-    assert none and none.value == pytest.approx(0.0, abs=1e-9) and none.left == pytest.approx(0.75)
+    assert most and most.value == pytest.approx(1 - 0.44 / 6, abs=0.03) and most.ci95[0] > 0.9 and most.remaining < 0.2
+    assert none and none.value == pytest.approx(0.0, abs=1e-9) and none.remaining == pytest.approx(0.75)
     # one channel worse, the other one better: no gap, and nothing left, though a channel is worse
     alike = closed_share(errors(1.2, 0.7), errors(1.2, 0.7), own, 0)
-    assert alike and np.isnan(alike.value) and alike.left_ci95[0] < 0.1
+    assert alike and np.isnan(alike.value) and alike.remaining_ci95[0] < 0.1
     short = errors(np.nan, np.nan)
     assert closed_share(short, short, short, 0) is None
 

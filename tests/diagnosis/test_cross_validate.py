@@ -64,8 +64,8 @@ def test_a_model_improves_where_its_error_falls_and_spoils_no_channel(scale, imp
     change = change_of(*errors_of(np.random.default_rng(4), scale))
     assert change.improves == improves
     np.testing.assert_allclose(np.exp(change.channel), scale, rtol=0.03)
-    assert abs(change.whole - np.mean(np.log(scale))) < 0.03
-    assert 0 < change.whole_error < 0.02
+    assert abs(change.total - np.mean(np.log(scale))) < 0.03
+    assert 0 < change.total_error < 0.02
 
 
 def test_an_error_that_chance_makes_smaller_is_not_smaller():
@@ -91,4 +91,4 @@ def test_starts_that_end_in_a_spin_do_not_decide_alone_but_divergence_does():
     missing[40:80] = np.nan
     assert not change_of(before, after._replace(squares=missing)).improves
     same = change_of(before, before)
-    assert same.whole == 0 and not same.improves
+    assert same.total == 0 and not same.improves

@@ -114,7 +114,7 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     assert (0.8 < ratio[:2]).all() and (ratio[:2] < 1.3).all(), ratio
     assert (0.6 < ratio[2]).all() and (ratio[2] < 2.0).all(), ratio  # there a few that spin decide the mean
     share = excess_shares({"nominal": made}, least)["nominal"]
-    assert np.isnan(share.value) and share.left_ci95[0] < 0.1  # nothing is left to explain
+    assert np.isnan(share.value) and share.remaining_ci95[0] < 0.1  # nothing is left to explain
 
 
 @pytest.mark.slow

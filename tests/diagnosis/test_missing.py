@@ -12,7 +12,7 @@ from driftjax.diagnosis.fit import depends_on_force, information, initial_noise,
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.missing import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
-from driftjax.diagnosis.noise import UNSEEN
+from driftjax.diagnosis.noise import UNOBSERVED
 from driftjax.diagnosis.runs import run_observer
 from driftjax.logs import Run
 
@@ -53,7 +53,7 @@ def test_a_channel_that_says_nothing_of_the_car_keeps_its_first_noise():
     for silent, problem in ((1, named()[0]), (0, build_problem(sedan(), EFFECTS, without(measured(), "Fxr")))):
         first, noise = initial_noise(problem.data), problem.noise
         assert noise.sigma[silent] == pytest.approx(first.sigma[silent])
-        assert noise.disturbance[silent] <= UNSEEN * first.disturbance[silent] * (1 + 1e-9)
+        assert noise.disturbance[silent] <= UNOBSERVED * first.disturbance[silent] * (1 + 1e-9)
         others = [i for i in range(3) if i != silent]
         assert np.all(noise.sigma[others] != first.sigma[others])
 

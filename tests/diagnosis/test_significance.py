@@ -24,8 +24,8 @@ def residuals(theta: np.ndarray) -> np.ndarray:
 
 def selection_of(problem, nominal, selected) -> Selection:
     step = fitted(problem, nominal, selected)
-    tested = scores(problem, step.at, step.fit.theta, selected, 0)
-    return Selection(selected, step.fit, step.at, tested, problem, nominal, tested)
+    tested = scores(problem, step.linearisation, step.fit.theta, selected, 0)
+    return Selection(selected, step.fit, step.linearisation, tested, problem, nominal, tested)
 
 
 def test_effects_beyond_the_first_are_exploratory_and_chance_is_not_supported(monkeypatch):

@@ -17,7 +17,7 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 from driftjax.cli import main
 from driftjax.core import BadInput
 from driftjax.export import FORMATS, export_car
-from driftjax.export.casadi_car import advance_model, rates_model
+from driftjax.export.casadi_car import CasadiModel, rates_model, step_model, substeps
 from driftjax.export.loss import loss
 from driftjax.export.target import TargetOptions, restrict_effects
 from driftjax.logs import Log, Run
@@ -138,6 +138,13 @@ def random_inputs(model, seed: int, num: int = 10):
         x = model.start + rng.uniform(-0.1, 0.1, len(model.start))
         x[:3] = rng.uniform([5.0, -0.5, -1.0], [20.0, 0.5, 1.0])
         yield x, rng.uniform([-0.5, -3000.0], [0.5, 6000.0])
+
+
+def advance_model(car, dt: float, lap: float = 1000.0) -> CasadiModel:
+    """The simulator's step over `dt` [s], as in step.casadi, in JAX."""
+    num = substeps(car, dt)
+    fine = step_model(car, dt / num, lap)
+    return fine._replace(function=lambda x, u: jax.lax.fori_loop(0, num, lambda _, x: fine.function(x, u), x))
 
 
 def same_as_casadi(car, folder) -> None:

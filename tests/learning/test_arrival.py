@@ -17,6 +17,10 @@ update_arrival = eqx.filter_jit(arrival.update_arrival)
 PLANNED = Arrival(jnp.asarray([9.0, 0.0, 0.1, 0.0, 0.0]), jnp.zeros(2), jnp.zeros(2), jnp.asarray(0))
 
 
+def update(before, trace, *args):
+    return update_arrival(before, trace, trace.command, *args)
+
+
 def lap(noise: float = 0.0, num: int = 40, seed: int = 0, until: int = 40) -> Trace:
     """Straight at 10 m/s and gaining, with constant commands; s = 10 t + 0.25 t^2."""
     t = 0.1 * np.arange(num)
@@ -40,7 +44,7 @@ def at(s0: float) -> float:
 
 @pytest.mark.parametrize("s0", [12.3, 20.0, 33.3])
 def test_the_state_between_two_samples_is_found(s0):
-    arrival, t = update_arrival(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
+    arrival, t = update(PLANNED, lap(), jnp.asarray(s0), LAGS, DT), at(s0)
     np.testing.assert_allclose(arrival.x, [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t, 0.3 * t, -0.02 * t], atol=2e-4)
     np.testing.assert_allclose(arrival.command, [0.1, 3000.0])
     lagged_input = 1 - np.exp(-t / np.asarray(LAGS))  # of commands held since the start
@@ -51,7 +55,7 @@ def test_the_state_between_two_samples_is_found(s0):
 def test_laps_are_averaged_and_the_plan_is_forgotten():
     arrival, t = PLANNED, at(20.0)
     for seed in range(200):
-        arrival = update_arrival(arrival, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
+        arrival = update(arrival, lap(noise=0.05, seed=seed), jnp.asarray(20.0), LAGS, DT)
     assert int(arrival.laps) == 200
     np.testing.assert_allclose(arrival.x[:3], [10 + 0.5 * t, 0.01 * t, 0.2 - 0.1 * t], atol=4 * 0.05 / np.sqrt(200))
 
@@ -63,6 +67,6 @@ def test_the_plan_has_the_types_of_laps_so_that_one_program_serves_both():
 
 
 def test_a_lap_that_ends_before_changes_nothing():
-    arrival = update_arrival(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
+    arrival = update(PLANNED, lap(until=10), jnp.asarray(20.0), LAGS, DT)
     assert int(arrival.laps) == 0
     np.testing.assert_array_equal(arrival.x, PLANNED.x)

@@ -11,7 +11,7 @@ import pytest
 
 from driftjax.cli import main
 from driftjax.cli.console import parse
-from driftjax.cli.learn import Learn, defaults
+from driftjax.cli.learn import LearnOptions, defaults
 from driftjax.core.config import to_dict
 from driftjax.learning.config import load_learn_config
 from driftjax.learning.model import empty
@@ -57,7 +57,7 @@ def test_the_example_and_the_verb_leave_a_whole_run_folder(finished, capsys):
 
 
 def test_flags_give_the_options_of_the_example():
-    assert parse(Learn, [*FLAGS], "driftjax learn", Learn(defaults(None, None))).options == CONFIG
+    assert parse(LearnOptions, [*FLAGS], "driftjax learn", LearnOptions(defaults(None, None))).options == CONFIG
 
 
 def test_laps_are_driven_to_their_end_sideways(finished):

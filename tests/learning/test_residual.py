@@ -49,6 +49,10 @@ def _states(x0: State, command: Control, lags) -> State:
     return jax.lax.scan(move, x0, acting)[1]
 
 
+def pairs(trace):
+    return samples(trace, trace.command)
+
+
 def lap(x: State, u: Control, alive, drifting) -> Trace:
     num = len(alive)
     zero: Any = np.zeros(num)
@@ -91,7 +95,7 @@ def test_rows_hold_the_planted_rate_where_the_car_drifted_and_zeros_elsewhere():
     x, u = driven()
     alive = np.arange(T) < 22
     drifting = (np.arange(T) >= 8) & (np.arange(T) != 15)
-    Z, Y, mask = (np.asarray(a) for a in rows(NOMINAL, samples(lap(x, u, alive, drifting)), jnp.asarray(DT), NONE))
+    Z, Y, mask = (np.asarray(a) for a in rows(NOMINAL, pairs(lap(x, u, alive, drifting)), jnp.asarray(DT), NONE))
     assert Z.shape == (T - 1, 5) and Y.shape == (T - 1, 3)
     k = np.arange(T - 1)
     # both ends of a row need two living neighbours either side
@@ -108,7 +112,7 @@ def test_rows_too_near_the_start_or_the_end_are_no_data():
     x, u = driven()
     everywhere = np.ones(T, bool)
     k = np.arange(T - 1)
-    _, _, mask = rows(NOMINAL, samples(lap(x, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
+    _, _, mask = rows(NOMINAL, pairs(lap(x, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
     np.testing.assert_array_equal(mask, (k >= 2) & (k <= T - 4))
 
 
@@ -116,7 +120,7 @@ def test_a_sample_that_is_not_a_number_is_no_data():
     x, u = driven()
     broken = x._replace(r=jnp.asarray(np.where(np.arange(T) == 20, np.nan, x.r)))
     everywhere = np.ones(T, bool)
-    Z, Y, mask = rows(NOMINAL, samples(lap(broken, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
+    Z, Y, mask = rows(NOMINAL, pairs(lap(broken, u, everywhere, everywhere)), jnp.asarray(DT), NONE)
     assert np.all(np.isfinite(Z)) and np.all(np.isfinite(Y))
     assert not bool(mask[20]) and bool(mask[10])
 
@@ -152,5 +156,5 @@ def test_hidden_lags_are_found(lags):
     x, _ = driven(State(*(jnp.asarray(v) for v in (18.0, 0.0, 0.0))), command, lags)
     noisy = State(*(a + s * rng.normal(size=num) for a, s in zip(x, (0.02, 0.002, 0.002), strict=True)))
     everywhere = np.ones(num, bool)
-    estimate = estimate_lags(NOMINAL, samples(lap(noisy, command, everywhere, everywhere)), jnp.asarray(DT))
+    estimate = estimate_lags(NOMINAL, pairs(lap(noisy, command, everywhere, everywhere)), jnp.asarray(DT))
     np.testing.assert_allclose(estimate, lags, atol=0.026)  # one step of the grid

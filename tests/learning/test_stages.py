@@ -10,8 +10,9 @@ import pytest
 
 from driftjax.core import BadInput
 from driftjax.core.config import to_dict
+from driftjax.learning import explore
 from driftjax.learning.config import ExploreConfig, load_learn_config
-from driftjax.learning.explore import candidates, choose, offset, remaining
+from driftjax.learning.explore import choose, offset
 from driftjax.learning.metrics import LapFigures
 from driftjax.learning.model import empty
 from driftjax.learning.reference import AIM_POINTS
@@ -33,6 +34,18 @@ SHORT = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, 
 @pytest.fixture(scope="module")
 def scenario():
     return build_scenario(SHORT, BatchExecutor())
+
+
+def candidates(scenario, trace, residual, aimed, number):
+    """Candidates after laps at the planned speed."""
+    planned = jnp.full(2, scenario.corner.V_b)
+    return explore.candidates(scenario, trace, residual, aimed, planned, number)
+
+
+def remaining(scenario, sets, index, aimed, better, trace, residual, number):
+    """Candidates after laps at speeds 0.2 m/s below the planned one."""
+    current = jnp.full(2, scenario.corner.V_b - 0.2)
+    return explore.remaining(scenario, sets, index, aimed, current, better, trace, residual, number)
 
 
 def exploring(scenario, **changes):
@@ -150,6 +163,7 @@ def test_a_better_lap_makes_new_sets_about_it_and_any_other_takes_one_away(scena
     assert np.all(np.asarray(rest.aimed[0]) == 0.2) and np.all(np.asarray(rest.e[0]) == np.asarray(proposed.e[0]))
     assert np.all(np.asarray(rest.visited[0]) == np.asarray(proposed.visited[0]))
     assert not np.any(rest.aimed[1]) and np.asarray(rest.visited[1]).tolist() == [False, True, False]
+    assert np.all(rest.current == scenario.corner.V_b - 0.2)  # better or not: Algorithm 1 updates its reference
     same = exploring(scenario, speeds="planned")  # renewed in the same way
     rest = remaining(same, none, jnp.asarray([0, 0]), aimed, better, trace, residual, 5)
     assert np.asarray(rest.visited).tolist() == [[False] * 3, [True, False, False]]

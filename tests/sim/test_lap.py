@@ -141,3 +141,28 @@ def test_measurements_scatter_about_the_truth(pair):
 def test_wrapped_angles_lie_in_the_half_open_circle():
     angles = jnp.asarray([0.0, np.pi, -np.pi, 3.5, -3.5, 12 * np.pi + 0.1])
     np.testing.assert_allclose(wrap(angles), [0.0, np.pi, np.pi, 3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.04, 0.05, 0.07])
+def test_commands_act_after_the_delay(delay):
+    """Against the plant advanced by hand: no command first, then the one given, at once or within a step."""
+    command, num = jnp.asarray([0.2, 3000.0]), 6
+    plant = stack_plants([load_plant("sedan")])
+    paths, keys = jax.tree.map(lambda a: a[None], PATH), jax.random.split(jax.random.key(0), 1)
+    fixed = lambda sensed, memory, alive: (Control(command[:1], command[1:]), memory, alive)
+    config = dataclasses.replace(CONFIG, time_limit=num * DT)
+    sensors = dataclasses.replace(SENSORS, delay=delay)
+    drive_it = eqx.filter_jit(
+        lambda: drive(plant, paths, jnp.full(1, SPEED), fixed, (), sensors, config, dt=DT, keys=keys)
+    )
+    trace = drive_it().trace
+    one = jax.tree.map(lambda a: a[0], plant)
+    state, fine = one.rolling(SPEED, *(PATH.pose(0.0)[:3])), DT / CONFIG.substeps
+    step = eqx.filter_jit(lambda x, u: one.advance(x, u, fine, 1))
+    for k in range(num):
+        np.testing.assert_allclose(trace.r[0, k], state.r, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(trace.delta[0, k], state.delta, rtol=1e-9, atol=1e-12)
+        for i in range(CONFIG.substeps):
+            acts = k * CONFIG.substeps + i >= round(delay / fine)
+            state = step(state, Control(*(command * acts)))
+    assert trace.delta[0, -1] > 0.01

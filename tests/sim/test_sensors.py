@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.sim.sensors import Measurement, SensorConfig, load_sensors, measure
+from driftjax.sim.sensors import (
+    Measurement,
+    SensorConfig,
+    first_slow_errors,
+    load_sensors,
+    measure,
+    next_slow_errors,
+)
 from driftjax.vehicle import Motion
 
 NUM = 20_000
@@ -47,3 +54,21 @@ def test_negative_deviation_and_unknown_sensors_are_refused():
         SensorConfig(sigma_r=-1.0)
     with pytest.raises(BadInput, match="sedan"):
         load_sensors("radar")
+
+
+def test_slow_errors_are_stationary_with_the_configured_deviation_and_correlation():
+    config, dt = load_sensors("rc_field"), jnp.asarray(0.1)
+    keys = jax.random.split(jax.random.key(2), 2 * NUM).reshape(2, NUM)
+    first = jax.vmap(lambda key: first_slow_errors(config, key=key))(keys[0])
+    later = jax.vmap(lambda c, key: next_slow_errors(config, c, dt, key=key))(first, keys[1])
+    for values in (first, later):
+        np.testing.assert_allclose(np.std(np.asarray(values), axis=0), config.of_channels("slow"), rtol=0.03)
+    kept = np.mean(np.asarray(first * later), axis=0) / config.of_channels("slow") ** 2
+    np.testing.assert_allclose(kept, np.exp(-0.1 / config.slow_time), atol=0.03)
+
+
+def test_bias_and_slow_errors_add_to_the_reading():
+    one, slow = motion(1), jnp.arange(1.0, 7.0)[:, None]
+    got = measure(one, SensorConfig(bias_beta=0.01), key=jax.random.key(0), slow=slow)
+    biased = (one.V, one.beta + 0.01, one.r, one.x, one.y, one.psi)
+    np.testing.assert_allclose(np.stack(got), np.stack(biased) + slow, rtol=1e-12)

@@ -45,7 +45,7 @@ def batch():
     weights = Weights((5.0, 200.0, 20.0), (30.0, 200.0), 1000.0)
     ocp = drift_ocp(MPCConfig(horizon=8, max_steps=60), weights, car, no_residual(zero_gp(1, 5, 3)))
     driver = Driver("mpc", path, table, pure_pursuit(PursuitConfig(), car), None, ocp, Options(1e-8, 1.0, 60),
-                    lead=2.7, trail=30.0, handover_beta=0.15)  # fmt: skip
+                    lead=2.7, trail=30.0, handover_beta=0.15, estimator=None, dither=jnp.zeros(2))  # fmt: skip
     batched = jax.tree.map(lambda a: jnp.asarray(a)[None] if eqx.is_array(a) else a, driver)
     return batched, stack_plants([load_plant("sedan")]), jnp.array([10.0]), jax.random.key(0)[None]
 

@@ -55,7 +55,7 @@ class _Known(NamedTuple):
     """Column with the meaning of its name and its smoothed values."""
 
     column: Column
-    said: Meaning
+    meaning: Meaning
     signal: Signal
 
 
@@ -142,12 +142,12 @@ def _assigned(known: list[_Known], assigned: dict[str, ChannelAssignment], dt: f
             taken[j] = 0.0
             rival = known[int(np.argmax(taken))].column.name if taken.max(initial=0) > 0.95 * score else None
             new[roles[i]] = ChannelAssignment(roles[i], known[j].column, known[j].signal, factor, score, fit, rival)
-    return _signed(resolve_units(new, {one.column.name: one.said for one in known}, dt), dt)
+    return _signed(resolve_units(new, {one.column.name: one.meaning for one in known}, dt), dt)
 
 
 def _scored(role: str, one: _Known, fits: list[RelationFit | None]) -> tuple[float, RelationFit | None, float]:
     """Return score, best relation and factor of a column as channel `role`."""
-    name_score, allowed = one.said.name_score[role], _allowed(role, one.said)
+    name_score, allowed = one.meaning.name_score[role], _allowed(role, one.meaning)
     if not name_score or (role in BY_NAME and name_score < BY_NAME_LEAST):
         return 0.0, None, 1.0
     there = [fit for fit in fits if fit is not None]
@@ -162,8 +162,8 @@ def _scored(role: str, one: _Known, fits: list[RelationFit | None]) -> tuple[flo
     return score, best, size if role in UNSIGNED else float(np.copysign(size, best.factor))
 
 
-def _allowed(role: str, said: Meaning) -> tuple[float, ...]:
-    return (said.unit.factor,) if said.unit else FACTORS.get(DIMENSIONS[role], (1.0,))
+def _allowed(role: str, meant: Meaning) -> tuple[float, ...]:
+    return (meant.unit.factor,) if meant.unit else FACTORS.get(DIMENSIONS[role], (1.0,))
 
 
 def _nearest(role: str, fit: RelationFit, allowed: tuple[float, ...], one: _Known) -> float:
@@ -179,24 +179,24 @@ def _nearest(role: str, fit: RelationFit, allowed: tuple[float, ...], one: _Know
 def _plain_factor(role: str, one: _Known, allowed: tuple[float, ...]) -> float:
     """Return the factor where no relation determines it: degrees if the values are implausible as radians."""
     if role in ("latitude", "longitude"):
-        return DEG if not one.said.unit else allowed[0]
+        return DEG if not one.meaning.unit else allowed[0]
     most = ANGLES.get(DIMENSIONS[role])
     large = most is not None and np.nanpercentile(np.abs(one.signal.y), 99) > most and role != "psi"
     return DEG if large and len(allowed) > 1 else next(iter(allowed))
 
 
 def resolve_units(
-    assigned: dict[str, ChannelAssignment], said: dict[str, Meaning], dt: float
+    assigned: dict[str, ChannelAssignment], meanings: dict[str, Meaning], dt: float
 ) -> dict[str, ChannelAssignment]:
     """Return the channels with the units that agree best where none is stated."""
     signals = {role: one.signal for role, one in assigned.items() if role not in ("latitude", "longitude")}
     v = channel_signals(assigned, dt)
     signals |= {role: v[role] for role in ("x", "y") if role in v and role not in signals}
-    meanings = {
-        role: said[assigned[role].column.name] if role in assigned else Meaning(UNITS["m"], {}) for role in signals
+    own = {
+        role: meanings[assigned[role].column.name] if role in assigned else Meaning(UNITS["m"], {}) for role in signals
     }
     factors = {role: assigned[role].factor if role in assigned else 1.0 for role in signals}
-    sizes = best_factors(signals, meanings, factors, dt)
+    sizes = best_factors(signals, own, factors, dt)
     return {role: one._replace(factor=float(np.copysign(sizes.get(role, abs(one.factor)), one.factor)))
             for role, one in assigned.items()}  # fmt: skip
 

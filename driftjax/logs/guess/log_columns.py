@@ -160,18 +160,18 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
     for name, y in numbers.items():
         steps = np.diff(y)
         rising = float(np.mean(steps > 0)) if len(steps) else 0.0
-        said = meaning(name)
+        meant = meaning(name)
         if (
             rising < 0.9
-            or said.name_score["t"] < LEAST_TIME
+            or meant.name_score["t"] < LEAST_TIME
             or np.ptp(steps[steps > 0]) > 1e6 * np.median(steps[steps > 0])
         ):
             continue
         even = 1.0 - min(float(np.std(steps[steps > 0]) / np.mean(steps[steps > 0])), 1.0)
-        score = said.name_score["t"] * rising * (0.5 + 0.5 * even)
+        score = meant.name_score["t"] * rising * (0.5 + 0.5 * even)
         if score > best:
             fits = units_of_time(y)
-            factor = said.unit.factor if said.unit and said.unit.factor in fits else (fits[0] if fits else 1.0)
+            factor = meant.unit.factor if meant.unit and meant.unit.factor in fits else (fits[0] if fits else 1.0)
             best, best_column = score, (name, factor)
     if best_column is None:
         raise BadInput(f"{path}: no column rises like a time; add one called 't', in seconds.")
@@ -179,7 +179,7 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
 
 
 def _run(breaks: np.ndarray, words: dict[str, Sequence[str]], numbers: dict[str, np.ndarray]) -> str | None:
-    """Return the column that changes where time starts anew, and nowhere else if there is one such."""
+    """Return the column that changes where time restarts and most seldom elsewhere."""
     changes = {name: {i for i in range(1, len(cells)) if cells[i] != cells[i - 1]} for name, cells in words.items()}
     changes |= {name: set((np.flatnonzero(np.diff(y)) + 1).tolist()) for name, y in numbers.items()}
     wanted = set(breaks.tolist())

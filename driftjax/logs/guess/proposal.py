@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, write_text
 from driftjax.logs.agreement import SLOW, time_shift
 from driftjax.logs.columns import (
     CHANNELS,
@@ -130,7 +130,7 @@ class Guess:
         if path.exists():
             raise BadInput(f"{path}: is there already; give the name of a new file.")
         try:
-            write_atomically(path, lambda temporary: temporary.write_text(self.yaml(), encoding="utf-8"))
+            write_text(path, self.yaml())
         except OSError as error:
             raise BadInput(f"{path}: cannot be written ({error.strerror}); give another path.") from None
 

@@ -1,4 +1,4 @@
-"""Units that no name states: those with which the channels agree best."""
+"""Find the units that no column name states: those with which the channels agree best."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -8,7 +8,7 @@ import numpy as np
 from driftjax.logs.guess.names import DIMENSIONS, Meaning
 from driftjax.logs.guess.relations import FACTORS, Signal, Values, fit_relation, kinematic_relations, turned
 
-FAMILIES = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
+SHARE_UNIT = (("V", "vx", "vy"), ("r",), ("psi",), ("beta",), ("ax", "ay"))  # channels that have one unit in a log
 CLEAR = 0.8  # correlation from which the sizes must agree
 COST = 0.05  # of a unit that is not the first of its dimension, in natural logarithms of a factor
 WORST = 1.5  # of one relation
@@ -16,13 +16,13 @@ LIMITS = {"V": 120.0, "r": 12.0, "beta": 3.2, "ax": 60.0, "ay": 60.0}  # beyond 
 SAMPLES = 1200  # that are compared
 
 
-def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: dict[str, float], dt: float,
+def best_factors(signals: dict[str, Signal], meanings: dict[str, Meaning], factors: dict[str, float], dt: float,
                  ) -> dict[str, float]:  # fmt: skip
     """Return a factor without sign for every channel whose column states no unit.
 
     `signals` are the columns in their units, `factors` what they are multiplied by so far.
     """
-    free = [[role for role in family if role in signals and said[role].unit is None] for family in FAMILIES]
+    free = [[role for role in family if role in signals and meanings[role].unit is None] for family in SHARE_UNIT]
     free = [family for family in free if family]
     if not free:
         return {}
@@ -43,7 +43,7 @@ def best_factors(signals: dict[str, Signal], said: dict[str, Meaning], factors: 
 
 
 def _costs(v: Values, dt: float) -> Iterator[float]:
-    """Yield by how much each channel contradicts the others, and what is plausible."""
+    """Yield by how much each channel contradicts the others or exceeds its plausible range."""
     for role, signal in v.items():
         if role in LIMITS and np.nanpercentile(np.abs(signal.y), 98) > LIMITS[role]:
             yield WORST

@@ -71,7 +71,7 @@ def run_learn(folder: Path, name: str) -> dict[str, float]:
     return json.loads(out.read_text(encoding="utf-8"))
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Measure one row, once: it takes minutes."""
     del cfg
     with tempfile.TemporaryDirectory(prefix="driftjax-bench-") as folder:

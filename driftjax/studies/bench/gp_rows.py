@@ -46,7 +46,7 @@ def gp_fit(rows: Data) -> Callable[[], FitResult]:
     return lambda: fit(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Measure all rows, and the curves if `cfg.plots`."""
     rows = [_row(cfg, num) for num in ((40,) if cfg.quick else TARGETS)]
     any_rows = [_any_row(cfg, num) for num in ((40,) if cfg.quick else ANY_SIZES)]

@@ -69,7 +69,7 @@ def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[S
     return scenario, build_drivers(scenario, "mpc", *scenario.over_batch((scenario.table, residual)))
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Compare the cost of a lap in a large batch with that of a single lap; each is driven once."""
     num = 2 if cfg.quick else cfg.batch
     on_cpu = jax.default_backend() == "cpu"

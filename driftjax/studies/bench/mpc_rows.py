@@ -81,7 +81,7 @@ class Peer:
         return float(np.median([one.seconds for one in answers]))
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Measure all rows, and the curves if `cfg.plots`."""
     problems, horizon = starts(cfg.batch), QUICK_HORIZON if cfg.quick else HORIZON
     rows = _rows(cfg, problems, horizon) + [_gp_row(cfg, problems, horizon)]

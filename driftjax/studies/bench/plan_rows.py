@@ -72,7 +72,7 @@ def plan_solves(of: Setting, num: int) -> Callable[[], Solution]:
     return lambda: _solve(stacked, of.stage, guess, options, entry)
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Compare one plan with IPOPT's, and a batch of plans with one."""
     of = setting()
     one, many = RecordedCall(plan_solves(of, 1)), RecordedCall(plan_solves(of, 1 if cfg.quick else SIDE_BY_SIDE))

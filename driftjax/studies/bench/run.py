@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 
-from driftjax.core import from_dict, write_atomically
+from driftjax.core import from_dict, write_text
 from driftjax.core.config import to_dict
 from driftjax.environment import SERIAL_LOOPS
 from driftjax.studies.bench.config import BenchConfig, Part
@@ -49,8 +49,8 @@ def run_bench(cfg: BenchConfig, out: Path, report: Callable[[str, int, int], Non
 def write_results(results: dict[str, Any], out: Path) -> None:
     """Write results.json and results.md so far."""
     text, table = json.dumps(results, indent=1), bench_page(results)
-    write_atomically(out / "results.json", lambda p: p.write_text(text, encoding="utf-8"))
-    write_atomically(out / "results.md", lambda p: p.write_text(table, encoding="utf-8"))
+    write_text(out / "results.json", text)
+    write_text(out / "results.md", table)
 
 
 def run_part(part: Part, cfg: BenchConfig) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def run_part(part: Part, cfg: BenchConfig) -> dict[str, Any]:
 def measure_part(part: str, options: Path, out: Path) -> None:
     """Measure `part` in this process with the config in `options`; rows and curves go to `out`."""
     cfg = from_dict(BenchConfig, json.loads(options.read_text(encoding="utf-8")), str(options))
-    result = importlib.import_module(f"driftjax.studies.bench.{part}_rows").measure(cfg)
+    result = importlib.import_module(f"driftjax.studies.bench.{part}_rows").measure_rows(cfg)
     content = {"rows": [row.as_json() for row in result.rows], "curves": [asdict(curve) for curve in result.curves]}
     out.write_text(json.dumps(content), encoding="utf-8")
 

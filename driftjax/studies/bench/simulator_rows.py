@@ -23,7 +23,7 @@ BATCHES = (1, 16, 256, 4096, 65536, 1048576)
 Step = Callable[[], tuple[np.ndarray, ...]]
 
 
-def measure(cfg: BenchConfig) -> PartResult:
+def measure_rows(cfg: BenchConfig) -> PartResult:
     """Measure all rows, and the curves if `cfg.plots`."""
     makers, vectorised = _peers()
     rows = []

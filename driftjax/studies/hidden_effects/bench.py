@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from driftjax.core import BadInput, write_atomically
+from driftjax.core import BadInput, write_text
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import Case, read_case
 from driftjax.studies.hidden_effects.criteria import confusions
@@ -66,7 +66,7 @@ def _cases(cfg: StudyConfig) -> list[Case]:
     print(f"{len(cases)} cases of seed {seed}", flush=True)
     cfg.out.mkdir(parents=True, exist_ok=True)
     text = "".join(case.line() + "\n" for case in cases)
-    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return cases
 
 
@@ -75,7 +75,7 @@ def report_scores(results: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     table = score_results(results)
     wrong = confusions(results)
     scores = as_json(table)
-    write_atomically(out / "score.json", lambda p: p.write_text(json.dumps(scores, indent=1), encoding="utf-8"))
+    write_text(out / "score.json", json.dumps(scores, indent=1))
     print("\n".join(["", as_text(table), "", f"{len(wrong)} cases went wrong:", *wrong]))
     print("\n".join(f"figure: {path}" for path in write_figures(results, out)))
     return scores

@@ -11,7 +11,7 @@ from driftjax.core.config import to_dict
 from driftjax.manoeuvres.library import RICH
 from driftjax.vehicle.effect import EFFECTS, Effect
 
-Condition = Literal["none", "single", "pair", "absent", "poor", "foreign"]
+CaseKind = Literal["none", "single", "pair", "absent", "poor", "foreign"]
 FOREIGN = ("std", "mb")  # cars that another simulator drives
 POOR = ("steady_drift",) * 3  # runs with little excitation
 
@@ -35,7 +35,7 @@ class Hidden:
 class Case:
     """One measurement with its hidden truth."""
 
-    condition: Condition
+    condition: CaseKind
     """No effect, one, two, one missing from the catalogue, one in a log with little excitation (the proposed manoeuvre
     is then driven too), or a foreign simulator."""
     car: str

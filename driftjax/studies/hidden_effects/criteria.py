@@ -100,11 +100,6 @@ def named_any(result: Result) -> bool:
     return bool(result["named"])
 
 
-def naive_right(result: Result) -> bool:
-    """Return whether the one-step regression names the hidden effect."""
-    return result.get("naive") in hidden_in(result)
-
-
 def worse_than_nominal(result: Result) -> bool:
     """Return whether the extended car predicts held-out runs worse than the nominal car."""
     return "extended" in result["skill"] and result["skill"]["extended"][0] < 0

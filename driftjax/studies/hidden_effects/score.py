@@ -117,7 +117,6 @@ def car_measures(results: list[Result]) -> dict[str, Measure]:
         "one (all of these): exactly that": rate(map(criteria.named_exactly, [*quiet, *single, *weak])),
         "one (all of these): named alone, verdict NAMED": rate(map(criteria.named_alone, [*quiet, *single, *weak])),
         "one (all of these): said UNKNOWN beside": rate(r["verdict"] == "UNKNOWN" for r in [*quiet, *single, *weak]),
-        "one (typical size): the naive baseline": rate(map(criteria.naive_right, [*quiet, *single]), "seen to fail"),
         "two: both found": rate(map(criteria.named_all, pair), ">= 0.95"),
         "two: exactly these": rate(map(criteria.named_exactly, pair), ">= 0.85"),
         "two: exactly these, verdict NAMED": rate(map(criteria.named_alone, pair)),

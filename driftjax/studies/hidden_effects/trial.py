@@ -17,7 +17,6 @@ from driftjax.manoeuvres.campaign import LATER, Campaign, record_runs
 from driftjax.studies.hidden_effects.against_truth import costs_against
 from driftjax.studies.hidden_effects.case import FOREIGN, Case
 from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle, height
-from driftjax.studies.hidden_effects.naive import naive_gains
 from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue
 
@@ -76,9 +75,7 @@ def diagnose_case(
     if evidence is None:
         raise RuntimeError(f"{len(runs)} runs are left: {diagnosis.sentence}")
     result = {"case": to_dict(case), "group": case.group, "seconds": time.perf_counter() - start, "runs": len(runs)}
-    result |= diagnosis_values(diagnosis, evidence) | {
-        "naive": effects[int(np.argmax(naive_gains(evidence.problem)))].name
-    }
+    result |= diagnosis_values(diagnosis, evidence)
     result |= {"hidden": [compare_hidden(evidence, case, name) for name in case.names if name not in case.without]}
     if case.condition == "foreign":
         return result | {"height": height(case.car)}
@@ -102,7 +99,7 @@ def diagnosis_values(diagnosis: Diagnosis, evidence: Evidence) -> dict[str, Any]
             "effect": name(c.effect), "probability": c.probability, "p_value": c.p_value,
             "theta": c.theta.tolist(), "half_width": c.half_width.tolist(),
             "scale": np.asarray(problem.model.scale)[problem.columns((c.effect,))].tolist(),
-            "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.alike],
+            "rivals": {name(i): p for i, p in c.rivals.items()}, "alike": [name(i) for i in c.confusable],
             "invariance": c.invariance,
         }
         for c in evidence.causes

@@ -1,5 +1,11 @@
 """The ablations of the comparison: the words and the changed options of each."""
 
+
+def by(acquisition: str) -> dict:
+    """Return the change to another rule than Algorithm 1."""
+    return {"acquisition": acquisition}
+
+
 PLANNED, UNCORRECTED = {"speeds": "planned"}, {"correction": False}
 NO_GP = {"layers": "none"}
 BARE = NO_GP | {"measured_arrival": False, "explore": {"num_sets": 0}}  # not explored
@@ -22,6 +28,10 @@ ABLATIONS: dict[str, tuple[str, dict]] = {  # name: (words, change)
     "random": ("explored at random speeds", {"explore": {"speeds": "random"}}),
     "uniform": ("explored at evenly spaced speeds", {"explore": {"speeds": "uniform"}}),
     "planned": ("as many laps at the planned speed", {"explore": PLANNED}),
+    "knowledge_gradient": ("chosen by predicted error and knowledge gradient", {"explore": by("knowledge_gradient")}),
+    "expected_improvement": ("chosen by expected improvement", {"explore": by("expected_improvement")}),
+    "thompson": ("chosen by one sample of the GP", {"explore": by("thompson")}),
+    "random_grid": ("drawn at random from the same grid", {"explore": by("random")}),
     "sets_uncorrected": ("V-sets, the aimed path not corrected", {"explore": UNCORRECTED}),
     "planned_uncorrected": (
         "as many laps at the planned speed, the aimed path not corrected", {"explore": PLANNED | UNCORRECTED}

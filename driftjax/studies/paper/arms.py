@@ -4,12 +4,13 @@ import dataclasses
 import hashlib
 import json
 from dataclasses import dataclass
+from pathlib import Path
 
 from driftjax.core import read_yaml
 from driftjax.core.config import to_dict
 from driftjax.learning.config import ExploreConfig, LearnConfig, files_of, load_learn_config
 from driftjax.studies.paper.ablations import ABLATIONS
-from driftjax.studies.paper.config import Car, PaperConfig
+from driftjax.studies.paper.config import CarName, PaperConfig
 
 MAIN = "main"
 QUICK_PLANTS = 4
@@ -21,7 +22,7 @@ EXTENDED = "extended"
 class Arm:
     """One run of the comparison."""
 
-    car: Car
+    car: CarName
     name: str
     words: str
     learn: LearnConfig
@@ -41,7 +42,7 @@ def arms(cfg: PaperConfig) -> list[Arm]:
     """
     listed: list[Arm] = []
     for car in cfg.cars:
-        base = load_learn_config(car)
+        base = _with_options(load_learn_config(car), cfg)
         plants = min(QUICK_PLANTS, cfg.plants) if cfg.quick else cfg.plants
         main = dataclasses.replace(
             base, plants=plants, first_plant=cfg.first_plant, noise_seeds=cfg.noise_seeds, seed=cfg.seed,
@@ -57,6 +58,15 @@ def arms(cfg: PaperConfig) -> list[Arm]:
             arm = Arm(car, name, words, changed(small, change))
             listed.append(dataclasses.replace(arm, like=first_alike(arm, listed)))
     return listed
+
+
+def _with_options(base: LearnConfig, cfg: PaperConfig) -> LearnConfig:
+    """Return the options of a car with population, sensors and laps of the comparison."""
+    if cfg.sensors == "field":
+        base = dataclasses.replace(base, sensors=Path(f"{base.sensors}_field"), estimator=True)
+    if cfg.exploration_laps is not None:
+        base = dataclasses.replace(base, explore=dataclasses.replace(base.explore, laps=cfg.exploration_laps))
+    return dataclasses.replace(base, population=cfg.population)
 
 
 def first_alike(arm: Arm, before: list[Arm]) -> str | None:

@@ -8,14 +8,14 @@ from driftjax.core import require, require_at_least
 from driftjax.learning.config import Controller
 from driftjax.studies.paper.ablations import ABLATIONS
 
-Car = Literal["sedan", "rc"]
+CarName = Literal["sedan", "rc"]
 
 
 @dataclass(frozen=True)
 class PaperConfig:
     """Every method on the same plants and noise, with ablations."""
 
-    cars: tuple[Car, ...] = ("sedan", "rc")
+    cars: tuple[CarName, ...] = ("sedan", "rc")
     """Cars to drive."""
     half: Literal["held_out", "development"] = "held_out"
     """Plants that no setting was chosen on, or those that settings are chosen on."""
@@ -25,6 +25,12 @@ class PaperConfig:
     """Noise seeds per plant."""
     seed: int = 6
     """Seed of plants and noise."""
+    population: Literal["near", "wide"] = "near"
+    """Distribution that the plants are drawn from, as in `learn`."""
+    sensors: Literal["best", "field"] = "best"
+    """Sensors at their best, or as in the field: slow errors, a bias, a delay, and a state estimator in the loop."""
+    exploration_laps: int | None = None
+    """Laps of exploration, as many as shipped for the car if left out."""
     main: bool = True
     """Drive the main comparison: every method."""
     ablations: bool = True
@@ -42,6 +48,8 @@ class PaperConfig:
         require(len(self.cars) > 0, "key 'cars' is empty; name sedan, rc or both.")
         require_at_least(self, 1, "plants", "noise_seeds", "ablation_plants")
         require_at_least(self, 0, "seed")
+        laps = self.exploration_laps
+        require(laps is None or laps >= 1, f"key 'exploration_laps' is {laps}; give at least 1, or leave it out.")
         require(len(self.ablation_controllers) > 0, "key 'ablation_controllers' is empty; name path, paper or both.")
         ablated = self.ablations and not self.quick
         require(self.main or ablated, "key 'main' is false, and ablations are left out too: nothing to drive.")

@@ -8,6 +8,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from driftjax.report.style import CONTROLLERS, EXPLORED, GPR, NOMINAL, new_figure, save
 from driftjax.studies.paper.credit import CONTRASTS, SQUARE, WATERFALL
+from driftjax.studies.paper.exploration import CHOOSERS, OURS
 from driftjax.studies.paper.statistics import ALONE, METHODS, TARGETS
 
 COLOURS = {"paper": GPR, "path": EXPLORED, "alone": NOMINAL}
@@ -15,11 +16,12 @@ SHIFT = {"paper": -0.16, "path": 0.16}
 
 
 def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
-    """Write `statistics_<car>` and `credit_<car>` as .png and .pdf, where they have content; return the PNGs."""
+    """Write `statistics_<car>`, `laps_<car>`, `credit_<car>` as .png and .pdf where they have content; return PNGs."""
     cars = results["cars"].items()
     compared = [_draw(car, result, folder) for car, result in cars if "methods" in result]
     ladders = {car: {who: one for who, one in result["credit"].items() if "interaction" in one and
                      all(step in one["contrasts"] for step in WATERFALL)} for car, result in cars}  # fmt: skip
+    compared += [_draw_choosers(car, result["choosers"], folder) for car, result in cars if result.get("choosers")]
     return compared + [_draw_credit(car, ladder, folder) for car, ladder in ladders.items() if ladder]
 
 
@@ -113,6 +115,28 @@ def _draw_credit(car: str, credit: dict[str, Any], folder: Path) -> Path:
         row[0].set_title(CONTROLLERS[who])
     figure.suptitle(f"{car}: who owns the gain; means and 95 % intervals over plants, of steps paired")
     return save(figure, folder, f"credit_{car}")
+
+
+def _draw_choosers(car: str, choosers: dict[str, Any], folder: Path) -> Path:
+    """Draw the error of the best lap so far against the number of exploration laps, with bands over plants."""
+    figure, axes = new_figure(1, len(choosers), (6.5 * len(choosers), 4.6))
+    for axis, (who, cell) in zip(axes[0], choosers.items(), strict=True):
+        laps = range(len(next(iter(cell["curves"].values()))["error"]))
+        for at, (name, curve) in enumerate(cell["curves"].items()):
+            colour = EXPLORED if name == OURS else f"C{at}"
+            axis.plot(laps, [one["mean"] for one in curve["error"]], "o-", color=colour, label=CHOOSERS[name],
+                      zorder=3 if name == OURS else 2)  # fmt: skip
+            if name in (OURS, "planned") and curve["error"][0]["ci95"][0] is not None:
+                low, high = zip(*(one["ci95"] for one in curve["error"]), strict=True)
+                axis.fill_between(laps, low, high, color=colour, alpha=0.12, lw=0)
+        axis.set_ylim(bottom=0.0)
+        axis.set_xticks(laps)
+        axis.set_xlabel("exploration laps")
+        axis.set_ylabel("lateral error of the best lap so far [m]")
+        axis.set_title(CONTROLLERS[who])
+    axes[0, -1].legend()
+    figure.suptitle(f"{car}: means over plants; bands are 95 % intervals of two of the rules")
+    return save(figure, folder, f"laps_{car}")
 
 
 def _waterfall(axis: Axes, ladder: dict[str, Any]) -> None:

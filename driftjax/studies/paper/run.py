@@ -17,6 +17,7 @@ from driftjax.studies.paper.ablations import ABLATIONS
 from driftjax.studies.paper.arms import EXTENDED, GPR_BEST, MAIN, Arm, arms, settings_hash
 from driftjax.studies.paper.config import PaperConfig
 from driftjax.studies.paper.credit import credit
+from driftjax.studies.paper.exploration import CHOOSERS, best_so_far, compare_choosers
 from driftjax.studies.paper.extended import CAR, JSON, extend
 from driftjax.studies.paper.feasible import feasible
 from driftjax.studies.paper.figures import write_figures
@@ -108,6 +109,8 @@ def arm_results(arm: Arm, out: Path) -> dict[str, Any]:
     if arm.name == MAIN:
         return {"settings": settings_hash(arm), **compare_methods(run, arm.car), "feasible": feasible(run)}
     results = {"words": ABLATIONS[arm.name][0], **ablation_results(run)}
+    if arm.name in CHOOSERS:
+        results["best_so_far"] = {who: best_so_far(run, who).tolist() for who in arm.learn.controllers}
     if arm.name == EXTENDED:
         diagnosis = read_json(out / arm.car / DIAGNOSIS / JSON)
         results["diagnosis"] = {key: diagnosis[key] for key in ("verdict", "sentence")}
@@ -125,6 +128,7 @@ def write_results(cfg: PaperConfig, done: list[tuple[Arm, dict[str, Any]]], fold
             car["ablations"][arm.name] = one
     for car in cars.values():
         car["credit"] = credit(car["ablations"])
+        car["choosers"] = compare_choosers(car["ablations"])
     first = done[0][0].learn
     numbers = [*range(cfg.first_plant, cfg.first_plant + first.plants)]
     split = {"seed": cfg.seed, "half": cfg.half, "plants": numbers, "noise_seeds": first.noise_seeds,

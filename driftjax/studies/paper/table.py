@@ -45,6 +45,7 @@ def paper_page(results: dict[str, Any]) -> str:
             lines += _targets(result["targets"]) + _methods(result["methods"]) + _parts(result)
             lines += _feasible(result["feasible"]) if result["feasible"] else []
         lines += _credit(result["credit"], car) if result["credit"] else []
+        lines += _choosers(result) if result.get("choosers") else []
         lines += _ablations(result["ablations"]) if result["ablations"] else []
     return "\n".join(lines).rstrip() + "\n"
 
@@ -135,6 +136,28 @@ def _credit(credit: dict[str, Any], car: str) -> list[str]:
               "Wu et al. [%]")  # fmt: skip
     rung_head = ("driven", "controller", "lateral error [m]", "speed RMSE [m/s]", "completed")
     return [*text, *_rows(rung_head, rungs), *_rows(change, rows)]
+
+
+def _choosers(result: dict[str, Any]) -> list[str]:
+    """Return the error of the best lap so far against the number of exploration laps, by what chooses them."""
+    rows: list[tuple[str, ...]] = []
+    most = max(len(one["error"]) for cell in result["choosers"].values() for one in cell["curves"].values())
+    for who, cell in result["choosers"].items():
+        for name, curve in cell["curves"].items():
+            errors = [format_interval(one, ".3f") for one in curve["error"]]
+            less = format_interval(cell.get("against", {}).get(name, [{}])[-1], ".0f")
+            words, regret = result["ablations"][name]["words"], format_interval(curve["regret"][-1], ".3f")
+            rows.append((words, CONTROLLERS[who], *errors, *["-"] * (most - len(errors)), regret, less))
+    laps = (f"after {num} lap{'s' if num > 1 else ''}" for num in range(1, most))
+    head = ("chosen by", "controller", "before exploration [m]", *laps, "regret at the end [m]",
+            "less by the knowledge gradient [%]")  # fmt: skip
+    text = [
+        "Error of the best lap so far, by what chooses the exploration laps. The best lap is the one with the least "
+        "measured error, its true error is stated; regret is to the best lap of all rules on the same plant. All rules "
+        "have the same correction of the path.",
+        "",
+    ]
+    return [*text, *_rows(head, rows)]
 
 
 def _ablations(ablations: dict[str, Any]) -> list[str]:

@@ -3,7 +3,7 @@
 At a yaw rate r they move forward at v_x - r t / 2 and v_x + r t / 2, so that their slip angles differ. An axle's force
 is the mean over its two wheels, and the difference at the steered front wheels turns the car:
 (t / 4) (F_yf,left - F_yf,right) sin(delta), with the axle's forces at the slip angle of either wheel. All of this
-grows with t^2: p is the share of what the track t = L / 2 does, so that t = sqrt(p) L / 2.
+grows with t^2: p is its ratio to that of the track t = L / 2, so that t = sqrt(p) L / 2.
 """
 
 import jax.numpy as jnp

@@ -1,8 +1,8 @@
 """Traction limit: F_x = F / (1 + p (F / (mu F_z))^4)^(1/4) on each axle (saturation of the tyre's longitudinal force,
 Pacejka 2012, Sec. 4.3; Wong 2008, Sec. 1.4).
 
-At p = 1 no axle passes on more than its friction mu F_z, whatever drive or brake asks for: beyond that its wheels spin
-or lock. A larger p says that they then hold less, mu F_z / p^(1/4). The nominal car passes on every force.
+At p = 1 no axle transmits more than its friction mu F_z, whatever drive or brake command: beyond that its wheels spin
+or lock. At a larger p they transmit less, mu F_z / p^(1/4). The nominal car transmits any force.
 """
 
 from driftjax.vehicle.effect.base import Effect, Parameter

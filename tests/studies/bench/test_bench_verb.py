@@ -4,6 +4,7 @@ import dataclasses
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,7 @@ from driftjax.cli import main
 from driftjax.control.mpc import MPCConfig
 from driftjax.core import BadInput
 from driftjax.environment import SERIAL_LOOPS
+from driftjax.gp import Hyper
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from driftjax.studies.bench.casadi_mpc import CasadiMPC
 from driftjax.studies.bench.compile_rows import EVENTS, Spans
@@ -92,13 +94,17 @@ def hidden(monkeypatch):
 
 
 def test_missing_peers_are_reported(hidden, monkeypatch):
-    """Every row stays, with how to install its peer; the row of g++ is still measured."""
+    """Every row stays, with how to install its peer; the row of g++ is still measured. Our own sides are stand-ins."""
     fake = lambda num: lambda: Solved(jnp.ones(num), jnp.ones(num, bool))
     monkeypatch.setattr(mpc_rows, "mpc_solves", lambda kind, problems, dtype, **_: fake(len(problems.x)))
     for name in ("single_track_steps", "double_track_steps"):
         monkeypatch.setattr(simulator_rows, name, lambda dtype, num, *_: lambda: 3 * (np.zeros(num),))
+    fit = SimpleNamespace(gp=SimpleNamespace(hyper=Hyper(jnp.zeros((3, 5)), jnp.zeros(3), jnp.zeros(3))),
+                          log_marginal_likelihood=np.zeros(3))  # fmt: skip
+    monkeypatch.setattr(gp_rows, "gp_fit", lambda rows: lambda: fit)
+    monkeypatch.setattr(gp_rows, "any_kernel", lambda rows: lambda: SimpleNamespace(log_marginal_likelihood=0.0))
     once = dataclasses.replace(QUICK, dtype=("float64",))
-    rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure(once).rows]
+    rows = [row for part in (mpc_rows, simulator_rows, gp_rows) for row in part.measure_rows(once).rows]
     missing = {row.against: row.missing for row in rows}
     assert missing["CasADi FATROP"] == missing["CasADi IPOPT"] == "missing: pip install casadi"
     assert missing["numba, one core"] == "missing: pip install numba"
@@ -132,7 +138,7 @@ def test_the_transcription_is_of_the_config_given(two_solvers):
 @pytest.mark.parametrize("dtype, within", [("float64", 1e-12), pytest.param("float32", 1e-5, marks=pytest.mark.slow)])
 def test_peers_of_the_simulator_make_the_same_step(dtype, within):
     cfg = dataclasses.replace(QUICK, dtype=(dtype,))
-    facts = [row.facts for row in simulator_rows.measure(cfg).rows if "difference" in row.facts]
+    facts = [row.facts for row in simulator_rows.measure_rows(cfg).rows if "difference" in row.facts]
     assert len(facts) == 3 and all(fact["difference"] < within for fact in facts)
 
 

@@ -97,12 +97,6 @@ def test_the_height_of_the_simulator_that_is_not_ours_is_found_within_15_percent
     assert estimated == pytest.approx(true, rel=0.15)
 
 
-def test_the_naive_baseline_names_fewer():
-    """It is kept to show its bias."""
-    results = [result(case.number) for case in CASES if case.case().condition == "single"]
-    assert sum(map(criteria.naive_right, results)) < sum(map(criteria.named_first, results)) == len(results)
-
-
 @pytest.mark.slow
 def test_units_of_mass_and_names_of_runs_change_nothing():
     """Grams and millinewtons for kilograms and newtons; the gain of a fit is a sum of the same numbers."""

@@ -31,7 +31,7 @@ def result(truth=(), causes=(), verdict="NAMED", **more) -> criteria.Result:
     return {
         "case": json.loads(case.line()), "group": case.group, "seconds": 2.0, "verdict": verdict, "causes": causes,
         "named": list(sizes), "p_first": 0.3, "p_left": 0.5, "skill": {"extended": [0.5, 0.4, 0.6]},
-        "oracle": [0.6, 0.5, 0.7], "naive": "channel_delay", "unexplained": {"drivers": [], "at_first": []},
+        "oracle": [0.6, 0.5, 0.7], "unexplained": {"drivers": [], "at_first": []},
         "hidden": [one | sizes.get(one["effect"], {}) for one in looks],
     } | more  # fmt: skip
 
@@ -104,7 +104,6 @@ def test_the_table_counts_what_it_says():
     assert value("nothing hidden: named something") == (0.25, 4)
     assert value("one: named first") == (0.75, 4)
     assert value("one at 0.3: named first") == (0, 1)
-    assert value("one (typical size): the naive baseline") == (0, 4)
     assert value("95 % intervals: coverage") == (pytest.approx(2 / 3), 3)
     assert value("share of the explainable removed")[0] == pytest.approx((3 * 0.5 / 0.6 - 0.1 / 0.6) / 4)
     assert value("named, yet worse on runs held out") == (0.25, 4)

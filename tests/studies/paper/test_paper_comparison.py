@@ -84,7 +84,8 @@ def test_an_ablation_differs_in_what_it_says_only():
 def test_runs_that_share_laps_differ_in_exploration_only():
     arms_of = {arm.name: arm for arm in arms(PaperConfig(cars=("rc",)))}
     alike = {name: arm.like for name, arm in arms_of.items() if arm.like}
-    exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "sets_uncorrected")
+    exploring = ("variance", "nearness", "equal_P", "random", "uniform", "planned", "knowledge_gradient",
+                 "expected_improvement", "thompson", "random_grid", "sets_uncorrected")  # fmt: skip
     assert alike == dict.fromkeys((*exploring, "planned_uncorrected"), "rc/as_it_is")
     for name in alike:
         without = [dataclasses.replace(arms_of[one].learn, explore=ExploreConfig()) for one in (name, "as_it_is")]
