@@ -23,7 +23,7 @@ from driftjax.solve import Options
 from driftjax.vehicle import AnyCar, Residual
 
 # The entry problem has four times the MPC's horizon and starts from the plan, which its car cannot drive.
-ENTRY_BARRIER, ENTRY_STEPS = 10.0, 150
+ENTRY_BARRIER, ENTRY_STEPS = 1.0, 150
 
 
 class Best(eqx.Module):

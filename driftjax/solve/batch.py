@@ -3,10 +3,11 @@
 Each iteration linearises the dynamics once, into stored matrices, with second derivatives of the Lagrangian, and makes
 a few interior-point iterations on the quadratic program, which touch the matrices only (`batch_qp`); primal and dual
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
-al. 2005), whose program is solved to the tolerance. Full steps are taken: with exact second derivatives tracking
-problems converge, from far guesses too; one that does not says so in `result`, and may be solved again with a larger
-barrier. An l1 merit function with backtracking rejected good steps of a Gaussian process's dynamics and doubled their
-iterations. Everything is elementwise along the batch, so that a CPU fills its vector registers with batch entries.
+al. 2005), whose program is solved to the tolerance. Full steps are taken at first: with exact second derivatives
+tracking problems converge, from far guesses too, and a line search would reject good steps of a Gaussian process's
+dynamics. An entry that fails may be solved again, with a larger barrier and steps that a filter accepts (Waechter and
+Biegler 2006, Sec. 2.3): each iteration either steps or halves the last step, so that no entry waits for another.
+Everything is elementwise along the batch, so that a CPU fills its vector registers with batch entries.
 """
 
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from driftjax.solve.batch_conditions import (
     QPModel,
     all_constraints,
     optimality_error,
+    slack_residuals,
 )
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
@@ -39,6 +41,8 @@ SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller 
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
 EARLY = 8  # iterations of a batch of `MANY` with cheaper second derivatives: most entries need no more
 FURTHER = 10.0  # times the first barrier of the attempt before: a larger one often solves what stalls at the limits
+HALVINGS = 8  # of one step before its entry counts as stalled
+PROGRESS, LARGEST_VIOLATION = 1e-5, 10.0  # share of the violation that a step must gain; times 1 or the last one
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
@@ -63,8 +67,20 @@ def plain(plans: BatchSolution) -> Solution:
     return Solution(X, U, plans.cost, plans.kkt, plans.violation, plans.num_steps, plans.result)
 
 
+class _Search(NamedTuple):
+    """Line search of each entry along the step of its last program."""
+
+    start: BatchIterate
+    violation: Array  # sum of the defects and limit residuals at the start
+    cost: Array  # objective there
+    logs: Array  # sum of the logarithms of the slacks there
+    halvings: Array
+    active: Array  # whether steps are searched; else full ones are taken
+
+
 class _Loop(NamedTuple):
     iterate: BatchIterate
+    search: _Search
     barrier: Array
     error: OptimalityError  # of the problem
     qp_error: Array  # error of the last program
@@ -188,14 +204,40 @@ def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     model, more, error = compute_once(lambda it, expansion: _linearise(batch, it, expansion))(it, expansion)
     error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
     worst = _worst(error)
-    open_ = loop.open & ~(worst <= batch.tolerance) & ~jnp.isnan(worst) & ~loop.infeasible
-    open_ = open_ & (loop.num_steps < batch.max_steps)
-    loop = loop._replace(error=error, open=open_)
-    return jax.lax.cond(jnp.any(open_), lambda: _step_open(batch, loop, model, more), lambda: loop)
+    here = _search_from(batch, model, it, loop.search.active)
+    rejected = loop.open & loop.search.active & ~_accepted(loop.search, here, loop.barrier, batch.tolerance)
+    rejected &= ~(worst <= batch.tolerance) & (loop.search.halvings < HALVINGS)
+    open_ = loop.open & ~(worst <= batch.tolerance) & (rejected | ~jnp.isnan(worst)) & ~loop.infeasible
+    open_ &= loop.num_steps < batch.max_steps
+    rejected &= open_
+    halved = loop.search._replace(halvings=loop.search.halvings + 1)
+    search = jax.tree.map(lambda old, new: jnp.where(rejected, old, new), halved, here)
+    it = jax.tree.map(lambda a, b: jnp.where(rejected, (a + b) / 2, b), search.start, it)
+    loop = loop._replace(iterate=it, search=search, error=error, open=open_)
+    step = lambda: _step_open(batch, loop, model, more, open_ & ~rejected)
+    return jax.lax.cond(jnp.any(open_), step, lambda: loop)
 
 
-def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loop:
-    """Move the open entries towards the solutions of their programs, of the last one allowed to the tolerance."""
+def _search_from(batch: _Batch, model: QPModel, it: BatchIterate, active: Array) -> _Search:
+    """Begin a line search at an iterate with its linearisation."""
+    ocp, u_before = batch.ocp, batch.u_before
+    apart = [jnp.sum(jnp.abs(v), axis=0) for v in (*model.c, *slack_residuals(ocp, u_before, model, it))]
+    cost = objective(ocp, (batch.stages, batch.last), u_before, it.X, it.U)
+    logs = sum((jnp.sum(jnp.log(s), axis=0) for s in it.slack), jnp.zeros_like(cost))
+    return _Search(it, sum(apart, jnp.zeros_like(cost)), cost, logs, jnp.zeros_like(active, jnp.int32), active)
+
+
+def _accepted(last: _Search, new: _Search, barrier: Array, tolerance: Array) -> Array:
+    """Return whether a step is accepted: it lowers a violation above `tolerance` or the barrier problem's objective."""
+    phi, phi_new = (each.cost - barrier * each.logs for each in (last, new))
+    lower = (last.violation > tolerance) & (new.violation <= (1 - PROGRESS) * last.violation)
+    better = phi_new <= phi - PROGRESS * last.violation + jnp.finfo(phi.dtype).eps * jnp.abs(phi)
+    near = new.violation <= LARGEST_VIOLATION * jnp.maximum(1.0, last.violation)
+    return (lower | better) & near & jnp.isfinite(phi_new)
+
+
+def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree, stepped: Array) -> _Loop:
+    """Move the `stepped` entries towards the solutions of their programs, of the last one allowed to the tolerance."""
     last, worst = loop.num_steps + 1 >= batch.max_steps, _worst(loop.error)
     share = jnp.maximum(jnp.minimum(FORCING * worst, COARSE), FINE * batch.tolerance)
     accuracy = jnp.where(last, batch.tolerance, share)
@@ -217,7 +259,7 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> _Loo
 
     model = _with_curvature(batch, loop, model, more)
     start = _Program(
-        model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, loop.open, jnp.asarray(0)
+        model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, stepped, jnp.asarray(0)
     )
     end = jax.lax.while_loop(lambda state: jnp.any(state.open), improve, start)
     return loop._replace(
@@ -257,7 +299,7 @@ def solve_batch(
     iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
     Where the residuals exceed `options.implicit` tolerances the entry is solved again, up to `options.restarts` times,
-    from its guess with a larger barrier.
+    from its guess with a larger barrier and a line search.
 
     `X`, `U` and `cost` are differentiable in `ocp`, `x0`, `u_before` and `params`, in both modes, as exactly as the
     tolerance; guess, options and residuals carry no derivative. Where the residuals exceed `options.implicit`
@@ -314,9 +356,11 @@ def _solve(
     needed = wide(True, bool) if needed is None else needed
     none, never = wide(0, jnp.int32), wide(False, bool)
 
-    def begin(barrier: Array) -> _Loop:
-        start = _start(batch, list(x0), list(X), list(U), barrier)
-        return _Loop(start, barrier, OptimalityError(large, large), large, none, none, never, needed)
+    def begin(attempt: Array) -> _Loop:
+        first = barrier * jnp.power(FURTHER, attempt).astype(large.dtype)
+        start = _start(batch, list(x0), list(X), list(U), first)
+        search = _Search(start, large, large, jnp.zeros_like(large), none, never | (attempt > 0))
+        return _Loop(start, search, first, OptimalityError(large, large), large, none, none, never, needed)
 
     def left(loop: _Loop, attempt: Array) -> Array:
         accepted = _worst(loop.error) <= wide(options.implicit, large.dtype) * batch.tolerance
@@ -324,16 +368,16 @@ def _solve(
 
     def again(state: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
         last, attempt = state
-        open_, fresh = left(last, attempt), begin(barrier * FURTHER**attempt)
+        open_, fresh = left(last, attempt), begin(attempt)
         loop = jax.tree.map(lambda new, old: jnp.where(open_, new, old), fresh, last)
         loop = _solve_open(batch, loop._replace(open=open_))
         count = lambda new, old: jnp.where(open_, new + old, old)
         counts = {name: count(getattr(loop, name), getattr(last, name)) for name in ("num_steps", "qp_steps")}
         return loop._replace(**counts), attempt + 1
 
-    end, _ = jax.lax.while_loop(lambda s: jnp.any(left(*s)), again, (begin(barrier), jnp.asarray(0)))
+    end, _ = jax.lax.while_loop(lambda s: jnp.any(left(*s)), again, (begin(none[0]), none[0]))
     it = end.iterate
     result = jax.vmap(_result)(_worst(end.error), end.infeasible, batch.tolerance)
     X, U = jnp.stack(it.X), jnp.stack(it.U)
-    counts, cost = (end.num_steps, end.qp_steps), objective(ocp, params, list(u_before), it.X, it.U)
+    counts, cost = (end.num_steps, end.qp_steps), objective(ocp, split(params), list(u_before), it.X, it.U)
     return BatchSolution(X, U, cost, *end.error, end.qp_error, *counts, result), it

@@ -151,6 +151,28 @@ def test_only_what_is_not_solved_is_solved_again():
     np.testing.assert_array_equal(accepted.num_steps, once.num_steps)
 
 
+class Valley(AbstractBatchOCP):
+    """Moves to the smallest sqrt(1 + x^2): Newton's full steps lead from x to -x^3, away from 0 where |x| > 1."""
+
+    def step(self, x, u, p):
+        return [x[0] + u[0]]
+
+    def cost(self, x, u, p):
+        return jnp.zeros_like(u[0])
+
+    def terminal(self, x, p):
+        return jnp.sqrt(1 + x[0] ** 2)
+
+
+def test_the_line_search_of_a_restart_solves_what_full_steps_do_not():
+    x0 = jnp.array([[0.5, -3.0, 20.0, 5.0]])
+    args = (x0, jnp.zeros((1, 4)), jnp.zeros((2, 4)), jnp.stack([x0, x0], axis=1), jnp.zeros((1, 1, 4)))
+    full, searched = (solved(Valley(), args, Options(1e-8, restarts=n)) for n in (0, 1))
+    np.testing.assert_array_equal(full.result == RESULTS.successful, [True, False, False, False])
+    assert bool(jnp.all(searched.result == RESULTS.successful))
+    np.testing.assert_allclose(searched.X[0, 1], 0.0, atol=1e-8)
+
+
 def test_real_time_iterations_lead_to_the_solution():
     """One iteration solves its program; the residual that it reports is that of the problem."""
     x0, before, p, X, U = problem()
