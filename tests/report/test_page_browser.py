@@ -124,6 +124,22 @@ def test_dragging_on_a_trace_scrubs(show, learnt):
     assert at == pytest.approx(0.9 * box["width"], abs=3), "the cursor of the other traces goes along"
 
 
+def test_a_finger_that_drags_on_a_trace_scrubs_all_the_way(show, learnt):
+    """Without a touch action of its own the browser takes the drag for scrolling after the first move."""
+    page = show(learnt, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    chart = page.locator("[data-trace='beta'] svg")
+    chart.scroll_into_view_if_needed()
+    box, touch = chart.bounding_box(), page.context.new_cdp_session(page)
+    assert box
+    place = lambda share: [{"x": box["x"] + share * box["width"], "y": box["y"] + 40}]
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": place(0.3)})
+    for share in np.linspace(0.35, 0.9, 12):
+        touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": place(share)})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    at = float(page.locator("[data-trace='V'] .cursor").get_attribute("x1") or "nan")
+    assert at == pytest.approx(0.9 * box["width"], abs=3)
+
+
 def test_space_plays_and_stops(show, learnt):
     page = show(learnt)
     page.keyboard.press("Home")
