@@ -42,6 +42,13 @@ def test_a_log_file_has_a_line_per_stage_and_the_time_left(clock, capsys):
     ]
 
 
+def test_what_was_done_once_does_not_count_for_ever_in_the_time_left(clock, capsys):
+    with console.progress() as report:
+        for clock.now, done in ((0, 0), (270, 1), (272, 2), (282, 3), (292, 4), (302, 5)):
+            report(f"lap {done}", done, 17)
+    assert capsys.readouterr().out.splitlines()[-1] == "[ 302.0 s] 5/17 lap 5, 01:36 left"  # 12 laps of 8 s
+
+
 def bars(monkeypatch, *reports: tuple[str, int, int]) -> list[str]:
     """Return what a terminal is shown for these reports, the last bar at the end; nothing goes to stdout."""
     out, err = Terminal(), Terminal()
