@@ -1,6 +1,7 @@
 """Shared by the verbs: flags over files, work inside a run folder, progress."""
 
 import argparse
+import os
 import shutil
 import sys
 import threading
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 import tyro
 
@@ -125,13 +126,22 @@ def shortened(text: str, width: int) -> str:
     return text if len(text) <= width else text[: width - 3].rstrip(" ,:") + "..."
 
 
+def has_width(stream: TextIO) -> bool:
+    """Return whether `stream` is a terminal with room for a bar."""
+    try:
+        return stream.isatty() and os.get_terminal_size(stream.fileno()).columns > 0
+    except OSError:
+        return stream.isatty()
+
+
 @contextmanager
 def progress() -> Iterator[Report]:
     """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
 
-    Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead.
+    Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead, as does a
+    terminal without a width, such as some build servers have.
     """
-    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+    if not (has_width(sys.stdout) and has_width(sys.stderr)):
         yield _report_lines()
         return
     from tqdm import tqdm

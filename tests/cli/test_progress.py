@@ -1,6 +1,8 @@
 """Progress: a bar with rate and time left in a terminal, a line per stage elsewhere, and what to do next at the end."""
 
 import io
+import os
+import pty
 import types
 from pathlib import Path
 
@@ -80,6 +82,17 @@ def test_a_pipe_gets_lines_though_errors_go_to_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr", Terminal())
     with console.progress() as report:
         report("plan", 0, 4)
+    assert "0/4 plan" in capsys.readouterr().out
+
+
+def test_a_terminal_without_a_width_gets_lines(monkeypatch, capsys):
+    leader, follower = pty.openpty()  # of 0 columns, until someone says how many
+    with os.fdopen(follower, "w") as stream:
+        assert stream.isatty() and not console.has_width(stream)
+        monkeypatch.setattr("sys.stderr", stream)
+        with console.progress() as report:
+            report("plan", 0, 4)
+    os.close(leader)
     assert "0/4 plan" in capsys.readouterr().out
 
 
