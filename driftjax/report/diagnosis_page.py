@@ -42,7 +42,7 @@ from driftjax.vehicle.effect import EFFECTS
 
 NEXT = {
     "NOTHING": "Nothing: these data show no error of the simulation. A log that excites the car more may.",
-    "NAMED": "Drive with extended.yaml, the corrected car, wherever a vehicle is asked for.",
+    "NAMED": "Nothing more, to name these causes. Use extended.yaml, the corrected car, where a vehicle is asked for.",
     "SET": "These data do not tell the effects of the set apart; drive a run in which they differ.",
     "UNKNOWN": "Look at the variables that the rest goes with, below, and add the physics that is missing.",
     "DATA_INSUFFICIENT": "Record more: longer runs, with stronger steering and drive.",
@@ -109,10 +109,10 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
 def _verdict(content: dict[str, Any]) -> str:
     """Return verdict, sentence and what to drive next."""
     verdict, proposal = content["verdict"], content.get("next_manoeuvre")
-    first = _joint_error_share(content)
+    joint = _joint_error_share(content)
     parts = [
-        *([paragraph(first, "lead")] if first else []),
-        paragraph(content["sentence"], "" if first else "lead"),
+        paragraph(content["sentence"], "lead"),
+        *([paragraph(joint)] if joint else []),
         paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
         html_heading("What to drive next"),
     ]
@@ -156,9 +156,9 @@ def cause_errors(cause: dict[str, Any], gain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joint_error_share(content: dict[str, Any]) -> str:
-    """Return what the named effects explain together; empty where there are none or their share is not known."""
+    """Return what several named effects explain together; empty for one, whose sentence says it, or without a share."""
     names, explained = [cause["effect"] for cause in content.get("causes", ())], content.get("explained") or {}
-    if not names or explained.get("share") is None:
+    if len(names) < 2 or explained.get("share") is None:
         return ""
     share, (low, high) = 100 * explained["share"], (100 * end for end in explained["ci95"])
     words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained['horizon']:.2g} s ahead"
@@ -184,7 +184,11 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
     """Return the section of a named effect: description, parameters, probability, and confusable effects."""
     name, key = cause["effect"], f"diagnosis.json: causes[{place}]"
     known = EFFECTS.get(name)
-    parts = [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}.")] if known else []
+    parts = (
+        [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}."), paragraph(known.formula, "note")]
+        if known
+        else []
+    )
     rows = _parameter_rows(cause, key)
     rows.append(["probability", Cell(f"{cause['probability']:.2f}", f"{key}.probability", cause["probability"]), ""])
     rows.append(["p-value", Cell(f"{cause['p_value']:.2g}", f"{key}.p_value", cause["p_value"]), ""])
