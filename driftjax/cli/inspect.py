@@ -52,7 +52,7 @@ def run(argv: list[str]) -> int:
         print(inspection)
         for path in write_inspection(log.runs, folder.path):
             print(f"figure: {path}")
-        print("next: slopes near 1 and small shifts say that the log was read right; then "
+        print("next: a slope near -1 is a wrong sign, near 57.3 or 3.6 a wrong unit; where there is none, "
               f"`driftjax diagnose {_flags(flags)}` says what the simulated car lacks.")  # fmt: skip
         return 0
 
