@@ -29,6 +29,8 @@ from driftjax.report.html import (
     html_heading,
     image,
     paragraph,
+    quantities,
+    quantity,
     section,
     stage_for,
     table,
@@ -36,7 +38,7 @@ from driftjax.report.html import (
 from driftjax.report.player import player_data
 from driftjax.report.predictions import drawn_models
 from driftjax.report.style import save
-from driftjax.report.table import number, with_interval
+from driftjax.report.table import with_interval
 from driftjax.store import RunFolder
 from driftjax.vehicle.effect import EFFECTS
 
@@ -94,7 +96,9 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
     if driven := content.get("closed_loop"):
         rows = closed_loop_rows(driven)
         words = f"{' '.join(closed_loop_notes(driven))} Source: diagnosis.json, closed_loop."
-        parts.append(section("Closed loop", [table(rows[0], rows[1:], words)]))
+        parts.append(
+            section("Closed loop", [table(rows[0], quantities(rows[1:], "diagnosis.json: closed_loop"), words)])
+        )
     parts += figures([image(path, *TITLES[path.stem]) for path in pictures])
     named = (
         ("Data and noise (diagnosis.json, data)", content["data"]),
@@ -207,7 +211,7 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
         rows.append(
             [
                 f"error of {channel} without it, over that with all causes",
-                Cell(with_interval(grown[0], grown[1:]), f"diagnosis.json: gain.without.{name}.{channel}"),
+                quantity(with_interval(grown[0], grown[1:]), f"diagnosis.json: gain.without.{name}.{channel}"),
                 "",
             ]
         )
@@ -234,7 +238,11 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
             rows = residual_force_rows(shown)
             parts += [
                 paragraph(shown["worst"]),
-                table(rows[0], rows[1:], "RMS of the residual forces. Source: diagnosis.json, show.residual_forces."),
+                table(
+                    rows[0],
+                    quantities(rows[1:], "diagnosis.json: show.residual_forces"),
+                    "RMS of the residual forces. Source: diagnosis.json, show.residual_forces.",
+                ),
             ]
         yield section("What the data say against the model", parts)
     parts = [stage_for("curves", "Error over the horizon")]
@@ -244,7 +252,7 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
             paragraph(parity_statement(shown["kinematic_parity"])),
             table(
                 rows[0],
-                rows[1:],
+                quantities(rows[1:], "diagnosis.json: show.open_loop"),
                 "Open-loop error of the nominal car on all runs, in units of the measurement "
                 "noise. Source: diagnosis.json, show.open_loop.in_noises.",
             ),
@@ -277,22 +285,18 @@ def _gain(gain: dict[str, Any]) -> list[str]:
     cells = [
         [
             MODELS.get(row[0], row[0]),
-            row[1],
+            quantity(row[1], "diagnosis.json: gain.horizons_s"),
             *(
-                Cell(text, f"diagnosis.json: gain.rmse.{row[0]}.{c}", _float(text))
+                quantity(text, f"diagnosis.json: gain.rmse.{row[0]}.{c}")
                 for c, text in zip(MEASURED, row[2:5], strict=True)
             ),
-            Cell(row[5], f"diagnosis.json: gain.ratio.{row[0]}"),
-            Cell(row[6], f"diagnosis.json: gain.skill.{row[0]}"),
+            quantity(row[5], f"diagnosis.json: gain.ratio.{row[0]}"),
+            quantity(row[6], f"diagnosis.json: gain.skill.{row[0]}"),
         ]
         for row in rows
     ]
     words = f"RMS error of open-loop predictions on the runs held out ({', '.join(gain['held_out_runs'])})."
     return [table(head, cells, f"{words} Source: diagnosis.json, gain.")]
-
-
-def _float(text: str) -> float | None:
-    return None if text == number(None) else float(text)
 
 
 def horizon_data(data: xr.Dataset) -> dict[str, Any]:
