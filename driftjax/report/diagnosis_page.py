@@ -115,8 +115,8 @@ def _verdict(content: dict[str, Any]) -> str:
     verdict, proposal = content["verdict"], content.get("next_manoeuvre")
     joint = _joint_error_share(content)
     parts = [
-        paragraph(content["sentence"], "lead"),
-        *([paragraph(joint)] if joint else []),
+        *([paragraph(joint, "lead")] if joint else []),
+        paragraph(content["sentence"], "" if joint else "lead"),
         paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
         html_heading("What to drive next"),
     ]
@@ -165,8 +165,8 @@ def _joint_error_share(content: dict[str, Any]) -> str:
     if len(names) < 2 or explained.get("share") is None:
         return ""
     share, (low, high) = 100 * explained["share"], (100 * end for end in explained["ci95"])
-    words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained['horizon']:.2g} s ahead"
-    return f"{', '.join(names)}: together {words}."
+    words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the error {explained['horizon']:.2g} s ahead that is not noise"
+    return f"{', '.join(names[:-1])} and {names[-1]} together explain {words}."
 
 
 def _parameter_rows(cause: dict[str, Any], key: str) -> list[list[str | Cell]]:
