@@ -258,6 +258,11 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
             ),
         ]
     yield section("Error over the horizon", parts)
+    yield _scores(data)
+
+
+def _scores(data: xr.Dataset) -> str:
+    """Return the section with the score of every effect, closed at first."""
     rows = [
         [
             name,
@@ -272,7 +277,7 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
         f"What the nominal car's errors say of each effect by itself; by chance 5 % exceed a score of "
         f"{data.attrs['score_threshold']:.2f}. Source: diagnosis.nc, promise and score."
     )
-    yield section(
+    return section(
         "Scores of all effects", ["<details><summary>Show the table</summary>", table(head, rows, words), "</details>"]
     )
 
