@@ -1,13 +1,14 @@
 """`driftjax inspect`: content of a log and agreement of its channels."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 
 import tyro
 
 from driftjax.cli.console import default_out, parse, print_notes, run_in
 from driftjax.core import require
-from driftjax.logs import guess_columns, inspect, read_log
+from driftjax.logs import Guess, guess_columns, inspect, read_log
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig, load_vehicle
@@ -51,6 +52,8 @@ def run(argv: list[str]) -> int:
         print(inspection)
         for path in write_inspection(log.runs, folder.path):
             print(f"figure: {path}")
+        print("next: a slope near -1 is a wrong sign, near 57.3 or 3.6 a wrong unit; where there is none, "
+              f"`driftjax diagnose {_flags(flags)}` says what the simulated car lacks.")  # fmt: skip
         return 0
 
     return run_in(folder, work)
@@ -69,4 +72,22 @@ def propose(flags: InspectOptions, vehicle: VehicleConfig | None) -> int:
     else:
         guess.write(flags.write)
         print(f"\nmap: {flags.write}")
+    print(f"next: {next_step(flags, guess)}")
     return 0
+
+
+def next_step(flags: InspectOptions, guess: Guess) -> str:
+    """Say what to do with a proposed column map."""
+    if flags.write is None:
+        return "look it over; `--write map.yaml` writes it to a file."
+    if (lacks := guess.lacks()) is not None:
+        return f"write in {flags.write} which column is '{lacks}'; without that no log is read."
+    used = dataclasses.replace(flags, columns=str(flags.write))
+    return f"look the map over; `driftjax inspect {_flags(used)}` shows whether the log is read right with it."
+
+
+def _flags(flags: InspectOptions) -> str:
+    """Return logs, column map and vehicle as they stand in a command."""
+    columns = ("--columns", flags.columns) if flags.columns else ()
+    words = (*map(str, flags.logs), *columns, "--vehicle", str(flags.vehicle or "YOUR_CAR.yaml"))
+    return " ".join(map(shlex.quote, words))

@@ -1,6 +1,7 @@
 """`driftjax simulate`: a log of a car with known effects, and the truth beside it."""
 
 import dataclasses
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -84,4 +85,7 @@ def work(vehicle: VehicleConfig, theta: np.ndarray, flags: SimulateOptions, fold
         return 1
     write_log(folder.path / "log.csv", runs)
     print(f"log: {folder.path / 'log.csv'}, {len(runs)} runs\ntruth: {folder.path / 'truth.yaml'}")
+    path, car = shlex.quote(str(folder.path / "log.csv")), shlex.quote(str(flags.vehicle))
+    print(f"next: `driftjax diagnose {path} --vehicle {car} --combined-slip {vehicle.combined_slip:g}` "
+          "says what that car lacks in this log.")  # fmt: skip
     return 0
