@@ -60,8 +60,11 @@ def _infeasible(
 ) -> Array:
     """Return whether the program of a `tested` entry is proven to have no feasible point.
 
-    Without one steps become short and multipliers grow, those of the full Newton step towards a proof.
+    Without one steps become short and multipliers grow, those of the full Newton step towards a proof. A program
+    without limits has one.
     """
+    if not it.slack:
+        return jnp.zeros_like(tested)
     full = lambda values, steps: [v + d for v, d in zip(values, steps, strict=True)]
     dual = [jnp.maximum(z, 0.0) for z in full(it.dual, newton.dual)]
     proof = it._replace(costates=full(it.costates, newton.costates), dual=dual)

@@ -140,6 +140,28 @@ def test_every_entry_has_its_own_tolerance_and_steps(copies):
     assert float(mixed.kkt[1]) > 1e-6  # else its tolerance would not have been its own
 
 
+class Valley(AbstractBatchOCP):
+    """Moves to the smallest sqrt(1 + x^2) + 0.1 u^2, without limits."""
+
+    def step(self, x, u, p):
+        return [x[0] + u[0]]
+
+    def cost(self, x, u, p):
+        return 0.1 * u[0] ** 2
+
+    def terminal(self, x, p):
+        return jnp.sqrt(1 + x[0] ** 2)
+
+
+def test_a_problem_without_limits_is_solved():
+    x0 = jnp.array([[0.5, -0.7]])
+    args = (x0, jnp.zeros((1, 2)), jnp.zeros((2, 2)), jnp.stack([x0, x0], axis=1), jnp.zeros((1, 1, 2)))
+    end = solved(Valley(), args, Options(1e-10))
+    assert bool(jnp.all(end.result == RESULTS.successful))
+    x = end.X[0, 1]
+    np.testing.assert_allclose(x / jnp.sqrt(1 + x**2) + 0.2 * (x - x0[0]), 0.0, atol=1e-9)
+
+
 def test_real_time_iterations_lead_to_the_solution():
     """One iteration solves its program; the residual that it reports is that of the problem."""
     x0, before, p, X, U = problem()
