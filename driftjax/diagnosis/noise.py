@@ -6,7 +6,7 @@ process noise as the measure of a model's defect).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -188,8 +188,13 @@ def spread_pieces(steps: Steps, e: Array, gains: Gains) -> tuple[Steps, Array, G
     rows = np.round(np.linspace(0, P - 1, num)).astype(int) if P > num else np.arange(P)
     last = int(np.flatnonzero(np.asarray(steps.valid)[rows].any(axis=(0, 2)))[-1:].sum())
     samples = slice(min(CUT * (last // CUT + 1), T))
-    pad = lambda a: np.concatenate([np.asarray(a)[rows], np.zeros((num - len(rows), *a.shape[1:]), a.dtype)])
-    cut = lambda a: pad(a[:, samples])
+
+    def pad(a: Array) -> Any:
+        return np.concatenate([np.asarray(a)[rows], np.zeros((num - len(rows), *a.shape[1:]), a.dtype)])
+
+    def cut(a: Array) -> Any:
+        return pad(a[:, samples])
+
     shorter = Steps(**{name: (pad if name == "first" else cut)(a) for name, a in steps._asdict().items()})
     decay = jax.tree.map(pad, gains.decay)
     return shorter, cut(e), Gains(cut(gains.L), cut(gains.whitening), decay, cut(gains.P), pad(gains.log_det))

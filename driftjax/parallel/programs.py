@@ -115,9 +115,9 @@ def _compiled(plain: "_Plain", arrays: list, settings: tuple) -> tuple[Compiled,
         return lowered.compile(options), skeleton, plain
 
 
-def _compiler_options(name: str) -> dict[str, int] | None:
+def _compiler_options(name: str) -> dict[str, str | bool] | None:
     """Return XLA's options for the function of this name, beside those in XLA_FLAGS."""
-    return {"xla_backend_optimization_level": 3} if name in os.environ.get(OPTIMISED, "").split(",") else None
+    return {"xla_backend_optimization_level": "3"} if name in os.environ.get(OPTIMISED, "").split(",") else None
 
 
 @contextmanager

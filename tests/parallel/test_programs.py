@@ -208,7 +208,7 @@ def test_programs_of_functions_that_are_named_are_optimised(folder, monkeypatch)
     assert float(call(scaled, jnp.arange(3.0), 2)[1]) == 2.0
     monkeypatch.setenv(programs.OPTIMISED, "applied")
     assert float(call(scaled, jnp.arange(4.0), 2)[1]) == 2.0
-    assert given == [{"xla_backend_optimization_level": 3}, None]
+    assert given == [{"xla_backend_optimization_level": "3"}, None]
 
 
 def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path):
