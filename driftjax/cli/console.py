@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 import shutil
 import sys
 import threading
@@ -118,6 +119,12 @@ class TimeLeft:
         from tqdm import tqdm
 
         return f"{tqdm.format_interval(left)} left"
+
+
+def log_flags(logs: Iterable[Path], columns: str | None, vehicle: Path | str) -> str:
+    """Return logs, column map and vehicle as they stand in a command."""
+    words = (*map(str, logs), *(("--columns", columns) if columns else ()), "--vehicle", str(vehicle))
+    return " ".join(map(shlex.quote, words))
 
 
 def shortened(text: str, width: int) -> str:

@@ -1,7 +1,6 @@
 """`driftjax simulate`: a log of a car with known effects, and the truth beside it."""
 
 import dataclasses
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from driftjax.cli.console import default_out, early_flags, parse, run_in
+from driftjax.cli.console import default_out, early_flags, log_flags, parse, run_in
 from driftjax.core import BadInput, from_dict, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
@@ -85,7 +84,7 @@ def work(vehicle: VehicleConfig, theta: np.ndarray, flags: SimulateOptions, fold
         return 1
     write_log(folder.path / "log.csv", runs)
     print(f"log: {folder.path / 'log.csv'}, {len(runs)} runs\ntruth: {folder.path / 'truth.yaml'}")
-    path, car = shlex.quote(str(folder.path / "log.csv")), shlex.quote(str(flags.vehicle))
-    print(f"next: `driftjax diagnose {path} --vehicle {car} --combined-slip {vehicle.combined_slip:g}` "
+    again = log_flags([folder.path / "log.csv"], None, flags.vehicle)
+    print(f"next: `driftjax diagnose {again} --combined-slip {vehicle.combined_slip:g}` "
           "says what that car lacks in this log.")  # fmt: skip
     return 0
