@@ -27,6 +27,7 @@ add_module_names = False
 
 html_theme = "sphinx_book_theme"
 html_title = "driftjax"
+html_context = {"default_mode": "auto"}  # dark or light as the reader's system is
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_theme_options = {"show_navbar_depth": 1, "show_toc_level": 2, "use_download_button": False,

@@ -1,10 +1,11 @@
-"""The wheel: the package alone with its files; what is in it runs outside the checkout."""
+"""Wheel and sdist: the package alone with its files; what is in them runs outside the checkout."""
 
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -14,16 +15,27 @@ from packaging.metadata import Metadata
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """The wheel of this checkout, built offline."""
-    source, out = tmp_path_factory.mktemp("wheel") / "source", tmp_path_factory.mktemp("dist")
-    left_out = shutil.ignore_patterns("__pycache__", ".venv", ".git", "runs", "tests")
-    shutil.copytree(ROOT, source, ignore=left_out)
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(out)]
+def build(source: Path, out: Path, kind: str) -> Path:
+    """Build the `kind` of archive from the folder `source`, offline."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return next(out.glob("*.whl"))
+    return next(path for path in out.iterdir() if path.suffix == {"wheel": ".whl", "sdist": ".gz"}[kind])
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    """A copy of this checkout."""
+    source = tmp_path_factory.mktemp("wheel") / "source"
+    left_out = shutil.ignore_patterns("__pycache__", ".venv", ".git", "runs", "tests")
+    shutil.copytree(ROOT, source, ignore=left_out)
+    return source
+
+
+@pytest.fixture(scope="module")
+def wheel(source, tmp_path_factory) -> Path:
+    """The wheel of this checkout."""
+    return build(source, tmp_path_factory.mktemp("dist"), "wheel")
 
 
 def test_the_wheel_holds_the_package_and_its_files_only(wheel):
@@ -39,6 +51,18 @@ def test_the_metadata_of_the_wheel_are_valid_and_show_the_readme(wheel):
     metadata = Metadata.from_email(content, validate=True)
     assert metadata.description_content_type == "text/markdown" and metadata.license_files == ["LICENSE"]
     assert metadata.description == (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_sdist_holds_all_that_the_wheel_is_made_of(source, wheel, tmp_path):
+    with tarfile.open(build(source, tmp_path / "dist", "sdist")) as archive:
+        archive.extractall(tmp_path / "sdist", filter="data")
+    (folder,) = (tmp_path / "sdist").iterdir()
+    assert {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "PKG-INFO"} <= {
+        path.name for path in folder.iterdir()
+    }
+    again = build(folder, tmp_path / "dist", "wheel")
+    assert zipfile.ZipFile(again).namelist() == zipfile.ZipFile(wheel).namelist()
+    Metadata.from_email((folder / "PKG-INFO").read_bytes(), validate=True)
 
 
 def test_what_the_wheel_holds_runs_outside_the_checkout(wheel, tmp_path):

@@ -1,7 +1,5 @@
 """Reference of the effects and of the stored variables as MyST Markdown, from the catalogue and the definitions."""
 
-import sys
-
 from options import cell
 from tables import table
 
@@ -45,10 +43,8 @@ def variables_page() -> str:
 
 
 def _sentence(effect: Effect) -> str:
-    module = sys.modules[effect.apply.__module__].__doc__ or ""
-    doc = f"{effect.equation} ({effect.source})." if effect.equation else module.strip()
     needs = f" Needs {' and '.join(f'`{one}`' for one in effect.needs)} in the log." if effect.needs else ""
     past = " Depends on the past, so steady states do not have it." if effect.transient else ""
     needs += " A diagnosis looks for it on request, `--beside`." if effect.on_request else ""
     sentence = effect.sentence[0].upper() + effect.sentence[1:]
-    return f"{sentence}. Acts on: {effect.station}.{needs}{past}\n\n{(doc or '').strip()}"
+    return f"{sentence}. Acts on: {effect.station}.{needs}{past}\n\n{effect.formula}"

@@ -36,7 +36,7 @@ def run(argv: list[str]) -> int:
     def work() -> int:
         with progress() as report:
             print(bench_page(run_bench(options, folder.path, report)), end="")
-        print(f"bench: {folder.path}")
+        print(f"next: see {folder.path}; compare ratios of runs, not times of machines.")
         return 0
 
     return run_in(folder, work)

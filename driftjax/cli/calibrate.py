@@ -1,13 +1,12 @@
 """`driftjax calibrate`: fit the nominal car to runs in which it should be right, before a diagnosis."""
 
 import dataclasses
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
+from driftjax.cli.console import by_steps, default_out, log_flags, parse, print_notes, progress, run_in
 from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, STAGED_EFFECTS, calibrate, effects_to_fit
 from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
@@ -86,7 +85,5 @@ def run(argv: list[str]) -> int:
 
 def next_step(flags: CalibrateOptions, car: Path) -> str:
     """Say how to use the calibrated `car`: as the nominal one of a diagnosis of other runs."""
-    logs = " ".join(shlex.quote(str(path)) for path in flags.logs)
-    columns = f" --columns {shlex.quote(flags.columns)}" if flags.columns else ""
-    command = f"driftjax diagnose {logs}{columns} --vehicle {shlex.quote(str(car))} --runs ..."
+    command = f"driftjax diagnose {log_flags(flags.logs, flags.columns, car)} --runs ..."
     return f"`{command}`, with the runs in which the car may have changed, says what this car lacks in them."

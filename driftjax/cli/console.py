@@ -1,16 +1,19 @@
 """Shared by the verbs: flags over files, work inside a run folder, progress."""
 
 import argparse
+import os
+import shlex
 import shutil
 import sys
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 import tyro
 
@@ -25,6 +28,7 @@ Report = Callable[[str, float, int], None]
 BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}{postfix}]"
 BAR_WITH_RATE = BAR.replace("]", ", {rate_fmt}]")  # where at least one part was done
 BESIDE = 55  # columns that a terminal keeps for bar, numbers and times beside the text
+RECENT = 4  # parts whose time tells that of the others
 SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
@@ -88,30 +92,39 @@ def by_steps(report: Report, steps: Mapping[str, int]) -> Callable[[str], None]:
 
 
 class TimeLeft:
-    """Estimate of the time left, from the time that the parts done so far took."""
+    """Estimate of the time left, from the time that the last few parts took: the first ones may have compiled."""
 
     def __init__(self) -> None:
-        self.begin: float | None = None
-        self.first = self.done = 0.0
-        self.changed, self.each = 0.0, 0.0  # when the last part was done, and time of one part so far [s]
+        self.marks: deque[tuple[float, float]] = deque(maxlen=RECENT + 1)  # time [s] and parts done, where these rose
+        self.first = self.done = self.each = 0.0  # parts done at first, and now; time of one part [s]
 
     def count(self, done: float) -> None:
         """Record that `done` parts are finished; those of the first call do not count in the rate."""
-        now = time.monotonic()
-        if self.begin is None:
-            self.begin, self.first = now, done
-        elif done > self.done:
-            self.changed, self.each = now, (now - self.begin) / (done - self.first)
+        if not self.marks:
+            self.first = done
+        if not self.marks or done > self.done:
+            self.marks.append((time.monotonic(), done))
+        if len(self.marks) > 1:
+            (begin, before), (end, after) = self.marks[0], self.marks[-1]
+            self.each = (end - begin) / (after - before)
         self.done = done
 
     def text(self, total: float) -> str:
         """Return `MM:SS left`, or nothing where no part was done yet or the present one takes longer than expected."""
-        left = (total - self.done) * self.each - (time.monotonic() - self.changed)
-        if self.each == 0 or left <= 0:
+        if self.each == 0:
+            return ""
+        left = (total - self.done) * self.each - (time.monotonic() - self.marks[-1][0])
+        if left <= 0:
             return ""
         from tqdm import tqdm
 
         return f"{tqdm.format_interval(left)} left"
+
+
+def log_flags(logs: Iterable[Path], columns: str | None, vehicle: Path | str) -> str:
+    """Return logs, column map and vehicle as they stand in a command."""
+    words = (*map(str, logs), *(("--columns", columns) if columns else ()), "--vehicle", str(vehicle))
+    return " ".join(map(shlex.quote, words))
 
 
 def shortened(text: str, width: int) -> str:
@@ -120,13 +133,22 @@ def shortened(text: str, width: int) -> str:
     return text if len(text) <= width else text[: width - 3].rstrip(" ,:") + "..."
 
 
+def has_width(stream: TextIO) -> bool:
+    """Return whether `stream` is a terminal with room for a bar."""
+    try:
+        return stream.isatty() and os.get_terminal_size(stream.fileno()).columns > 0
+    except OSError:
+        return stream.isatty()
+
+
 @contextmanager
 def progress() -> Iterator[Report]:
     """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
 
-    Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead.
+    Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead, as does a
+    terminal without a width, such as some build servers have.
     """
-    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+    if not (has_width(sys.stdout) and has_width(sys.stderr)):
         yield _report_lines()
         return
     from tqdm import tqdm

@@ -34,7 +34,7 @@ def run(argv: list[str]) -> int:
         results = write_map(flags.options, folder.path)
         folder.write_json("results", results)
         print("\n".join(f"{name:32s} {value:.6g}" for name, value in results.items()))
-        print(f"map: {folder.path / 'equilibria.png'}")
+        print(f"next: see {folder.path / 'equilibria.png'}; its drifts are what `driftjax learn` holds.")
         return 0
 
     return run_in(folder, work)

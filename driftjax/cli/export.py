@@ -55,6 +55,7 @@ def run(argv: list[str]) -> int:
         export = export_car(vehicle, flags.to, folder.path, log=log, top_speed=flags.top_speed, dt=flags.dt)
         write_json(folder.path / "export.json", export.to_json())
         print(export)
+        print(f"next: the files for the other tool are in {folder.path}, with export.json on what they lose.")
         return 0
 
     return run_in(folder, work)

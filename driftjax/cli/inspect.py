@@ -5,12 +5,14 @@ from pathlib import Path
 
 import tyro
 
-from driftjax.cli.console import default_out, parse, print_notes, run_in
+from driftjax.cli.console import default_out, log_flags, parse, print_notes, run_in
 from driftjax.core import require
-from driftjax.logs import guess_columns, inspect, read_log
+from driftjax.logs import Guess, guess_columns, inspect, read_log
 from driftjax.report import write_inspection
 from driftjax.store import RunFolder
 from driftjax.vehicle import VehicleConfig, load_vehicle
+
+UNKNOWN_CAR = "YOUR_CAR.yaml"  # stands in commands for the file of a car that was not given
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +53,9 @@ def run(argv: list[str]) -> int:
         print(inspection)
         for path in write_inspection(log.runs, folder.path):
             print(f"figure: {path}")
+        again = log_flags(flags.logs, flags.columns, flags.vehicle or UNKNOWN_CAR)
+        print("next: a slope near -1 is a wrong sign, near 57.3 or 3.6 a wrong unit; where there is none, "
+              f"`driftjax diagnose {again}` says what the simulated car lacks.")  # fmt: skip
         return 0
 
     return run_in(folder, work)
@@ -69,4 +74,15 @@ def propose(flags: InspectOptions, vehicle: VehicleConfig | None) -> int:
     else:
         guess.write(flags.write)
         print(f"\nmap: {flags.write}")
+    print(f"next: {next_step(flags, guess)}")
     return 0
+
+
+def next_step(flags: InspectOptions, guess: Guess) -> str:
+    """Say what to do with a proposed column map."""
+    if flags.write is None:
+        return "look it over; `--write map.yaml` writes it to a file."
+    if (lacks := guess.lacks()) is not None:
+        return f"write in {flags.write} which column is '{lacks}'; without that no log is read."
+    again = log_flags(flags.logs, str(flags.write), flags.vehicle or UNKNOWN_CAR)
+    return f"look the map over; `driftjax inspect {again}` shows whether the log is read right with it."

@@ -67,6 +67,7 @@ def work(vehicle: VehicleConfig, track: Track, options: PlanConfig, folder: RunF
     print("drift: " + (", ".join(f"{a:.4g} to {b:.4g} m" for a, b in plan.drift_intervals()) or "none"))
     print(f"plan: {folder.path}")
     if plan.result == RESULTS.successful:
+        print(f"next: see {folder.path / 'plan_trajectory.png'}; `driftjax learn` drives such a plan.")
         return 0
     print(f"driftjax plan: {RESULTS[plan.result]}", file=sys.stderr)
     return 1

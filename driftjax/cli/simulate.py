@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from driftjax.cli.console import default_out, early_flags, parse, run_in
+from driftjax.cli.console import default_out, early_flags, log_flags, parse, run_in
 from driftjax.core import BadInput, from_dict, read_yaml
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
@@ -84,4 +84,7 @@ def work(vehicle: VehicleConfig, theta: np.ndarray, flags: SimulateOptions, fold
         return 1
     write_log(folder.path / "log.csv", runs)
     print(f"log: {folder.path / 'log.csv'}, {len(runs)} runs\ntruth: {folder.path / 'truth.yaml'}")
+    again = log_flags([folder.path / "log.csv"], None, flags.vehicle)
+    print(f"next: `driftjax diagnose {again} --combined-slip {vehicle.combined_slip:g}` "
+          "says what that car lacks in this log.")  # fmt: skip
     return 0

@@ -63,4 +63,5 @@ def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:
         results = tune(config, folder, report, num if num > 1 else 0)
     print(tuning_summary(results))
     print(f"report: {write_tuning(folder)}")
+    print(f"next: see {folder.path / 'figures'}; `driftjax learn` takes such values as --path.Q and --switch.lead.")
     return 0

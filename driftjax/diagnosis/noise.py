@@ -6,7 +6,7 @@ process noise as the measure of a model's defect).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ SLOW_CORRELATION = 0.3  # correlation time of slow errors assumed before any are
 LONGEST_SLOW = 1.0  # largest correlation time of slow errors: what lasts longer has a cause to be named, as a bias [s]
 SLOW_EVIDENCE = 18.5  # least rise of twice the log-likelihood by slow errors: 0.999 quantile of chi^2 of 4 parameters
 SEARCHED = 8000  # samples that the noise is estimated from
+CUT = 250  # samples by which padding is cut off
 ITERATIONS = 30  # of the search, at most
 LONGEST = 1.5  # longest step of any variable of the search
 DAMPING = 1e-2  # of the first step of the search, over the curvature
@@ -177,13 +178,26 @@ def fisher_scoring(
     return x, value
 
 
-def spread_pieces(trees: tuple[Steps, Array, Gains]) -> tuple[Steps, Array, Gains]:
-    """Return pieces of `trees` (P, T, ...) that hold `SEARCHED` samples, spread evenly; zeros where there are fewer."""
-    P, T = trees[1].shape[:2]
+def spread_pieces(steps: Steps, e: Array, gains: Gains) -> tuple[Steps, Array, Gains]:
+    """Return pieces (P, T, ...) that hold `SEARCHED` samples, spread evenly; zeros where there are fewer.
+
+    What pads all of them is cut off, by whole `CUT` samples: few lengths are few programs.
+    """
+    P, T = e.shape[:2]
     num = max(SEARCHED // T, 1)
     rows = np.round(np.linspace(0, P - 1, num)).astype(int) if P > num else np.arange(P)
-    pad = lambda a: np.concatenate([np.asarray(a)[rows], np.zeros((num - len(rows), *a.shape[1:]), a.dtype)])
-    return jax.tree.map(pad, trees)
+    last = int(np.flatnonzero(np.asarray(steps.valid)[rows].any(axis=(0, 2)))[-1:].sum())
+    samples = slice(min(CUT * (last // CUT + 1), T))
+
+    def pad(a: Array) -> Any:
+        return np.concatenate([np.asarray(a)[rows], np.zeros((num - len(rows), *a.shape[1:]), a.dtype)])
+
+    def cut(a: Array) -> Any:
+        return pad(a[:, samples])
+
+    shorter = Steps(**{name: (pad if name == "first" else cut)(a) for name, a in steps._asdict().items()})
+    decay = jax.tree.map(pad, gains.decay)
+    return shorter, cut(e), Gains(cut(gains.L), cut(gains.whitening), decay, cut(gains.P), pad(gains.log_det))
 
 
 def estimate_noise(
@@ -196,7 +210,8 @@ def estimate_noise(
     (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`. Sensors have
     slow errors where the data ask for them; where they are `slow_known`, those of `start`.
     """
-    steps, e, gains = spread_pieces((steps, e, gains))
+    steps, e, gains = spread_pieces(steps, e, gains)
+    informative = informative[: e.shape[1]]
     J, use = call(propagate_pieces, steps, gains, dt), jnp.asarray(informative, float)
 
     def minimise(first: Noise, low: Noise, high: Noise) -> tuple[Noise, float]:

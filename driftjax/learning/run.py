@@ -29,6 +29,7 @@ from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.plants import load_distribution
 
 Report = Callable[[str, int, int], None]
+ONCE = {"plan": 6, "compile": 16}  # usual time of a first run, in that of a stage; less where the programs are stored
 
 
 def learn(
@@ -74,23 +75,30 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
-    report("plan: compile, solve", len(folder.finished()), len(names) + 1)
+    share = _share_done(len(names), report)
+    share("plan: compile, solve", len(folder.finished()))
     with process_executor(num_workers) as executor:
         scenario = build_scenario(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))
         progress, done = _resume(scenario, folder)
-        say = lambda name: report(f"compile: {name}", len(done) + 1, len(names) + 1)
+        say = lambda name: share(f"compile: {name}", len(done) + ONCE["plan"])
         compile_stages(scenario, [name for name in names if name not in done], say)
         seen = {name.partition("-")[0] for name in names} if executor.pool else set[str]()  # kinds that are compiled
-        before_stage = lambda name: report(_stage_text(name, seen), names.index(name) + 1, len(names) + 1)
+        before_stage = lambda name: share(_stage_text(name, seen), names.index(name) + sum(ONCE.values()))
         for name, data, after in drive_stages(scenario, progress, done, before_stage):
             folder.write_stage(name, data, _dump(after))
     summary = results(scenario, {name: folder.read_stage(name) for name in folder.finished()})
     folder.write_json("results", summary)
     folder.write_laps()
-    report("done", len(names) + 1, len(names) + 1)
+    share("done", len(names) + sum(ONCE.values()))
     return summary
+
+
+def _share_done(num_stages: int, report: Report) -> Callable[[str, float], None]:
+    """Return `share(text, parts)`, which reports the parts done in percent: a stage is one, `ONCE` has the others."""
+    total = num_stages + sum(ONCE.values())
+    return lambda text, parts: report(text, round(100 * parts / total), 100)
 
 
 def _stage_text(name: str, seen: set[str]) -> str:

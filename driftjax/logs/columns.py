@@ -219,7 +219,8 @@ def standard_columns(table: Table) -> ColumnMap:
         instead = " (or vx and vy)" if lacks == "V" else ""
         raise BadInput(
             f"{table.path}: column '{lacks}' is missing; add it{instead}, "
-            f"or name the column that holds it in a column map. There are {similar_names(lacks, table.names)}."
+            "or name the column that holds it in a column map, "
+            f"which `driftjax inspect {table.path} --guess` proposes. There are {similar_names(lacks, table.names)}."
         )
     return ColumnMap(tuple(Channel(name, name) for name in names), (RUN,) if RUN in table else ())
 

@@ -68,7 +68,8 @@ def read_recording(path: Path, kind: str, columns: ColumnMap | None, notes: list
     if columns is None:
         names = _names(path, kind)
         holds = quote_names(names, len(names)) or "nothing"
-        raise BadInput(f"{path}: a recording needs a column map that says what is what; it holds {holds}.")
+        raise BadInput(f"{path}: a recording needs a column map that says what is what; it holds {holds}; "
+                       f"`driftjax inspect {path} --guess` proposes one.")  # fmt: skip
     if wrong := [channel.name for channel in columns.columns if channel.column == TIME and channel.name != "t"]:
         raise BadInput(f"{path}: the column map says that {wrong[0]} is '{TIME}', the time stamps; only t can be that.")
     roles = _roles(columns)

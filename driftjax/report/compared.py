@@ -8,7 +8,17 @@ from matplotlib.figure import Figure
 
 from driftjax.core import write_text
 from driftjax.logs.columns import MEASURED
-from driftjax.report.html import Cell, collapsible, document, figures, image, paragraph, section, table
+from driftjax.report.html import (
+    collapsible,
+    document,
+    figures,
+    image,
+    paragraph,
+    quantities,
+    quantity,
+    section,
+    table,
+)
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, OTHER, legend_below, new_figure, save
 from driftjax.report.table import aligned, number, with_interval
 from driftjax.store import RunFolder
@@ -125,18 +135,23 @@ def log_comparison_page(run: RunFolder, content: dict[str, Any], pictures: list[
     if content["differences"]:
         head, *rows = difference_rows(content)
         words = "B less A: with 95 % interval; in A and in B: with standard error. Source: compare.json, differences."
-        parts.append(section("What differs", [table(head, rows, words)]))
+        parts.append(section("What differs", [table(head, quantities(rows, "compare.json: differences"), words)]))
     for here in "BA" if content["gap"] else "":
         gap, key = content["gap"][here.lower()], f"compare.json: gap.{here.lower()}"
         head, *rows = gap_rows(gap, here)
-        cells = [[*row[:2], *(Cell(text, f"{key}.rmse") for text in row[2:5]),
-                  *(Cell(text, f"{key}.ratio_to_own") for text in row[5:])] for row in rows]  # fmt: skip
+        keys = (key, f"{key}.horizons_s", *[f"{key}.rmse"] * 3, *[f"{key}.ratio_to_own"] * 4)
+        cells = [list(map(quantity, row, keys)) for row in rows]
         words = f"RMS error of open-loop predictions of {here}; {gap_notes(gap)}. Source: {key}."
         parts.append(section(f"Errors on {here}", [table(head, cells, words)]))
     if content["overlap"]:
         head, *rows = range_rows(content)
         words = "5th to 95th percentile (SI), and the share of their distributions that the logs have in common. "
-        parts.append(section("Ranges", [table(head, rows, words + "Source: compare.json, overlap.")]))
+        parts.append(
+            section(
+                "Ranges",
+                [table(head, quantities(rows, "compare.json: overlap"), words + "Source: compare.json, overlap.")],
+            )
+        )
     parts += figures([image(path, TITLE, WORDS) for path in pictures])
     named = (("Data (compare.json, data)", content["data"]), ("Configuration (config.yaml)", run.config),
              ("Versions (versions.json)", run.read_json("versions")))  # fmt: skip

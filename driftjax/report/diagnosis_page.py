@@ -29,6 +29,8 @@ from driftjax.report.html import (
     html_heading,
     image,
     paragraph,
+    quantities,
+    quantity,
     section,
     stage_for,
     table,
@@ -36,13 +38,13 @@ from driftjax.report.html import (
 from driftjax.report.player import player_data
 from driftjax.report.predictions import drawn_models
 from driftjax.report.style import save
-from driftjax.report.table import number, with_interval
+from driftjax.report.table import with_interval
 from driftjax.store import RunFolder
 from driftjax.vehicle.effect import EFFECTS
 
 NEXT = {
     "NOTHING": "Nothing: these data show no error of the simulation. A log that excites the car more may.",
-    "NAMED": "Drive with extended.yaml, the corrected car, wherever a vehicle is asked for.",
+    "NAMED": "Nothing more, to name these causes. Use extended.yaml, the corrected car, where a vehicle is asked for.",
     "SET": "These data do not tell the effects of the set apart; drive a run in which they differ.",
     "UNKNOWN": "Look at the variables that the rest goes with, below, and add the physics that is missing.",
     "DATA_INSUFFICIENT": "Record more: longer runs, with stronger steering and drive.",
@@ -94,7 +96,9 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
     if driven := content.get("closed_loop"):
         rows = closed_loop_rows(driven)
         words = f"{' '.join(closed_loop_notes(driven))} Source: diagnosis.json, closed_loop."
-        parts.append(section("Closed loop", [table(rows[0], rows[1:], words)]))
+        parts.append(
+            section("Closed loop", [table(rows[0], quantities(rows[1:], "diagnosis.json: closed_loop"), words)])
+        )
     parts += figures([image(path, *TITLES[path.stem]) for path in pictures])
     named = (
         ("Data and noise (diagnosis.json, data)", content["data"]),
@@ -109,10 +113,10 @@ def diagnosis_page(run: RunFolder, pictures: list[Path]) -> str:
 def _verdict(content: dict[str, Any]) -> str:
     """Return verdict, sentence and what to drive next."""
     verdict, proposal = content["verdict"], content.get("next_manoeuvre")
-    first = _joint_error_share(content)
+    joint = _joint_error_share(content)
     parts = [
-        *([paragraph(first, "lead")] if first else []),
-        paragraph(content["sentence"], "" if first else "lead"),
+        *([paragraph(joint, "lead")] if joint else []),
+        paragraph(content["sentence"], "" if joint else "lead"),
         paragraph("Source: diagnosis.json, verdict, sentence and explained.", "source"),
         html_heading("What to drive next"),
     ]
@@ -156,13 +160,13 @@ def cause_errors(cause: dict[str, Any], gain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joint_error_share(content: dict[str, Any]) -> str:
-    """Return what the named effects explain together; empty where there are none or their share is not known."""
+    """Return what several named effects explain together; empty for one, whose sentence says it, or without a share."""
     names, explained = [cause["effect"] for cause in content.get("causes", ())], content.get("explained") or {}
-    if not names or explained.get("share") is None:
+    if len(names) < 2 or explained.get("share") is None:
         return ""
     share, (low, high) = 100 * explained["share"], (100 * end for end in explained["ci95"])
-    words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained['horizon']:.2g} s ahead"
-    return f"{', '.join(names)}: together {words}."
+    words = f"{share:.0f} % [{low:.0f}, {high:.0f}] of the error {explained['horizon']:.2g} s ahead that is not noise"
+    return f"{', '.join(names[:-1])} and {names[-1]} together explain {words}."
 
 
 def _parameter_rows(cause: dict[str, Any], key: str) -> list[list[str | Cell]]:
@@ -184,7 +188,11 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
     """Return the section of a named effect: description, parameters, probability, and confusable effects."""
     name, key = cause["effect"], f"diagnosis.json: causes[{place}]"
     known = EFFECTS.get(name)
-    parts = [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}.")] if known else []
+    parts = (
+        [paragraph(f"{known.sentence[0].upper()}{known.sentence[1:]}."), paragraph(known.formula, "note")]
+        if known
+        else []
+    )
     rows = _parameter_rows(cause, key)
     rows.append(["probability", Cell(f"{cause['probability']:.2f}", f"{key}.probability", cause["probability"]), ""])
     rows.append(["p-value", Cell(f"{cause['p_value']:.2g}", f"{key}.p_value", cause["p_value"]), ""])
@@ -203,7 +211,7 @@ def _cause(place: int, cause: dict[str, Any], content: dict[str, Any]) -> str:
         rows.append(
             [
                 f"error of {channel} without it, over that with all causes",
-                Cell(with_interval(grown[0], grown[1:]), f"diagnosis.json: gain.without.{name}.{channel}"),
+                quantity(with_interval(grown[0], grown[1:]), f"diagnosis.json: gain.without.{name}.{channel}"),
                 "",
             ]
         )
@@ -230,7 +238,11 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
             rows = residual_force_rows(shown)
             parts += [
                 paragraph(shown["worst"]),
-                table(rows[0], rows[1:], "RMS of the residual forces. Source: diagnosis.json, show.residual_forces."),
+                table(
+                    rows[0],
+                    quantities(rows[1:], "diagnosis.json: show.residual_forces"),
+                    "RMS of the residual forces. Source: diagnosis.json, show.residual_forces.",
+                ),
             ]
         yield section("What the data say against the model", parts)
     parts = [stage_for("curves", "Error over the horizon")]
@@ -240,12 +252,17 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
             paragraph(parity_statement(shown["kinematic_parity"])),
             table(
                 rows[0],
-                rows[1:],
+                quantities(rows[1:], "diagnosis.json: show.open_loop"),
                 "Open-loop error of the nominal car on all runs, in units of the measurement "
                 "noise. Source: diagnosis.json, show.open_loop.in_noises.",
             ),
         ]
     yield section("Error over the horizon", parts)
+    yield _scores(data)
+
+
+def _scores(data: xr.Dataset) -> str:
+    """Return the section with the score of every effect, closed at first."""
     rows = [
         [
             name,
@@ -260,7 +277,7 @@ def _data_sections(data: xr.Dataset, shown: dict[str, Any] | None) -> Iterator[s
         f"What the nominal car's errors say of each effect by itself; by chance 5 % exceed a score of "
         f"{data.attrs['score_threshold']:.2f}. Source: diagnosis.nc, promise and score."
     )
-    yield section(
+    return section(
         "Scores of all effects", ["<details><summary>Show the table</summary>", table(head, rows, words), "</details>"]
     )
 
@@ -273,22 +290,18 @@ def _gain(gain: dict[str, Any]) -> list[str]:
     cells = [
         [
             MODELS.get(row[0], row[0]),
-            row[1],
+            quantity(row[1], "diagnosis.json: gain.horizons_s"),
             *(
-                Cell(text, f"diagnosis.json: gain.rmse.{row[0]}.{c}", _float(text))
+                quantity(text, f"diagnosis.json: gain.rmse.{row[0]}.{c}")
                 for c, text in zip(MEASURED, row[2:5], strict=True)
             ),
-            Cell(row[5], f"diagnosis.json: gain.ratio.{row[0]}"),
-            Cell(row[6], f"diagnosis.json: gain.skill.{row[0]}"),
+            quantity(row[5], f"diagnosis.json: gain.ratio.{row[0]}"),
+            quantity(row[6], f"diagnosis.json: gain.skill.{row[0]}"),
         ]
         for row in rows
     ]
     words = f"RMS error of open-loop predictions on the runs held out ({', '.join(gain['held_out_runs'])})."
     return [table(head, cells, f"{words} Source: diagnosis.json, gain.")]
-
-
-def _float(text: str) -> float | None:
-    return None if text == number(None) else float(text)
 
 
 def horizon_data(data: xr.Dataset) -> dict[str, Any]:

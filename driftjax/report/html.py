@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -37,6 +38,17 @@ class Cell(NamedTuple):
     text: str
     source: str = ""  # file and key that the number comes from
     value: float | None = None  # what the column is sorted by; left out: the text
+
+
+def quantity(text: str, source: str) -> Cell:
+    """Return a cell from `source`, sorted by the number that its text begins with, if it does."""
+    number = re.match(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])", text)
+    return Cell(text, source, float(number[0]) if number else None)
+
+
+def quantities(rows: Iterable[Sequence[str]], source: str) -> list[list[Cell]]:
+    """Return the cells of `rows`, which all come from `source`."""
+    return [[quantity(text, source) for text in row] for row in rows]
 
 
 def document(title: str, created: str, parts: Iterable[str], data: dict[str, Any]) -> str:

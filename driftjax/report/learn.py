@@ -160,7 +160,7 @@ def _stage_table(results: dict[str, Any]) -> str:
     return table(
         HEAD,
         rows,
-        "Every stage and controller: means over plants, in brackets 95 % intervals. "
+        "Every stage and controller: means over plants, in brackets 95 % intervals of three plants or more. "
         "Source: results.json, stages; each cell names its key.",
     )
 
@@ -177,7 +177,9 @@ def _reduction_table(results: dict[str, Any]) -> str:
         published = next((cell["paper"] for cell in cells if cell.get("paper") is not None), None)
         rows.append([words, *values, Cell(number(published, ".1f"), f"results.json: summary.*.{key}.paper", published)])
     head = ("reduction [%]", *(str(CONTROLLERS.get(name, name)) for name in summary), "Wu et al. 2025")
-    return table(head, rows, "Reductions, in brackets 95 % intervals over plants. Source: results.json, summary.")
+    return table(
+        head, rows, "Reductions, in brackets 95 % intervals over three plants or more. Source: results.json, summary."
+    )
 
 
 def figure_title(name: str) -> str:

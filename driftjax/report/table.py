@@ -14,7 +14,8 @@ REDUCTIONS = {
     "reduction_exploration": "lateral error, explored against GPR",
     "reduction_velocity_rmse": "speed RMSE, explored against GPR",
 }
-HUGE = 1e6  # from here on a number has two digits and an exponent: an interval over two plants may be that wide
+HUGE = 1e6  # from here on a number has two digits and an exponent: an interval over few plants may be that wide
+TOO_FEW = "No intervals: there are fewer than three plants."
 
 
 def number(value: float | None, form: str = ".2f") -> str:
@@ -82,6 +83,8 @@ def results_table(results: dict[str, Any]) -> str:
     lines += ["", "Lateral error: mean magnitude against the planned minimum-time path over the drift section."]
     if any("[" in cell for cell in cells):
         lines += ["In brackets: 95 % interval over plants by Student's t, of reductions on the log ratio of means."]
+    elif len(rows) > 1:
+        lines += [TOO_FEW]
     if any("/" in cell and cell.endswith(")") for cell in cells):
         lines += ["(n/N): of the n plants of N that reached the section."]
     return "\n".join([*lines, "", *aligned(reductions)] if reductions else lines)

@@ -61,8 +61,10 @@ def sentences(results: dict[str, Any]) -> list[str]:
 def _verdict(held: dict[str, Any], pair: str) -> str:
     mean, (low, high) = held["loss_difference"][pair]["mean"], held["loss_difference"][pair]["ci95"]
     words = f"{'lowers' if mean < 0 else 'does not lower'} the mean loss on plants held out"
-    significant = low is not None and (high < 0 or low > 0)
-    words += "" if significant else ", but the interval of the difference holds 0"
+    if low is None:
+        words += ", which are too few for an interval"
+    elif low <= 0 <= high:
+        words += ", but the interval of the difference holds 0"
     return f"{words}; it is lower on {held['loss_lower_on'][pair]} of {len(held['plants'])} of them"
 
 

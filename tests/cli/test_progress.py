@@ -1,6 +1,8 @@
 """Progress: a bar with rate and time left in a terminal, a line per stage elsewhere, and what to do next at the end."""
 
 import io
+import os
+import pty
 import types
 from pathlib import Path
 
@@ -42,6 +44,13 @@ def test_a_log_file_has_a_line_per_stage_and_the_time_left(clock, capsys):
     ]
 
 
+def test_what_was_done_once_does_not_count_for_ever_in_the_time_left(clock, capsys):
+    with console.progress() as report:
+        for clock.now, done in ((0, 0), (270, 1), (272, 2), (282, 3), (292, 4), (302, 5)):
+            report(f"lap {done}", done, 17)
+    assert capsys.readouterr().out.splitlines()[-1] == "[ 302.0 s] 5/17 lap 5, 01:36 left"  # 12 laps of 8 s
+
+
 def bars(monkeypatch, *reports: tuple[str, int, int]) -> list[str]:
     """Return what a terminal is shown for these reports, the last bar at the end; nothing goes to stdout."""
     out, err = Terminal(), Terminal()
@@ -73,6 +82,17 @@ def test_a_pipe_gets_lines_though_errors_go_to_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr", Terminal())
     with console.progress() as report:
         report("plan", 0, 4)
+    assert "0/4 plan" in capsys.readouterr().out
+
+
+def test_a_terminal_without_a_width_gets_lines(monkeypatch, capsys):
+    leader, follower = pty.openpty()  # of 0 columns, until someone says how many
+    with os.fdopen(follower, "w") as stream:
+        assert stream.isatty() and not console.has_width(stream)
+        monkeypatch.setattr("sys.stderr", stream)
+        with console.progress() as report:
+            report("plan", 0, 4)
+    os.close(leader)
     assert "0/4 plan" in capsys.readouterr().out
 
 

@@ -201,8 +201,9 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     path = run_observer(catalogue(), data, NEUTRAL, fixed)
     steps = step_derivatives(catalogue(), data, NEUTRAL, path, EVERY)
     ours = estimate_noise(steps, path.e, fixed, start, data.dt, data.informative)
-    scale, informative = search_scale(start), jnp.asarray(data.informative)
-    cost = lambda x: restricted_likelihood(scale.noise(x), steps, path.e, fixed.L, data.dt, informative)[0]
+    scale, informative = search_scale(start), jnp.asarray(data.informative[:ROWS])
+    steps, e, L = jax.tree.map(lambda a: a[:, :ROWS], (steps, path.e, fixed.L))  # the rest is padding
+    cost = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, data.dt, informative)[0]
     slope = jax.jit(jax.value_and_grad(cost))
     scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
     bounds = noise_bounds(start, np.ones(3, bool), data.dt)
@@ -214,7 +215,7 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     np.testing.assert_allclose(at, other.x, atol=0.05)
     h = 0.02 * np.eye(11)[:3]
     curvature = [(scaled(at + one)[1] - scaled(at - one)[1]) @ one / (2 * 0.02**2) for one in h]
-    H = information_of_noise(jnp.asarray(at), scale, steps, path.e, fixed.L, data.dt, informative)
+    H = information_of_noise(jnp.asarray(at), scale, steps, e, L, data.dt, informative)
     np.testing.assert_allclose(2 * np.diag(H)[:3], curvature, rtol=0.1)
 
 

@@ -110,11 +110,22 @@ def test_the_interval_holds_the_mean_and_narrows_with_more_plants():
     assert interval(np.full(5, 3.0))["ci95"] == [3.0, 3.0]
 
 
+def test_two_plants_have_no_interval_and_three_have():
+    """Over two Student's t has one degree of freedom: 0.1 and 0.3 m would be 0.2 [-1.1, 1.5] m, a negative error."""
+    two, three = np.array([0.1, 0.3]), np.array([0.1, 0.3, 0.2])
+    assert interval(two) == {"mean": pytest.approx(0.2), "ci95": [None, None], "plants": 2, "all_plants": 2}
+    assert reduction(two, two / 2) == {"value": 50.0, "ci95": [None, None], "plants": 2, "all_plants": 2}
+    assert difference(two, two + 1)["ci95"] == [None, None]
+    assert interval(np.append(two, np.nan))["ci95"] == [None, None], "of three plants two have a value"
+    low, high = interval(three)["ci95"]
+    assert low < 0.2 < high and reduction(three, three / 2)["ci95"] == [pytest.approx(50.0)] * 2
+
+
 def covered(ci95: list, truth: float) -> bool:
     return ci95[0] <= truth <= ci95[1]
 
 
-@pytest.mark.parametrize("num", [2, 4, 8, 16])
+@pytest.mark.parametrize("num", [3, 4, 8, 16])
 def test_nominal_95_percent_of_intervals_hold_the_truth(num):
     """Nine in ten at the least, of few plants too: of means of normal and lognormal values, and of reductions of
     lognormal ones, paired with a correlation of 0.7 and spread as wide as by a factor e either way."""

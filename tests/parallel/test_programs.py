@@ -199,6 +199,18 @@ def test_a_program_is_not_stored_where_its_source_changed_after_the_start(folder
     assert not (folder / "programs").exists()
 
 
+def test_programs_of_functions_that_are_named_are_optimised(folder, monkeypatch):
+    given, compiled = [], jax.stages.Lowered.compile
+    monkeypatch.setattr(
+        jax.stages.Lowered, "compile", lambda one, options: given.append(options) or compiled(one, options)
+    )
+    monkeypatch.setenv(programs.OPTIMISED, "applied,scaled")
+    assert float(call(scaled, jnp.arange(3.0), 2)[1]) == 2.0
+    monkeypatch.setenv(programs.OPTIMISED, "applied")
+    assert float(call(scaled, jnp.arange(4.0), 2)[1]) == 2.0
+    assert given == [{"xla_backend_optimization_level": "3"}, None]
+
+
 def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path):
     """A lock of an open file holds between threads as between processes."""
     order, waits = [], threading.Event()

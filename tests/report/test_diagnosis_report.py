@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from driftjax.cli import main
 from driftjax.report import closed_loop_table, error_share_table, gain_table, run_line, write_diagnosis
 from driftjax.report.diagnosis import TITLES, diagnosis_figures
+from driftjax.report.diagnosis_page import diagnosis_page
 from driftjax.report.evidence import PLAIN, plot_confusability, plot_scores
 from driftjax.report.predictions import plot_error_over_horizon, plot_predictions
 from driftjax.report.residuals import plot_residual_forces
@@ -43,6 +44,14 @@ def test_page_holds_every_figure_and_needs_nothing_else(run, capsys):
                   "0.80 [0.70, 0.90]", "100 % [90, 100]", "1.50 [1.40, 1.60]",
                   "the log lacks ax, ay", "throttle_steps", "log.csv", "rows: 1000"):  # fmt: skip
         assert words in page, words
+
+
+def test_several_causes_are_named_together_first_and_each_with_its_equation(tmp_path):
+    page = diagnosis_page(diagnosed(tmp_path / "two", named=("friction_rear", "steer_lag")), [])
+    assert re.search(r'class="lead">friction_rear and steer_lag together explain \d+ % \[\d+, \d+\] of the error', page)
+    assert "mu_r (1 + p)" in page and "tau delta_dot + delta = delta_command" in page
+    alone = diagnosis_page(diagnosed(tmp_path / "one"), [])
+    assert 'class="lead">Rear friction differs' in alone and "together explain" not in alone
 
 
 def test_exploratory_causes_are_marked_in_the_table():

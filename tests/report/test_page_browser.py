@@ -12,7 +12,9 @@ from diagnosed import diagnosed
 from playwright.sync_api import Browser, Page, sync_playwright
 from synthetic import synthetic_run
 
+from driftjax.report.compared import log_comparison_page
 from driftjax.report.diagnosis_page import diagnosis_page
+from driftjax.report.html import quantity
 from driftjax.report.learn import learn_page
 from driftjax.store import DIAGNOSIS, RunFolder
 
@@ -57,19 +59,34 @@ def measured(tmp_path_factory) -> RunFolder:
     return run
 
 
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory) -> RunFolder:
+    """A comparison of two logs with three differences, one of them with a hostile name."""
+    values = {"a": 0.0, "a_error": 0.1, "b": 0.0, "b_error": 0.1, "unit": "1", "at_bound": False}
+    one = {"rivals": {HOSTILE: 0.1}, "probability": 0.9, "p_value": 2e-5, "family": "tyres"}
+    sizes = {"friction": -0.5, HOSTILE: 10.0, "mass": 2.0}
+    sized = lambda size: {"p": values | {"difference": size, "ci95": [size - 1, size + 1]}}
+    differences = [one | {"effect": name, "parameters": sized(size)} for name, size in sizes.items()]
+    content = {"verdict": "NAMED", "sentence": HOSTILE, "differences": differences, "gap": None, "data": {}}
+    content["overlap"] = {"V": {"first": [1.0, 2.0], "second": [1.5, 2.5], "share": 0.5}}
+    run = RunFolder.create(tmp_path_factory.mktemp("runs") / "compare", {"vehicle": {"name": HOSTILE}}, "compare")
+    (run.path / "report.html").write_text(log_comparison_page(run, content, []), encoding="utf-8")
+    return run
+
+
 @pytest.fixture
 def show(browser):
     """Open a run's page; at the end no error may be in the console and nothing else requested than the file."""
     wrong, contexts = [], []
 
-    def opened(run: RunFolder, **options) -> Page:
+    def opened(run: RunFolder, drawn: str = "#player svg path", **options) -> Page:
         contexts.append(browser.new_context(**options))
         page, url = contexts[-1].new_page(), (run.path / "report.html").as_uri()
         page.on("console", lambda message: wrong.append(message.text))
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("request", lambda request: wrong.append(request.url) if request.url != url else None)
         page.goto(url)
-        page.wait_for_selector("#player svg path")
+        page.wait_for_selector(drawn)
         return page
 
     yield opened
@@ -122,6 +139,22 @@ def test_dragging_on_a_trace_scrubs(show, learnt):
     assert float(state(page)["time"]) > before + 1
     at = float(page.locator("[data-trace='V'] .cursor").get_attribute("x1") or "nan")
     assert at == pytest.approx(0.9 * box["width"], abs=3), "the cursor of the other traces goes along"
+
+
+def test_a_finger_that_drags_on_a_trace_scrubs_all_the_way(show, learnt):
+    """Without a touch action of its own the browser takes the drag for scrolling after the first move."""
+    page = show(learnt, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    chart = page.locator("[data-trace='beta'] svg")
+    chart.scroll_into_view_if_needed()
+    box, touch = chart.bounding_box(), page.context.new_cdp_session(page)
+    assert box
+    place = lambda share: [{"x": box["x"] + share * box["width"], "y": box["y"] + 40}]
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": place(0.3)})
+    for share in np.linspace(0.35, 0.9, 12):
+        touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": place(share)})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    at = float(page.locator("[data-trace='V'] .cursor").get_attribute("x1") or "nan")
+    assert at == pytest.approx(0.9 * box["width"], abs=3)
 
 
 def test_space_plays_and_stops(show, learnt):
@@ -228,6 +261,28 @@ def test_every_page_is_legible_safe_and_says_where_its_numbers_are_from(show, le
         page.wait_for_function(
             "before => document.querySelector('#player canvas').toDataURL() !== before", arg=light[1]
         )
+
+
+def test_a_comparison_of_logs_is_safe_too_and_sorts_by_size(show, compared):
+    page = show(compared, drawn="th button", viewport={"width": 390, "height": 800})
+    assert page.evaluate("window.hacked") is None and page.locator("img").count() == 0
+    assert page.locator(".lead").text_content() == HOSTILE
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.get_by_role("button", name="B less A").click()
+    shown = page.locator("table").first.locator("tbody tr td:nth-child(4)").all_text_contents()
+    assert shown == ["-0.5 [-1.5, 0.5]", "2 [1, 3]", "10 [9, 11]"]
+
+
+def test_a_cell_is_sorted_by_the_number_that_its_text_begins_with():
+    texts = {
+        "1.16 [1.11, 1.21]": 1.16,
+        "-0.33": -0.33,
+        "97 % [79, 99]": 97.0,
+        "2e-06 1/W": 2e-6,
+        "-": None,
+        "3rd": None,
+    }
+    assert {text: quantity(text, "here").value for text in texts} == texts
 
 
 def shade(page: Page) -> float:

@@ -173,6 +173,22 @@ def test_the_line_search_of_a_restart_solves_what_full_steps_do_not():
     np.testing.assert_allclose(searched.X[0, 1], 0.0, atol=1e-8)
 
 
+class PricedValley(Valley):
+    """The same with an input cost."""
+
+    def cost(self, x, u, p):
+        return 0.1 * u[0] ** 2
+
+
+def test_a_problem_without_limits_is_solved():
+    x0 = jnp.array([[0.5, -0.7]])
+    args = (x0, jnp.zeros((1, 2)), jnp.zeros((2, 2)), jnp.stack([x0, x0], axis=1), jnp.zeros((1, 1, 2)))
+    end = solved(PricedValley(), args, Options(1e-10))
+    assert bool(jnp.all(end.result == RESULTS.successful))
+    x = end.X[0, 1]
+    np.testing.assert_allclose(x / jnp.sqrt(1 + x**2) + 0.2 * (x - x0[0]), 0.0, atol=1e-9)
+
+
 def test_real_time_iterations_lead_to_the_solution():
     """One iteration solves its program; the residual that it reports is that of the problem."""
     x0, before, p, X, U = problem()

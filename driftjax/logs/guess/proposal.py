@@ -78,14 +78,17 @@ class Guess:
     rate: float | None = None
     """Even rate to resample to [Hz], where the time steps are uneven."""
 
+    def lacks(self) -> str | None:
+        """Return the first channel which a log must have and no column was recognised as; None if all are there."""
+        return first_missing([one.channel for one in self.channels] + (["Fxr"] if self.Fxr_from else []))
+
     def column_map(self) -> ColumnMap:
         """Return the map; raises `BadInput` that names a needed channel which no column was recognised as."""
+        if (lacks := self.lacks()) is not None:
+            raise BadInput(f"{self.path}: no column was recognised as '{lacks}'; write a column map that names it.")
         earth = {one.channel: one for one in self.channels if one.channel in ("latitude", "longitude")}
         channels = tuple(Channel(one.channel, one.column, one.factor, one.offset)
                          for one in self.channels if one.channel not in earth)  # fmt: skip
-        names = [one.name for one in channels] + (["Fxr"] if self.Fxr_from else [])
-        if (lacks := first_missing(names)) is not None:
-            raise BadInput(f"{self.path}: no column was recognised as '{lacks}'; write a column map that names it.")
         position = None
         if len(earth) == 2:
             latitude = earth["latitude"]

@@ -142,7 +142,10 @@ function lineChart(height, label, options, scrub) {
       scrub(scales.x[0] + Math.min(Math.max(share, 0), 1) * (scales.x[1] - scales.x[0]));
     };
     chart.picture.classList.add("scrub");
-    chart.picture.addEventListener("pointerdown", move);
+    chart.picture.addEventListener("pointerdown", (event) => {
+      chart.picture.setPointerCapture(event.pointerId); // a drag goes on beyond the trace
+      move(event);
+    });
     chart.picture.addEventListener("pointermove", move);
   }
   const cursor = (value) => {

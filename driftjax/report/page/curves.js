@@ -44,7 +44,8 @@ function learningCurve(results, labels, kinds, controllers) {
       for (const [plant, value] of Object.entries(error.per_plant || {}))
         if (value > 0) picture.append(svg("circle", { class: `hollow ${kind}`, r: 2.5, cx: at + 5, cy: sy(Math.max(value, y[0])) }, hint(`${plant}: ${format(value, 3)} m\n${key}.per_plant`)));
       const [low, high] = error.ci95 || [];
-      const words = `${labels[stage]}, ${controllers[controller] || controller}: ${format(error.mean, 3)} m, 95 % [${format(low, 3)}, ${format(high, 3)}], completed ${(cell.completed || []).join("/")}\n${key}`;
+      const spread = Number.isFinite(low) ? `95 % [${format(low, 3)}, ${format(high, 3)}]` : "no interval of so few plants";
+      const words = `${labels[stage]}, ${controllers[controller] || controller}: ${format(error.mean, 3)} m, ${spread}, completed ${(cell.completed || []).join("/")}\n${key}`;
       whisker(picture, kind, at, error.mean, low === null ? NaN : Math.max(low, y[0]), high === null ? NaN : high, sy, true, words);
     }
   });

@@ -30,7 +30,8 @@ function showForces(root, forces) {
   const update = (key, value) => {
     if (key) now[key] = value;
     const shares = Object.entries(forces[now.driver]).map(([model, one]) => `${format(100 * one.explained[now.force], 0)} % with the ${MODELS[model]}`);
-    words.textContent = `The driver explains ${shares.join(", ")} of the variance of this residual force. Source: diagnosis.nc, bin_value, bin_mean, bin_error, explained.`;
+    const driver = (DRIVERS[now.driver] || [now.driver])[0].replace(/ \[.*/, "");
+    words.textContent = `Share of the variance of this residual force that goes with the ${driver}: ${shares.join(", ")}. Source: diagnosis.nc, bin_value, bin_mean, bin_error, explained.`;
     chart.redraw();
   };
   const force = choice("Residual", FORCES.map((name, k) => [k, name]), (value) => update("force", Number(value)));

@@ -8,5 +8,5 @@ function showLearn({ player, results, labels, kinds, controllers }) {
   curve.append(
     legend([["other", "compared with"], ["nominal", "nominal model"], ["gpr", "with the learnt GP"], ["explored", "exploration"]]),
     learningCurve(results, labels, kinds, controllers).node,
-    element("p", { class: "source" }, "Dot: mean over plants; bar: 95 % interval; rings: plants; what reaches below the axis is cut. Source: results.json, stages, lateral_error."));
+    element("p", { class: "source" }, "Dot: mean over plants; bar: 95 % interval, of three plants or more; rings: plants; what reaches below the axis is cut. Source: results.json, stages, lateral_error."));
 }

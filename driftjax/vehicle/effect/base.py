@@ -1,5 +1,6 @@
 """Definition of an effect: one physical mechanism with its parameters, and the station of the car where it acts."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from types import FunctionType
@@ -113,6 +114,12 @@ class Effect:
     def family(self) -> str:
         """Return the part of the car or of the measurement that it belongs to, such as "steering" or "sensor"."""
         return FAMILY_OF[self.name]
+
+    @property
+    def formula(self) -> str:
+        """Return the equation that its parameters stand in, with remarks and source."""
+        module = sys.modules[self.apply.__module__].__doc__ or ""
+        return f"{self.equation} ({self.source})." if self.equation else module.strip()
 
     def __repr__(self) -> str:
         """Return the fields, own functions by name: without addresses compiled programs can be reused."""

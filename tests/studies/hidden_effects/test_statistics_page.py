@@ -31,7 +31,7 @@ def test_one_run_is_one_row_with_intervals_and_cases(rows):
     head, _, row = rows(OLD)
     assert "one: named first" in head and head.count("|") == row.count("|")
     cells = [cell.strip() for cell in row.strip("|").split("|")]
-    assert cells[:3] == ["2000-01-02 at 0123456", "7", "0.96 [0.90, 0.98] (100)"] and cells[-1] == "0.94"
+    assert cells[:3] == ["2000-01-02 at 0123456", "7", "0.96\u00a0[0.90,\u00a00.98]\u00a0(100)"] and cells[-1] == "0.94"
 
 
 def test_several_runs_keep_their_order_and_say_whether_files_had_changed(rows):
