@@ -24,7 +24,7 @@ from driftjax.solve import Options, shift
 from driftjax.track import Track
 
 BARRIER = 3.0  # first barrier parameter of every solve, which starts from the reference and not from the last plan
-RESTARTS = 1  # attempts with a larger barrier at problems without an acceptable plan
+RESTARTS = 2  # attempts with a smaller barrier and a line search at problems without an acceptable plan
 ACCEPTABLE = 100.0  # a plan this many tolerances from optimal still drives; the code is kept in the log
 
 

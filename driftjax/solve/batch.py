@@ -5,8 +5,8 @@ a few interior-point iterations on the quadratic program, which touch the matric
 variables, slacks and barrier go on from one program to the next. One iteration is the real-time iteration (Diehl et
 al. 2005), whose program is solved to the tolerance. Full steps are taken at first: with exact second derivatives
 tracking problems converge, from far guesses too, and a line search would reject good steps of a Gaussian process's
-dynamics. An entry that fails may be solved again, with a larger barrier and steps that a filter accepts (Waechter and
-Biegler 2006, Sec. 2.3): each iteration either steps or halves the last step, so that no entry waits for another.
+dynamics. An entry that fails may be solved again, with a smaller barrier and a line search (`batch_search`): each
+iteration either steps or halves the last step, so that no entry waits for another.
 Everything is elementwise along the batch, so that a CPU fills its vector registers with batch entries.
 """
 
@@ -27,10 +27,11 @@ from driftjax.solve.batch_conditions import (
     QPModel,
     all_constraints,
     optimality_error,
-    slack_residuals,
 )
+from driftjax.solve.batch_newton import Gains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
+from driftjax.solve.batch_search import HALVINGS, LineSearch, accepted, no_search, search_from, trial_point
 from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
 from driftjax.solve.compute_once import compute_once
 from driftjax.solve.ocp import Options, Solution
@@ -40,9 +41,7 @@ MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries g
 SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
 EARLY = 8  # iterations of a batch of `MANY` with cheaper second derivatives: most entries need no more
-FURTHER = 10.0  # times the first barrier of the attempt before: a larger one often solves what stalls at the limits
-HALVINGS = 8  # of one step before its entry counts as stalled
-PROGRESS, LARGEST_VIOLATION = 1e-5, 10.0  # share of the violation that a step must gain; times 1 or the last one
+SMALLER = 0.1  # times the first barrier of the attempt before
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance
 
 
@@ -67,20 +66,9 @@ def plain(plans: BatchSolution) -> Solution:
     return Solution(X, U, plans.cost, plans.kkt, plans.violation, plans.num_steps, plans.result)
 
 
-class _Search(NamedTuple):
-    """Line search of each entry along the step of its last program."""
-
-    start: BatchIterate
-    violation: Array  # sum of the defects and limit residuals at the start
-    cost: Array  # objective there
-    logs: Array  # sum of the logarithms of the slacks there
-    halvings: Array
-    active: Array  # whether steps are searched; else full ones are taken
-
-
 class _Loop(NamedTuple):
     iterate: BatchIterate
-    search: _Search
+    search: LineSearch
     barrier: Array
     error: OptimalityError  # of the problem
     qp_error: Array  # error of the last program
@@ -95,11 +83,13 @@ class _Program(NamedTuple):
 
     model: QPModel
     iterate: BatchIterate
+    gains: Gains  # of the last Newton step
+    left: Array  # share of the defects that is left
     barrier: Array
     qp_error: Array
-    qp_steps: Array
     infeasible: Array
     open: Array  # whether the program is still to be improved
+    qp_steps: Array
     iteration: Array
 
 
@@ -112,6 +102,11 @@ class _Batch(NamedTuple):
     u_before: Components
     tolerance: Array  # of each entry
     max_steps: Array
+
+    @property
+    def rows(self) -> tuple[PyTree, PyTree]:
+        """Return the parameters of the stages and of the end."""
+        return self.stages, self.last
 
     def take(self, entries: Array) -> "_Batch":
         """Return the data of some batch entries."""
@@ -185,7 +180,8 @@ def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) ->
     exact, early = with_those(batch.ocp.curvature), batch.ocp.early_curvature
     if len(batch.tolerance) < MANY or jax.eval_shape(early, *args) is None:
         return exact()
-    return jax.lax.cond(jnp.any(loop.open & (loop.num_steps >= EARLY)), exact, with_those(early))
+    late = loop.open & (loop.search.active | (loop.num_steps >= EARLY))
+    return jax.lax.cond(jnp.any(late), exact, with_those(early))
 
 
 def _add(model: QPModel, curvature: Matrix, like: Array) -> QPModel:
@@ -199,41 +195,21 @@ def _worst(error: OptimalityError) -> Array:
 
 def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
     """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
-    it = loop.iterate
+    it, searched = loop.iterate, loop.open & loop.search.active
     expansion = batch.ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages)
     model, more, error = compute_once(lambda it, expansion: _linearise(batch, it, expansion))(it, expansion)
-    error = jax.tree.map(lambda new, old: jnp.where(loop.open, new, old), error, loop.error)
+    error = _where(loop.open, error, loop.error)
     worst = _worst(error)
-    here = _search_from(batch, model, it, loop.search.active)
-    rejected = loop.open & loop.search.active & ~_accepted(loop.search, here, loop.barrier, batch.tolerance)
+    here = search_from(batch.ocp, batch.rows, batch.u_before, model, it, loop.search)
+    rejected = searched & ~accepted(loop.search, here, loop.barrier, batch.tolerance)
     rejected &= ~(worst <= batch.tolerance) & (loop.search.halvings < HALVINGS)
     open_ = loop.open & ~(worst <= batch.tolerance) & (rejected | ~jnp.isnan(worst)) & ~loop.infeasible
     open_ &= loop.num_steps < batch.max_steps
     rejected &= open_
     halved = loop.search._replace(halvings=loop.search.halvings + 1)
-    search = jax.tree.map(lambda old, new: jnp.where(rejected, old, new), halved, here)
-    it = jax.tree.map(lambda a, b: jnp.where(rejected, (a + b) / 2, b), search.start, it)
-    loop = loop._replace(iterate=it, search=search, error=error, open=open_)
+    loop = loop._replace(search=_where(rejected, halved, here), error=error, open=open_)
     step = lambda: _step_open(batch, loop, model, more, open_ & ~rejected)
     return jax.lax.cond(jnp.any(open_), step, lambda: loop)
-
-
-def _search_from(batch: _Batch, model: QPModel, it: BatchIterate, active: Array) -> _Search:
-    """Begin a line search at an iterate with its linearisation."""
-    ocp, u_before = batch.ocp, batch.u_before
-    apart = [jnp.sum(jnp.abs(v), axis=0) for v in (*model.c, *slack_residuals(ocp, u_before, model, it))]
-    cost = objective(ocp, (batch.stages, batch.last), u_before, it.X, it.U)
-    logs = sum((jnp.sum(jnp.log(s), axis=0) for s in it.slack), jnp.zeros_like(cost))
-    return _Search(it, sum(apart, jnp.zeros_like(cost)), cost, logs, jnp.zeros_like(active, jnp.int32), active)
-
-
-def _accepted(last: _Search, new: _Search, barrier: Array, tolerance: Array) -> Array:
-    """Return whether a step is accepted: it lowers a violation above `tolerance` or the barrier problem's objective."""
-    phi, phi_new = (each.cost - barrier * each.logs for each in (last, new))
-    lower = (last.violation > tolerance) & (new.violation <= (1 - PROGRESS) * last.violation)
-    better = phi_new <= phi - PROGRESS * last.violation + jnp.finfo(phi.dtype).eps * jnp.abs(phi)
-    near = new.violation <= LARGEST_VIOLATION * jnp.maximum(1.0, last.violation)
-    return (lower | better) & near & jnp.isfinite(phi_new)
 
 
 def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree, stepped: Array) -> _Loop:
@@ -243,29 +219,43 @@ def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree, stepped
     accuracy = jnp.where(last, batch.tolerance, share)
 
     def step(model: QPModel, it: BatchIterate, barrier: Array, open_: Array):
-        model, it, length, infeasible = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
-        lower = jnp.where(open_, next_barrier(it, barrier, length, batch.tolerance), barrier)
-        return model, it, lower, optimality_error(batch.ocp, batch.u_before, model, it), infeasible
+        new = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
+        lower = jnp.where(open_, next_barrier(new.iterate, barrier, new.length, batch.tolerance), barrier)
+        return new, lower, optimality_error(batch.ocp, batch.u_before, new.model, new.iterate)
 
     def improve(state: _Program) -> _Program:
         open_ = state.open
-        model, it, barrier, error, proven = compute_once(step)(state.model, state.iterate, state.barrier, open_)
+        new, barrier, error = compute_once(step)(state.model, state.iterate, state.barrier, open_)
         qp_error = jnp.where(open_, _worst(error), state.qp_error)
-        infeasible = jnp.where(open_, proven, state.infeasible)
+        infeasible = jnp.where(open_, new.infeasible, state.infeasible)
+        gains = _where(open_, new.gains, state.gains)
+        left = jnp.where(open_, 1 - new.primal_length, 1.0) * state.left
         more_steps = state.iteration + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
-        steps = state.qp_steps + open_
-        open_ = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & ~infeasible & more_steps
-        return _Program(model, it, barrier, qp_error, steps, infeasible, open_, state.iteration + 1)
+        going = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & ~infeasible & more_steps
+        counts = (state.qp_steps + open_, state.iteration + 1)
+        return _Program(new.model, new.iterate, gains, left, barrier, qp_error, infeasible, going, *counts)
 
-    model = _with_curvature(batch, loop, model, more)
+    model, search = _with_curvature(batch, loop, model, more), loop.search
+    left, counts = jnp.where(stepped, 1.0, search.left), (loop.qp_steps, jnp.asarray(0))
     start = _Program(
-        model, loop.iterate, loop.barrier, loop.qp_error, loop.qp_steps, loop.infeasible, stepped, jnp.asarray(0)
+        model, loop.iterate, search.gains, left, loop.barrier, loop.qp_error, loop.infeasible, stepped, *counts
     )
     end = jax.lax.while_loop(lambda state: jnp.any(state.open), improve, start)
+    search = search._replace(end=_where(stepped, end.iterate, search.end), gains=end.gains, left=end.left)
     return loop._replace(
-        iterate=end.iterate, barrier=end.barrier, qp_error=end.qp_error, num_steps=loop.num_steps + loop.open,
-        qp_steps=end.qp_steps, infeasible=end.infeasible,
+        iterate=_next_point(batch, loop.open & search.active, search, end), search=search, barrier=end.barrier,
+        qp_error=end.qp_error, num_steps=loop.num_steps + loop.open, qp_steps=end.qp_steps, infeasible=end.infeasible,
     )  # fmt: skip
+
+
+def _next_point(batch: _Batch, searched: Array, search: LineSearch, end: _Program) -> BatchIterate:
+    """Return the trial points of the `searched` entries, of others the solutions of their programs."""
+    trial = lambda: trial_point(batch.ocp, batch.rows, batch.u_before, search, end.barrier)
+    return _where(searched, jax.lax.cond(jnp.any(searched), trial, lambda: end.iterate), end.iterate)
+
+
+def _where(chosen: Array, new: PyTree, old: PyTree) -> PyTree:
+    return jax.tree.map(lambda a, b: jnp.where(chosen, a, b), new, old)
 
 
 def _start(batch: _Batch, x0: Components, X: Components, U: Components, barrier: Array) -> BatchIterate:
@@ -299,7 +289,7 @@ def solve_batch(
     iterate, within 100 in each of the scaled variables.
     Entries that are not `needed` stay at their guess and delay no others; each option may be given per entry (batch,).
     Where the residuals exceed `options.implicit` tolerances the entry is solved again, up to `options.restarts` times,
-    from its guess with a larger barrier and a line search.
+    from its guess with a smaller barrier and a line search.
 
     `X`, `U` and `cost` are differentiable in `ocp`, `x0`, `u_before` and `params`, in both modes, as exactly as the
     tolerance; guess, options and residuals carry no derivative. Where the residuals exceed `options.implicit`
@@ -357,10 +347,19 @@ def _solve(
     none, never = wide(0, jnp.int32), wide(False, bool)
 
     def begin(attempt: Array) -> _Loop:
-        first = barrier * jnp.power(FURTHER, attempt).astype(large.dtype)
+        first = barrier * jnp.power(SMALLER, attempt).astype(large.dtype)
         start = _start(batch, list(x0), list(X), list(U), first)
-        search = _Search(start, large, large, jnp.zeros_like(large), none, never | (attempt > 0))
-        return _Loop(start, search, first, OptimalityError(large, large), large, none, none, never, needed)
+        return _Loop(
+            start,
+            no_search(start, never | (attempt > 0)),
+            first,
+            OptimalityError(large, large),
+            large,
+            none,
+            none,
+            never,
+            needed,
+        )
 
     def left(loop: _Loop, attempt: Array) -> Array:
         accepted = _worst(loop.error) <= wide(options.implicit, large.dtype) * batch.tolerance
@@ -369,7 +368,7 @@ def _solve(
     def again(state: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
         last, attempt = state
         open_, fresh = left(last, attempt), begin(attempt)
-        loop = jax.tree.map(lambda new, old: jnp.where(open_, new, old), fresh, last)
+        loop = _where(open_, fresh, last)
         loop = _solve_open(batch, loop._replace(open=open_))
         count = lambda new, old: jnp.where(open_, new + old, old)
         counts = {name: count(getattr(loop, name), getattr(last, name)) for name in ("num_steps", "qp_steps")}

@@ -44,6 +44,13 @@ class NewtonTerms(NamedTuple):
     end: list[Entry]  # in the last state, of the terminal cost (batch,)
 
 
+class Gains(NamedTuple):
+    """Feedback of the steps of the inputs; entries (N, batch)."""
+
+    x: Matrix  # on the step of the state
+    u: Matrix  # on the step of the input before
+
+
 class Policy(NamedTuple):
     """Right-hand side treated backwards."""
 

@@ -5,6 +5,7 @@ cost of input changes. Nothing here evaluates the problem's functions.
 """
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from driftjax.solve.batch_conditions import (
     proves_infeasible,
     slack_residuals,
 )
-from driftjax.solve.batch_newton import newton_system, newton_terms, solve_backward, solve_forward
+from driftjax.solve.batch_newton import Gains, newton_system, newton_terms, solve_backward, solve_forward
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.component_derivatives import dot, total
 
@@ -30,11 +31,22 @@ SHORT = 0.05  # length of a step to the limits below which infeasibility is look
 CENTRALITY = 10.0  # factor by which a product of slack and dual may differ from the barrier
 
 
+class QPStep(NamedTuple):
+    """One iteration of the quadratic programs."""
+
+    model: QPModel  # about the new iterate
+    iterate: BatchIterate
+    gains: Gains  # of the Newton step
+    primal_length: Array  # of the steps of the primal variables
+    length: Array  # of the shorter of both steps
+    infeasible: Array  # whether the program was proven to have no feasible point
+
+
 def qp_step(
     ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, barrier: Array, open_: Array
-) -> tuple[QPModel, BatchIterate, Array, Array]:
-    """Return the model after one iteration of the `open_` entries, iterate, length of the step, whether infeasible."""
-    newton = _newton_step(ocp, u_before, model, it, barrier)
+) -> QPStep:
+    """Move the `open_` entries by one iteration."""
+    newton, gains = _newton_step(ocp, u_before, model, it, barrier)
     step, dual_step = max_step_length(it.slack, newton.slack, open_), max_step_length(it.dual, newton.dual, open_)
     infeasible = _infeasible(ocp, u_before, model, it, newton, open_ & (step < SHORT))
 
@@ -43,9 +55,7 @@ def qp_step(
 
     X, U, costates, slack = (move(v, step, d) for v, d in zip(it[:4], newton[:4], strict=True))
     dual = move(it.dual, dual_step, newton.dual)
-    new = BatchIterate(
-        X, U, costates, slack, [_central(z, s, barrier, open_) for z, s in zip(dual, slack, strict=True)]
-    )
+    new = BatchIterate(X, U, costates, slack, central(dual, slack, barrier, open_))
     moved = BatchIterate(*([a - b for a, b in zip(*pair, strict=True)] for pair in zip(new, it, strict=True)))
     z, dN = stage_steps(moved)
     affine = lambda values, rows, steps: [total((v, dot(row, steps))) for v, row in zip(values, rows, strict=True)]
@@ -57,7 +67,7 @@ def qp_step(
         g=affine(model.g, model.G, z),
         gN=affine(model.gN, model.GN, dN),
     )
-    return updated, new, jnp.minimum(step, dual_step), infeasible
+    return QPStep(updated, new, gains, step, jnp.minimum(step, dual_step), infeasible)
 
 
 def stage_steps(step: BatchIterate) -> tuple[Components, Components]:
@@ -82,9 +92,10 @@ def _infeasible(
     return jax.lax.cond(jnp.any(tested), prove, lambda: jnp.zeros_like(tested))
 
 
-def _central(dual: Array, slack: Array, barrier: Array, open_: Array) -> Array:
+def central(dual: Components, slack: Components, barrier: Array, open_: Array) -> Components:
     """Return duals with slack products near the barrier: an entry at a limit without its dual cannot move."""
-    return jnp.where(open_, jnp.clip(dual, barrier / (CENTRALITY * slack), CENTRALITY * barrier / slack), dual)
+    near = lambda z, s: jnp.clip(z, barrier / (CENTRALITY * s), CENTRALITY * barrier / s)
+    return [jnp.where(open_, near(z, s), z) for z, s in zip(dual, slack, strict=True)]
 
 
 def next_barrier(it: BatchIterate, barrier: Array, length: Array, tolerance: Array) -> Array:
@@ -98,7 +109,7 @@ def next_barrier(it: BatchIterate, barrier: Array, length: Array, tolerance: Arr
 
 def _newton_step(
     ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, barrier: Array
-) -> BatchIterate:
+) -> tuple[BatchIterate, Gains]:
     """Solve the Newton system: backwards for value and policy, forwards for the step; the first state stays."""
     gaps, nu, zero = bound_constraints(ocp), len(it.U), jnp.zeros_like(barrier)
     residual = slack_residuals(ocp, u_before, model, it)
@@ -118,7 +129,7 @@ def _newton_step(
     d_values += [d[None] for d in filled([dot(row, dN) for row in model.GN], zero)]
     d_slack = [d + r for d, r in zip(d_values, residual, strict=True)]
     d_dual = [(barrier - z * ds) / s - z for s, z, ds in zip(it.slack, it.dual, d_slack, strict=True)]
-    return newton._replace(slack=d_slack, dual=d_dual)
+    return newton._replace(slack=d_slack, dual=d_dual), Gains(factors.Kx, factors.Kw)
 
 
 def max_step_length(values: Components, steps: Components, open_: Array) -> Array:

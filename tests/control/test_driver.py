@@ -137,15 +137,11 @@ def test_the_excitation_is_added_within_the_corner_and_within_the_limits():
     excited, large = (
         eqx.tree_at(lambda d: d.dither, one, jnp.array(amplitude)) for amplitude in ((0.004, 100.0), (1.0, 1e5))
     )
-    still, moved, far = (
-        np.stack(step(each, sensed, start)[0].command) for each in (one, excited, large)
-    )
+    still, moved, far = (np.stack(step(each, sensed, start)[0].command) for each in (one, excited, large))
     share = (45.0 - (40.0 - 6.0)) / (60.0 - (40.0 - 6.0))
     expected = np.array([0.004, 100.0]) * np.asarray(corner_excitation(jnp.asarray(share)))
     rate, before = np.asarray(one.ocp.rate), np.asarray(start.command)
     np.testing.assert_allclose(moved, np.clip(still + expected, before - rate, before + rate), rtol=1e-9)
     assert np.any(moved != still) and np.all(np.abs(far - before) <= rate * (1 + 1e-12))
-    np.testing.assert_array_equal(
-        step(excited, sensed, start)[1].command, moved
-    )  # the next step starts from it
+    np.testing.assert_array_equal(step(excited, sensed, start)[1].command, moved)  # the next step starts from it
     np.testing.assert_array_equal(excited.excitation(jnp.asarray(70.0)), 0.0)
