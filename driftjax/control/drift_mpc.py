@@ -1,6 +1,6 @@
 """The drift MPC as one object: build it once, solve it for one state or a batch, differentiate through it."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -11,15 +11,27 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
-from driftjax.control.mpc_solution import MPCProblem, MPCSolution, solve_mpc_batch
+from driftjax.control.mpc_solution import (
+    MPCProblem,
+    MPCResponse,
+    MPCSolution,
+    prepare_mpc,
+    respond_mpc,
+    solve_mpc_batch,
+)
 from driftjax.core import as_float, require
 from driftjax.environment import require_float64
 from driftjax.gp import zero_gp
 from driftjax.solve import Options, shift
+from driftjax.solve.batch_conditions import OptimalityError
+from driftjax.solve.real_time import Preparation, judge
 from driftjax.vehicle import Residual, VehicleConfig, no_residual
 
 BARRIER = 3.0  # first barrier parameter of a cold start
 WARM_BARRIER = 1e-4  # of a warm start, which lies near the optimum
+
+
+WarmStart: TypeAlias = MPCSolution | MPCResponse | Array | np.ndarray | None
 
 
 class MPCState(NamedTuple):
@@ -57,6 +69,11 @@ class DriftMPC(eqx.Module):
     >>> mpc = DriftMPC(load_vehicle("sedan"))
     >>> solution = mpc.solve(state, reference)
     >>> solution = mpc.solve(next_state, reference, solution)  # warm start
+
+    At a fixed rate, in two halves (Diehl et al. 2005): `prepare` before the state is measured, `respond` after it.
+
+    >>> prepared = mpc.prepare(expected_state, reference, solution)
+    >>> solution = mpc.respond(prepared, measured_state)
     """
 
     ocp: DriftOCP
@@ -81,9 +98,7 @@ class DriftMPC(eqx.Module):
         """Return the number of prediction steps."""
         return self.ocp.horizon
 
-    def solve(
-        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | np.ndarray | None = None
-    ) -> MPCSolution:
+    def solve(self, state: MPCState, reference: Reference, warm_start: WarmStart = None) -> MPCSolution:
         """Solve from `state` along `reference`.
 
         `warm_start` is the solution one step ago, which is shifted, or a guess of the inputs (horizon, 2), delta [rad]
@@ -96,19 +111,52 @@ class DriftMPC(eqx.Module):
         touched. Differentiable in everything by the implicit function theorem, forward and reverse, where the solve
         converged; derivatives are NaN elsewhere.
         """
+        return self._solve(*self._problem(state, reference, warm_start))
+
+    def prepare(self, expected: MPCState, reference: Reference, warm_start: WarmStart = None) -> Preparation:
+        """Prepare a real-time iteration about the warm start, from the state `expected` when it will be applied.
+
+        Arguments as for `solve`. This half takes most of the time and needs no measurement: it linearises car and
+        residual. The last `command` in `expected` is the one that acts until then.
+        """
+        return self._prepare(*self._problem(expected, reference, warm_start))
+
+    @eqx.filter_jit
+    def respond(self, prepared: Preparation, state: MPCState) -> MPCResponse:
+        """Return the command for the measured `state`, from stored matrices alone.
+
+        `response.error` is that of the quadratic program. Nothing raises; where `response.infeasible`, or the error
+        stays above the tolerance, the plan before, one step later, is what to apply.
+        """
+        num, rows = len(prepared.barrier), map(jnp.atleast_2d, state)
+        wide = (jnp.broadcast_to(a, (num, a.shape[-1])) for a in rows)
+        answer = respond_mpc(jax.tree.map(lambda a: a[None], self.ocp), prepared, *wide)
+        first = (lambda a: a[0]) if state.x.ndim == 1 else (lambda a: a)
+        u, X, U = jax.tree.map(first, (answer.u, answer.X, answer.U))
+        return MPCResponse(u, X, U, answer.response)
+
+    @eqx.filter_jit
+    def judge(self, prepared: Preparation, answer: MPCResponse) -> OptimalityError:
+        """Return KKT residual and violation of the nonlinear problem at an answer (batch,): another linearisation."""
+        return judge(prepared, answer.response)
+
+    def _problem(
+        self, state: MPCState, reference: Reference, warm_start: WarmStart
+    ) -> tuple[MPCState, Reference, Array, Array, Options]:
+        """Return state, reference, guess and options, of the same types for all kinds of warm start."""
         warm_start = jnp.asarray(warm_start) if isinstance(warm_start, np.ndarray) else warm_start
         reference = jax.tree.map(as_float, reference)  # numbers without a fixed type would be another program
-        barrier = WARM_BARRIER if isinstance(warm_start, MPCSolution) else BARRIER
+        barrier = WARM_BARRIER if isinstance(warm_start, MPCSolution | MPCResponse) else BARRIER
         options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.asarray(barrier))
-        return self._solve(state, reference, *self._guess(state, reference, warm_start), options)
+        return state, reference, *self._guess(state, reference, warm_start), options
 
     @eqx.filter_jit
     def _guess(
-        self, state: MPCState, reference: Reference, warm_start: MPCSolution | Array | None
+        self, state: MPCState, reference: Reference, warm_start: MPCSolution | MPCResponse | Array | None
     ) -> tuple[Array, Array]:
         """Return states (*batch, N+1, 5) and inputs (*batch, N, 2) to start from; one solver serves all kinds."""
         batch, N = state.x.shape[:-1], self.horizon
-        if isinstance(warm_start, MPCSolution):
+        if isinstance(warm_start, MPCSolution | MPCResponse):
             X, U = shift(warm_start.X), shift(warm_start.U)
         else:
             X, U = reference.states(), state.command[..., None, :] if warm_start is None else warm_start
@@ -117,11 +165,21 @@ class DriftMPC(eqx.Module):
 
     @eqx.filter_jit
     def _solve(self, state: MPCState, reference: Reference, X: Array, U: Array, options: Options) -> MPCSolution:
+        solution = solve_mpc_batch(*self._batch(state, reference, X, U, options))
+        return jax.tree.map(lambda a: a[0], solution) if state.x.ndim == 1 else solution
+
+    @eqx.filter_jit
+    def _prepare(self, state: MPCState, reference: Reference, X: Array, U: Array, options: Options) -> Preparation:
+        return prepare_mpc(*self._batch(state, reference, X, U, options))
+
+    def _batch(
+        self, state: MPCState, reference: Reference, X: Array, U: Array, options: Options
+    ) -> tuple[DriftOCP, MPCProblem]:
+        """Return the problem with a leading batch axis, of size 1 for a single state."""
         num = 1 if state.x.ndim == 1 else len(state.x)
         wide = lambda a, ndim: jnp.broadcast_to(a, (num, *a.shape[a.ndim - ndim :]))
         row = lambda a: wide(a, 1)
         x, command, lagged_input = map(row, state)
         rows = jax.tree.map(row, reference)
         problem = MPCProblem(x, command, lagged_input, rows, wide(X, 2), wide(U, 2), options)
-        solution = solve_mpc_batch(jax.tree.map(lambda a: a[None], self.ocp), problem)
-        return jax.tree.map(lambda a: a[0], solution) if state.x.ndim == 1 else solution
+        return jax.tree.map(lambda a: a[None], self.ocp), problem

@@ -1,4 +1,4 @@
-"""Solve the drift MPC: one problem, or a batch of them on the leading axis."""
+"""Solve the drift MPC: one problem, or a batch of them on the leading axis, to convergence or in two halves."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,6 +14,8 @@ from driftjax.control.drift_batch_ocp import to_batch_ocp
 from driftjax.control.mpc import DriftOCP, Reference, along, within_limits
 from driftjax.core import Control
 from driftjax.solve import Options, Solution, plain, solve_batch
+from driftjax.solve.batch_ocp import AbstractBatchOCP
+from driftjax.solve.real_time import Preparation, Response, prepare, respond
 
 
 class MPCProblem(NamedTuple):
@@ -35,6 +37,15 @@ class MPCSolution(eqx.Module):
     X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
     U: Float[Array, "N 2"]  # planned delta, Fxr
     plan: Solution  # in the units of the solver, with its residuals
+
+
+class MPCResponse(eqx.Module):
+    """Answer of a real-time iteration in SI units: the command to apply, and the plan behind it."""
+
+    u: Control  # first input of the plan
+    X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
+    U: Float[Array, "N 2"]  # planned delta, Fxr
+    response: Response  # of the solver, the batch on the last axis, with the error of its program
 
 
 def acceptable(solution: MPCSolution, options: Options) -> Array:
@@ -61,26 +72,55 @@ def solve_mpc(
 
 def solve_mpc_batch(ocp: DriftOCP, problem: MPCProblem, needed: Bool[Array, " batch"] | None = None) -> MPCSolution:
     """Solve a batch (leading axis, of size 1 in `ocp` if shared); entries not `needed` cost nothing, stay unsolved."""
+    by_component, u_before, reference, X, U = _guess(ocp, problem)
+    x0 = _state(ocp, problem.x, problem.lagged_input)
+    plan = plain(solve_batch(by_component, x0, u_before, reference, X, U, problem.options, needed))
+    inputs = _within(ocp, plan.U, problem.previous)
+    return MPCSolution(Control(inputs[:, 0, 0], inputs[:, 0, 1]), plan.X[..., :5], inputs, plan)
+
+
+def prepare_mpc(ocp: DriftOCP, problem: MPCProblem) -> Preparation:
+    """Prepare a batch of real-time iterations about the guess, from the state that is expected."""
+    by_component, u_before, reference, X, U = _guess(ocp, problem)
+    expected = X.at[:, 0].set(_state(ocp, problem.x, problem.lagged_input))
+    return prepare(by_component, u_before, reference, expected, U, problem.options)
+
+
+def respond_mpc(
+    ocp: DriftOCP,
+    prepared: Preparation,
+    x: Float[Array, "batch 5"],
+    previous: Float[Array, "batch 2"],
+    lagged_input: Float[Array, "batch 2"],
+) -> MPCResponse:
+    """Solve the prepared programs from a measured state, the last command and the actuator outputs, all SI."""
+    response = respond(prepared, _state(ocp, x, lagged_input))
+    X, U = (jnp.transpose(a, (2, 1, 0)) for a in (response.X, response.U))
+    inputs = _within(ocp, U, previous)
+    return MPCResponse(Control(inputs[:, 0, 0], inputs[:, 0, 1]), X[..., :5], inputs, response)
+
+
+def _guess(ocp: DriftOCP, problem: MPCProblem) -> tuple[AbstractBatchOCP, Array, Reference, Array, Array]:
+    """Return the arguments of the solver, the batch on the last axis: problem, last command, reference and guess."""
     scale = ocp.u_scale  # (batch, 2)
     U = _over_batch(within_limits, ocp, problem.U, problem.previous)
     lagged_input = _over_batch(along, ocp, problem.lagged_input, U)
-    guess = jnp.concatenate([problem.X, lagged_input / scale[:, None]], axis=2)
+    X = jnp.concatenate([problem.X, lagged_input / scale[:, None]], axis=2)
     last = lambda a: jnp.transpose(a, (2, 1, 0))  # move the batch axis to the end
-    plans = solve_batch(
-        to_batch_ocp(ocp, scale[:, 1]),
-        jnp.concatenate([problem.x, problem.lagged_input / scale], axis=1).T,
-        (problem.previous / scale).T,
-        jax.tree.map(lambda a: a.T, problem.reference),
-        last(guess),
-        last(U / scale[:, None]),
-        problem.options,
-        needed,
-    )
-    plan = plain(plans)
-    # the interior point ends a rounding error inside the limits; clipping only takes that rounding away
+    reference = jax.tree.map(lambda a: a.T, problem.reference)
+    by_component = to_batch_ocp(ocp, scale[:, 1])
+    return by_component, (problem.previous / scale).T, reference, last(X), last(U / scale[:, None])
+
+
+def _state(ocp: DriftOCP, x: Array, lagged_input: Array) -> Array:
+    """Return the solver's state (nx, batch)."""
+    return jnp.concatenate([x, lagged_input / ocp.u_scale], axis=1).T
+
+
+def _within(ocp: DriftOCP, U: Array, previous: Array) -> Array:
+    """Return the solver's inputs (batch, N, 2) in SI; clipping only takes away the interior point's rounding errors."""
     clip = lambda ocp, U, previous: within_limits(ocp, U, previous, share=0.0)
-    inputs = _over_batch(clip, ocp, plan.U * scale[:, None], problem.previous)
-    return MPCSolution(Control(inputs[:, 0, 0], inputs[:, 0, 1]), plan.X[..., :5], inputs, plan)
+    return _over_batch(clip, ocp, U * ocp.u_scale[:, None], previous)
 
 
 def _over_batch(function: Callable[..., Array], ocp: DriftOCP, *arrays: Array) -> Array:

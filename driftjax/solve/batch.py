@@ -21,24 +21,26 @@ from jax import Array
 from jaxtyping import Bool, Float, PyTree
 
 from driftjax.core import RESULTS
-from driftjax.solve.batch_conditions import (
-    BatchIterate,
-    OptimalityError,
-    QPModel,
-    all_constraints,
-    optimality_error,
+from driftjax.solve.batch_conditions import BatchIterate, OptimalityError, QPModel
+from driftjax.solve.batch_ocp import AbstractBatchOCP
+from driftjax.solve.batch_program import (
+    BatchData,
+    Programs,
+    batch_data,
+    first_iterate,
+    linearise,
+    solve_programs,
+    where,
+    with_curvature,
+    worst,
 )
-from driftjax.solve.batch_newton import Gains
-from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
-from driftjax.solve.batch_qp import next_barrier, qp_step
 from driftjax.solve.batch_search import HALVINGS, LineSearch, accepted, no_search, search_from, trial_point
-from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
+from driftjax.solve.component_derivatives import Matrix
 from driftjax.solve.compute_once import compute_once
 from driftjax.solve.ocp import Options, Solution
 from driftjax.solve.solution_derivative import objective, solution_tangent, split
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
-SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
 EARLY = 8  # iterations of a batch of `MANY` with cheaper second derivatives: most entries need no more
 SMALLER = 0.1  # times the first barrier of the attempt before
@@ -78,43 +80,6 @@ class _Loop(NamedTuple):
     open: Array  # whether the iterate is still to be judged
 
 
-class _Program(NamedTuple):
-    """Iteration of a quadratic program; `_Loop` has the meaning of what both hold."""
-
-    model: QPModel
-    iterate: BatchIterate
-    gains: Gains  # of the last Newton step
-    left: Array  # share of the defects that is left
-    barrier: Array
-    qp_error: Array
-    infeasible: Array
-    open: Array  # whether the program is still to be improved
-    qp_steps: Array
-    iteration: Array
-
-
-class _Batch(NamedTuple):
-    """Constant data of the iterations."""
-
-    ocp: AbstractBatchOCP
-    stages: PyTree  # parameters (N, batch) or (N, 1)
-    last: PyTree  # those of the end (batch,) or (1,)
-    u_before: Components
-    tolerance: Array  # of each entry
-    max_steps: Array
-
-    @property
-    def rows(self) -> tuple[PyTree, PyTree]:
-        """Return the parameters of the stages and of the end."""
-        return self.stages, self.last
-
-    def take(self, entries: Array) -> "_Batch":
-        """Return the data of some batch entries."""
-        num = len(self.tolerance)
-        wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), self[1:])
-        return _Batch(self.ocp.take(entries), *_take(wide, entries))
-
-
 def _pack(tree: PyTree) -> Array:
     """Return all values of each entry in one column: one gather for all, since XLA fails on many fused gathers."""
     leaves = jax.tree.leaves(tree)
@@ -134,7 +99,14 @@ def _take(tree: PyTree, entries: Array) -> PyTree:
     return _unpack(_pack(tree)[:, entries], tree)
 
 
-def _solve_open(batch: _Batch, loop: _Loop) -> _Loop:
+def _take_data(batch: BatchData, entries: Array) -> BatchData:
+    """Return the data of some batch entries."""
+    num = len(batch.tolerance)
+    wide = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], num)), batch[1:])
+    return BatchData(batch.ocp.take(entries), *_take(wide, entries))
+
+
+def _solve_open(batch: BatchData, loop: _Loop) -> _Loop:
     """Iterate until all entries are solved; the last unsolved ones are gathered into a smaller batch."""
     num = len(batch.tolerance)
     few = num // SHARE if num >= MANY else 0
@@ -142,31 +114,11 @@ def _solve_open(batch: _Batch, loop: _Loop) -> _Loop:
     if not few:
         return loop
     entries = jnp.argsort(~loop.open)[:few]
-    rest = _solve_open(batch.take(entries), _take(loop, entries))
+    rest = _solve_open(_take_data(batch, entries), _take(loop, entries))
     return _unpack(_pack(loop).at[:, entries].set(_pack(rest)), loop)
 
 
-def _linearise(batch: _Batch, it: BatchIterate, expansion: PyTree) -> tuple[QPModel, PyTree, OptimalityError]:
-    """Return the model at an iterate, without second derivatives of the dynamics, what these need, and the error."""
-    ocp, nx = batch.ocp, len(it.X)
-    x, xN = [x[:-1] for x in it.X], [x[-1] for x in it.X]
-    y, M, more = ocp.linearise(x, it.U, batch.stages, expansion)
-    h, H = hessian(lambda *z: ocp.cost(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U, jacobian=ocp.jacobian)
-    hN, HN = hessian(lambda *x: ocp.terminal(list(x), batch.last), *xN, jacobian=ocp.jacobian)
-    g, G = ocp.jacobian(lambda *z: ocp.constraints(list(z[:nx]), list(z[nx:]), batch.stages), *x, *it.U)
-    gN, GN = ocp.jacobian(lambda *x: ocp.terminal_constraints(list(x), batch.last), *xN)
-    model = QPModel(
-        M=M, H=H, HN=HN, G=G, GN=GN, c=[a - b[1:] for a, b in zip(y, it.X, strict=True)],
-        h=_full(h, it.U[0]), hN=_full(hN, xN[0]), g=g, gN=[value[None] for value in gN],
-    )  # fmt: skip
-    return model, more, optimality_error(ocp, batch.u_before, model, it)
-
-
-def _full(entries: list[Entry], like: Array) -> list[Array]:
-    return [jnp.zeros_like(like) if e is None else jnp.broadcast_to(e, like.shape) for e in entries]
-
-
-def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
+def _with_curvature(batch: BatchData, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
     """Return the model with second derivatives of the dynamics: in large batches cheaper ones at first, if there are.
 
     A small batch would lose more time compiling both.
@@ -175,7 +127,9 @@ def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) ->
     args = ([x[:-1] for x in it.X], it.U, it.costates, batch.stages, more)
 
     def with_those(curvature: Callable[..., Matrix | None]) -> Callable[[], QPModel]:
-        return lambda: compute_once(lambda model, args: _add(model, curvature(*args) or [], it.U[0]))(model, args)
+        return lambda: compute_once(lambda model, args: with_curvature(model, curvature(*args) or [], it.U[0]))(
+            model, args
+        )
 
     exact, early = with_those(batch.ocp.curvature), batch.ocp.early_curvature
     if len(batch.tolerance) < MANY or jax.eval_shape(early, *args) is None:
@@ -184,85 +138,44 @@ def _with_curvature(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree) ->
     return jax.lax.cond(jnp.any(late), exact, with_those(early))
 
 
-def _add(model: QPModel, curvature: Matrix, like: Array) -> QPModel:
-    rows = zip(model.H, curvature, strict=True)
-    return model._replace(H=[_full([total(pair) for pair in zip(*row, strict=True)], like) for row in rows])
-
-
-def _worst(error: OptimalityError) -> Array:
-    return jnp.maximum(error.kkt, error.violation)
-
-
-def _iterate(batch: _Batch, loop: _Loop) -> _Loop:
+def _iterate(batch: BatchData, loop: _Loop) -> _Loop:
     """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
     it, searched = loop.iterate, loop.open & loop.search.active
     expansion = batch.ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages)
-    model, more, error = compute_once(lambda it, expansion: _linearise(batch, it, expansion))(it, expansion)
-    error = _where(loop.open, error, loop.error)
-    worst = _worst(error)
+    model, more, error = compute_once(lambda it, expansion: linearise(batch, it, expansion))(it, expansion)
+    error = where(loop.open, error, loop.error)
+    residual = worst(error)
     here = search_from(batch.ocp, batch.rows, batch.u_before, model, it, loop.search)
     rejected = searched & ~accepted(loop.search, here, loop.barrier, batch.tolerance)
-    rejected &= ~(worst <= batch.tolerance) & (loop.search.halvings < HALVINGS)
-    open_ = loop.open & ~(worst <= batch.tolerance) & (rejected | ~jnp.isnan(worst)) & ~loop.infeasible
+    rejected &= ~(residual <= batch.tolerance) & (loop.search.halvings < HALVINGS)
+    open_ = loop.open & ~(residual <= batch.tolerance) & (rejected | ~jnp.isnan(residual)) & ~loop.infeasible
     open_ &= loop.num_steps < batch.max_steps
     rejected &= open_
     halved = loop.search._replace(halvings=loop.search.halvings + 1)
-    loop = loop._replace(search=_where(rejected, halved, here), error=error, open=open_)
+    loop = loop._replace(search=where(rejected, halved, here), error=error, open=open_)
     step = lambda: _step_open(batch, loop, model, more, open_ & ~rejected)
     return jax.lax.cond(jnp.any(open_), step, lambda: loop)
 
 
-def _step_open(batch: _Batch, loop: _Loop, model: QPModel, more: PyTree, stepped: Array) -> _Loop:
+def _step_open(batch: BatchData, loop: _Loop, model: QPModel, more: PyTree, stepped: Array) -> _Loop:
     """Move the `stepped` entries towards the solutions of their programs, of the last one allowed to the tolerance."""
-    last, worst = loop.num_steps + 1 >= batch.max_steps, _worst(loop.error)
-    share = jnp.maximum(jnp.minimum(FORCING * worst, COARSE), FINE * batch.tolerance)
-    accuracy = jnp.where(last, batch.tolerance, share)
-
-    def step(model: QPModel, it: BatchIterate, barrier: Array, open_: Array):
-        new = qp_step(batch.ocp, batch.u_before, model, it, barrier, open_)
-        lower = jnp.where(open_, next_barrier(new.iterate, barrier, new.length, batch.tolerance), barrier)
-        return new, lower, optimality_error(batch.ocp, batch.u_before, new.model, new.iterate)
-
-    def improve(state: _Program) -> _Program:
-        open_ = state.open
-        new, barrier, error = compute_once(step)(state.model, state.iterate, state.barrier, open_)
-        qp_error = jnp.where(open_, _worst(error), state.qp_error)
-        infeasible = jnp.where(open_, new.infeasible, state.infeasible)
-        gains = _where(open_, new.gains, state.gains)
-        left = jnp.where(open_, 1 - new.primal_length, 1.0) * state.left
-        more_steps = state.iteration + 1 < jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
-        going = open_ & ~(qp_error <= accuracy) & jnp.isfinite(qp_error) & ~infeasible & more_steps
-        counts = (state.qp_steps + open_, state.iteration + 1)
-        return _Program(new.model, new.iterate, gains, left, barrier, qp_error, infeasible, going, *counts)
-
-    model, search = _with_curvature(batch, loop, model, more), loop.search
-    left, counts = jnp.where(stepped, 1.0, search.left), (loop.qp_steps, jnp.asarray(0))
-    start = _Program(
-        model, loop.iterate, search.gains, left, loop.barrier, loop.qp_error, loop.infeasible, stepped, *counts
-    )
-    end = jax.lax.while_loop(lambda state: jnp.any(state.open), improve, start)
-    search = search._replace(end=_where(stepped, end.iterate, search.end), gains=end.gains, left=end.left)
+    last, search = loop.num_steps + 1 >= batch.max_steps, loop.search
+    share = jnp.maximum(jnp.minimum(FORCING * worst(loop.error), COARSE), FINE * batch.tolerance)
+    accuracy, most = jnp.where(last, batch.tolerance, share), jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
+    model, left = _with_curvature(batch, loop, model, more), jnp.where(stepped, 1.0, search.left)
+    start = (model, loop.iterate, loop.barrier, search.gains, left, loop.qp_error, loop.infeasible, stepped)
+    end = solve_programs(batch, Programs(*start, loop.qp_steps), accuracy, most)
+    search = search._replace(end=where(stepped, end.iterate, search.end), gains=end.gains, left=end.left)
     return loop._replace(
         iterate=_next_point(batch, loop.open & search.active, search, end), search=search, barrier=end.barrier,
-        qp_error=end.qp_error, num_steps=loop.num_steps + loop.open, qp_steps=end.qp_steps, infeasible=end.infeasible,
+        qp_error=end.error, num_steps=loop.num_steps + loop.open, qp_steps=end.num_steps, infeasible=end.infeasible,
     )  # fmt: skip
 
 
-def _next_point(batch: _Batch, searched: Array, search: LineSearch, end: _Program) -> BatchIterate:
+def _next_point(batch: BatchData, searched: Array, search: LineSearch, end: Programs) -> BatchIterate:
     """Return the trial points of the `searched` entries, of others the solutions of their programs."""
     trial = lambda: trial_point(batch.ocp, batch.rows, batch.u_before, search, end.barrier)
-    return _where(searched, jax.lax.cond(jnp.any(searched), trial, lambda: end.iterate), end.iterate)
-
-
-def _where(chosen: Array, new: PyTree, old: PyTree) -> PyTree:
-    return jax.tree.map(lambda a, b: jnp.where(chosen, a, b), new, old)
-
-
-def _start(batch: _Batch, x0: Components, X: Components, U: Components, barrier: Array) -> BatchIterate:
-    X = [x.at[0].set(first) for x, first in zip(X, x0, strict=True)]
-    values = all_constraints(batch.ocp, batch.u_before, batch.stages, batch.last, X, U)
-    slack = [jnp.maximum(value, SLACK_FLOOR * jnp.sqrt(barrier)) for value in values]
-    return BatchIterate(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
+    return where(searched, jax.lax.cond(jnp.any(searched), trial, lambda: end.iterate), end.iterate)
 
 
 def _result(worst: Array, infeasible: Array, tolerance: Array) -> RESULTS:
@@ -308,10 +221,10 @@ def _tangent(primals, tangents):
     ocp, x0, u_before, params, *_, options, _ = primals
     d_ocp, d_x0, d_before, d_params, *_ = tangents
     solution, it = _solve(*primals)
-    batch = _Batch(ocp, *split(params), list(u_before), *options_of_entries(options, it.U[0]))
+    batch = batch_data(ocp, u_before, params, it.U[0][0], options)
     x, stages = [x[:-1] for x in it.X], batch.stages
-    model, more, _ = _linearise(batch, it, ocp.local_expansion(x, it.U, stages))
-    model = _add(model, ocp.curvature(x, it.U, it.costates, stages, more), it.U[0])
+    model, more, _ = linearise(batch, it, ocp.local_expansion(x, it.U, stages))
+    model = with_curvature(model, ocp.curvature(x, it.U, it.costates, stages, more), it.U[0])
     start = list(jnp.zeros_like(x0) if d_x0 is None else d_x0)
     d_theta = (d_ocp, [None] * len(it.U) if d_before is None else list(d_before), d_params)
     dX, dU, d_cost, strict = solution_tangent(model, it, (ocp, list(u_before), params), d_theta, start)
@@ -321,12 +234,6 @@ def _tangent(primals, tangents):
     moved = lambda s: (s.X, s.U, s.cost)
     tangent = (mark * jnp.stack(dX), mark * jnp.stack(dU), mark * d_cost)
     return solution, eqx.tree_at(moved, none, tangent, is_leaf=lambda leaf: leaf is None)
-
-
-def options_of_entries(options: Options, like: Array) -> tuple[Array, Array]:
-    """Return tolerance and largest number of steps of each entry of (N, batch) arrays."""
-    wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), like[0].shape)
-    return wide(options.tolerance, like.dtype), wide(options.max_steps, jnp.int32)
 
 
 def _solve(
@@ -342,33 +249,26 @@ def _solve(
     large = jnp.full_like(U[0][0], jnp.inf)
     wide = lambda a, dtype: jnp.broadcast_to(jnp.asarray(a, dtype), large.shape)
     barrier = wide(options.barrier, large.dtype)
-    batch = _Batch(ocp, *split(params), list(u_before), *options_of_entries(options, U[0]))
+    batch = batch_data(ocp, u_before, params, U[0][0], options)
     needed = wide(True, bool) if needed is None else needed
     none, never = wide(0, jnp.int32), wide(False, bool)
 
     def begin(attempt: Array) -> _Loop:
         first = barrier * jnp.power(SMALLER, attempt).astype(large.dtype)
-        start = _start(batch, list(x0), list(X), list(U), first)
+        start = first_iterate(batch, list(x0), list(X), list(U), first)
+        search, error = no_search(start, never | (attempt > 0)), OptimalityError(large, large)
         return _Loop(
-            start,
-            no_search(start, never | (attempt > 0)),
-            first,
-            OptimalityError(large, large),
-            large,
-            none,
-            none,
-            never,
-            needed,
+            start, search, first, error, qp_error=large, num_steps=none, qp_steps=none, infeasible=never, open=needed
         )
 
     def left(loop: _Loop, attempt: Array) -> Array:
-        accepted = _worst(loop.error) <= wide(options.implicit, large.dtype) * batch.tolerance
-        return needed & ~accepted & ~loop.infeasible & (attempt <= wide(options.restarts, jnp.int32))
+        good = worst(loop.error) <= wide(options.implicit, large.dtype) * batch.tolerance
+        return needed & ~good & ~loop.infeasible & (attempt <= wide(options.restarts, jnp.int32))
 
     def again(state: tuple[_Loop, Array]) -> tuple[_Loop, Array]:
         last, attempt = state
         open_, fresh = left(last, attempt), begin(attempt)
-        loop = _where(open_, fresh, last)
+        loop = where(open_, fresh, last)
         loop = _solve_open(batch, loop._replace(open=open_))
         count = lambda new, old: jnp.where(open_, new + old, old)
         counts = {name: count(getattr(loop, name), getattr(last, name)) for name in ("num_steps", "qp_steps")}
@@ -376,7 +276,7 @@ def _solve(
 
     end, _ = jax.lax.while_loop(lambda s: jnp.any(left(*s)), again, (begin(none[0]), none[0]))
     it = end.iterate
-    result = jax.vmap(_result)(_worst(end.error), end.infeasible, batch.tolerance)
+    result = jax.vmap(_result)(worst(end.error), end.infeasible, batch.tolerance)
     X, U = jnp.stack(it.X), jnp.stack(it.U)
     counts, cost = (end.num_steps, end.qp_steps), objective(ocp, split(params), list(u_before), it.X, it.U)
     return BatchSolution(X, U, cost, *end.error, end.qp_error, *counts, result), it

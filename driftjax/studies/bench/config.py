@@ -8,8 +8,8 @@ from typing import Literal
 
 from driftjax.core import require, require_at_least
 
-Part = Literal["mpc", "simulator", "gp", "plan", "laps", "compile"]
-PARTS: tuple[Part, ...] = ("mpc", "simulator", "gp", "plan", "laps", "compile")
+Part = Literal["mpc", "controller", "simulator", "gp", "plan", "laps", "compile"]
+PARTS: tuple[Part, ...] = ("mpc", "controller", "simulator", "gp", "plan", "laps", "compile")
 Dtype = Literal["float64", "float32"]
 Solver = Literal["fatrop", "ipopt"]
 PEERS: dict[Solver, str] = {"fatrop": "CasADi FATROP", "ipopt": "CasADi IPOPT"}

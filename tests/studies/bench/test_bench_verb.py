@@ -166,7 +166,9 @@ def test_bad_options_are_refused():
     "parts",
     [
         ("simulator", "gp"),
-        pytest.param(("mpc", "simulator", "gp", "plan", "laps"), marks=pytest.mark.slow),  # minutes of compiling
+        pytest.param(
+            ("mpc", "controller", "simulator", "gp", "plan", "laps"), marks=pytest.mark.slow
+        ),  # minutes of compiling
     ],
 )
 def test_a_quick_run_writes_all_rows(parts, tmp_path, capsys):
