@@ -18,7 +18,7 @@ from driftjax.gp import Hyper
 from driftjax.studies.bench import cpp_step, gp_rows, mpc_rows, simulator_rows
 from driftjax.studies.bench.casadi_mpc import CasadiMPC
 from driftjax.studies.bench.compile_rows import EVENTS, Spans
-from driftjax.studies.bench.config import BenchConfig, missing
+from driftjax.studies.bench.config import PARTS, BenchConfig, missing
 from driftjax.studies.bench.drift import TOLERANCE, WEIGHTS, X_REF, car, config, starts
 from driftjax.studies.bench.mpc import Solved
 from driftjax.studies.bench.rows import Row, Timing, alternate, timed
