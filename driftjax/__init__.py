@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from driftjax.equilibrium.map import equilibria as equilibria
     from driftjax.export import Export as Export
     from driftjax.export import export_car as export_car
+    from driftjax.export import export_mpc as export_mpc
     from driftjax.gp import GP as GP
     from driftjax.gp import KernelGP as KernelGP
     from driftjax.gp import fit_gp as fit_gp
@@ -92,7 +93,7 @@ MODULES = {
     "diagnosis.held_out": ("DiagnoseConfig",),
     "equilibrium.branch": ("Branch",),
     "equilibrium.map": ("equilibria",),
-    "export": ("Export", "export_car"),
+    "export": ("Export", "export_car", "export_mpc"),
     "gp": ("GP", "KernelGP", "fit_gp", "fit_kernel"),
     "learning.config": ("LearnConfig", "load_learn_config"),
     "learning.run": ("learn",),

@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
 from driftjax.control.mpc_solution import (
+    MPCPlan,
     MPCProblem,
     MPCResponse,
     MPCSolution,
+    judge_mpc,
     prepare_mpc,
     respond_mpc,
     solve_mpc_batch,
@@ -24,14 +26,14 @@ from driftjax.environment import require_float64
 from driftjax.gp import zero_gp
 from driftjax.solve import Options, shift
 from driftjax.solve.batch_conditions import OptimalityError
-from driftjax.solve.real_time import Preparation, judge
+from driftjax.solve.real_time import Preparation
 from driftjax.vehicle import Residual, VehicleConfig, no_residual
 
 BARRIER = 3.0  # first barrier parameter of a cold start
 WARM_BARRIER = 1e-4  # of a warm start, which lies near the optimum
 
 
-WarmStart: TypeAlias = MPCSolution | MPCResponse | Array | np.ndarray | None
+WarmStart: TypeAlias = MPCPlan | Array | np.ndarray | None
 
 
 class MPCState(NamedTuple):
@@ -128,9 +130,9 @@ class DriftMPC(eqx.Module):
         `response.error` is that of the quadratic program. Nothing raises; where `response.infeasible`, or the error
         stays above the tolerance, the plan before, one step later, is what to apply.
         """
-        num, rows = len(prepared.barrier), map(jnp.atleast_2d, state)
-        wide = (jnp.broadcast_to(a, (num, a.shape[-1])) for a in rows)
-        answer = respond_mpc(jax.tree.map(lambda a: a[None], self.ocp), prepared, *wide)
+        num = len(prepared.barrier)
+        x, command, lagged_input = (jnp.broadcast_to(a, (num, a.shape[-1])) for a in state)
+        answer = respond_mpc(jax.tree.map(lambda a: a[None], self.ocp), prepared, x, command, lagged_input)
         first = (lambda a: a[0]) if state.x.ndim == 1 else (lambda a: a)
         u, X, U = jax.tree.map(first, (answer.u, answer.X, answer.U))
         return MPCResponse(u, X, U, answer.response)
@@ -138,7 +140,7 @@ class DriftMPC(eqx.Module):
     @eqx.filter_jit
     def judge(self, prepared: Preparation, answer: MPCResponse) -> OptimalityError:
         """Return KKT residual and violation of the nonlinear problem at an answer (batch,): another linearisation."""
-        return judge(prepared, answer.response)
+        return judge_mpc(jax.tree.map(lambda a: a[None], self.ocp), prepared, answer)
 
     def _problem(
         self, state: MPCState, reference: Reference, warm_start: WarmStart
@@ -146,17 +148,15 @@ class DriftMPC(eqx.Module):
         """Return state, reference, guess and options, of the same types for all kinds of warm start."""
         warm_start = jnp.asarray(warm_start) if isinstance(warm_start, np.ndarray) else warm_start
         reference = jax.tree.map(as_float, reference)  # numbers without a fixed type would be another program
-        barrier = WARM_BARRIER if isinstance(warm_start, MPCSolution | MPCResponse) else BARRIER
+        barrier = WARM_BARRIER if isinstance(warm_start, MPCPlan) else BARRIER
         options = eqx.tree_at(lambda o: o.barrier, self.options, jnp.asarray(barrier))
         return state, reference, *self._guess(state, reference, warm_start), options
 
     @eqx.filter_jit
-    def _guess(
-        self, state: MPCState, reference: Reference, warm_start: MPCSolution | MPCResponse | Array | None
-    ) -> tuple[Array, Array]:
+    def _guess(self, state: MPCState, reference: Reference, warm_start: MPCPlan | Array | None) -> tuple[Array, Array]:
         """Return states (*batch, N+1, 5) and inputs (*batch, N, 2) to start from; one solver serves all kinds."""
         batch, N = state.x.shape[:-1], self.horizon
-        if isinstance(warm_start, MPCSolution | MPCResponse):
+        if isinstance(warm_start, MPCPlan):
             X, U = shift(warm_start.X), shift(warm_start.U)
         else:
             X, U = reference.states(), state.command[..., None, :] if warm_start is None else warm_start

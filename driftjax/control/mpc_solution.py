@@ -14,8 +14,9 @@ from driftjax.control.drift_batch_ocp import to_batch_ocp
 from driftjax.control.mpc import DriftOCP, Reference, along, within_limits
 from driftjax.core import Control
 from driftjax.solve import Options, Solution, plain, solve_batch
+from driftjax.solve.batch_conditions import OptimalityError
 from driftjax.solve.batch_ocp import AbstractBatchOCP
-from driftjax.solve.real_time import Preparation, Response, prepare, respond
+from driftjax.solve.real_time import Preparation, Response, judge, prepare, respond
 
 
 class MPCProblem(NamedTuple):
@@ -30,21 +31,23 @@ class MPCProblem(NamedTuple):
     options: Options
 
 
-class MPCSolution(eqx.Module):
-    """Solution in SI units: the command to apply, the plan behind it, and its convergence."""
+class MPCPlan(eqx.Module):
+    """Plan in SI units, and the command to apply."""
 
     u: Control  # first input of the plan
     X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
     U: Float[Array, "N 2"]  # planned delta, Fxr
+
+
+class MPCSolution(MPCPlan):
+    """Solution of the drift MPC, and its convergence."""
+
     plan: Solution  # in the units of the solver, with its residuals
 
 
-class MPCResponse(eqx.Module):
-    """Answer of a real-time iteration in SI units: the command to apply, and the plan behind it."""
+class MPCResponse(MPCPlan):
+    """Answer of a real-time iteration."""
 
-    u: Control  # first input of the plan
-    X: Float[Array, "N+1 5"]  # predicted V, beta, r, e, theta
-    U: Float[Array, "N 2"]  # planned delta, Fxr
     response: Response  # of the solver, the batch on the last axis, with the error of its program
 
 
@@ -94,10 +97,15 @@ def respond_mpc(
     lagged_input: Float[Array, "batch 2"],
 ) -> MPCResponse:
     """Solve the prepared programs from a measured state, the last command and the actuator outputs, all SI."""
-    response = respond(prepared, _state(ocp, x, lagged_input))
+    response = respond(to_batch_ocp(ocp, ocp.u_scale[:, 1]), prepared, _state(ocp, x, lagged_input))
     X, U = (jnp.transpose(a, (2, 1, 0)) for a in (response.X, response.U))
     inputs = _within(ocp, U, previous)
     return MPCResponse(Control(inputs[:, 0, 0], inputs[:, 0, 1]), X[..., :5], inputs, response)
+
+
+def judge_mpc(ocp: DriftOCP, prepared: Preparation, answer: MPCResponse) -> OptimalityError:
+    """Return the residuals of the nonlinear problem at an answer, in the units of the solver."""
+    return judge(to_batch_ocp(ocp, ocp.u_scale[:, 1]), prepared, answer.response)
 
 
 def _guess(ocp: DriftOCP, problem: MPCProblem) -> tuple[AbstractBatchOCP, Array, Reference, Array, Array]:

@@ -29,12 +29,18 @@ MOST = 60  # interior-point iterations of a response
 
 
 class Preparation(NamedTuple):
-    """Quadratic programs of a batch about a guess."""
+    """Quadratic programs of a batch about a guess, and what of their problems changes from step to step."""
 
-    batch: BatchData
+    u_before: Components
+    params: tuple[PyTree, PyTree]  # of the stages and of the end
+    tolerance: Array
     model: QPModel
     iterate: BatchIterate
     barrier: Array
+
+    def batch(self, ocp: AbstractBatchOCP) -> BatchData:
+        """Return the data of the problems."""
+        return BatchData(ocp, *self.params, self.u_before, self.tolerance, jnp.ones_like(self.barrier, jnp.int32))
 
 
 class Response(NamedTuple):
@@ -63,17 +69,18 @@ def prepare(
     it = first_iterate(batch, [x[0] for x in X], list(X), list(U), barrier)
     model, *_ = linearise(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))
     straight = [[None for _ in row] for row in model.H]  # multipliers begin at 0: a Gauss-Newton step
-    return Preparation(batch, with_curvature(model, straight, it.U[0]), it, barrier)
+    whole = with_curvature(model, straight, it.U[0])
+    return Preparation(batch.u_before, batch.rows, batch.tolerance, whole, it, barrier)
 
 
-def respond(prepared: Preparation, x0: Float[Array, "nx batch"]) -> Response:
+def respond(ocp: AbstractBatchOCP, prepared: Preparation, x0: Float[Array, "nx batch"]) -> Response:
     """Solve the programs from the measured state `x0`, to the tolerance of the preparation.
 
     Where `x0` is the first state of the guess, the response is the real-time iteration of `solve_batch`; elsewhere it
     differs from that in the second order of their distance, since the first stage is linearised at the guess.
     """
-    batch, model, it, barrier = prepared
-    model, it = _from_state(model, it, list(x0))
+    batch, barrier = prepared.batch(ocp), prepared.barrier
+    model, it = _from_state(prepared.model, prepared.iterate, list(x0))
     none, blank = jnp.zeros_like(barrier), lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in it.U]
     gains = Gains(blank(len(it.X)), blank(len(it.U)))
     never, count = jnp.zeros_like(barrier, bool), jnp.zeros_like(barrier, jnp.int32)
@@ -91,7 +98,7 @@ def _from_state(model: QPModel, it: BatchIterate, x0: Components) -> tuple[QPMod
     return model, it._replace(X=[x.at[0].set(new) for x, new in zip(it.X, x0, strict=True)])
 
 
-def judge(prepared: Preparation, response: Response) -> OptimalityError:
+def judge(ocp: AbstractBatchOCP, prepared: Preparation, response: Response) -> OptimalityError:
     """Return the residuals of the nonlinear problem at the response, which costs another linearisation."""
-    batch, it = prepared.batch, response.iterate
-    return linearise(batch, it, batch.ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))[2]
+    batch, it = prepared.batch(ocp), response.iterate
+    return linearise(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))[2]
