@@ -12,9 +12,10 @@ __version__ = "0.1.0"
 
 # XLA's flag for programs that round alike on any number of threads: loops cut into parts for them round otherwise.
 SERIAL_LOOPS = "--xla_disable_hlo_passes=cpu-parallel-task-assigner"
-# XLA's flag for kernels with several results: the long expressions of the solver and of the cars compile and run in a
-# fraction of the time.
+# XLA's flag for kernels with several results, with which laps compile and run twice as fast on a CPU. It is for our own
+# processes only: jaxlib 0.10.2 aborts on programs whose results differ in rank, L-BFGS-B of jaxopt among them.
 FUSED_RESULTS = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
+FUSED = "DRIFTJAX_FUSED_RESULTS"  # environment variable; 0 does without that flag
 CACHE = "~/.cache/driftjax"
 
 
@@ -78,9 +79,23 @@ def _set_threads(threads: int | None) -> None:
             stacklevel=3,
         )
         return
-    flags = os.environ.get("XLA_FLAGS", "").split()
-    wanted = [FUSED_RESULTS, *([SERIAL_LOOPS] if os.environ.setdefault("NPROC", "1") == "1" else [])]
-    os.environ["XLA_FLAGS"] = " ".join([*flags, *(flag for flag in wanted if flag not in flags)])
+    if os.environ.setdefault("NPROC", "1") == "1":
+        add_flag(SERIAL_LOOPS)
+
+
+def add_flag(flag: str) -> None:
+    """Add a flag to those that XLA reads when its client starts."""
+    os.environ["XLA_FLAGS"] = with_flag(os.environ.get("XLA_FLAGS", ""), flag)
+
+
+def with_flag(flags: str, flag: str) -> str:
+    """Return XLA's flags with one more, if they lack it."""
+    return flags if flag in flags.split() else f"{flags} {flag}".strip()
+
+
+def fuses_results() -> bool:
+    """Return whether processes of our own may use `FUSED_RESULTS`."""
+    return os.environ.get(FUSED, "1") != "0"
 
 
 def _client_started() -> bool:

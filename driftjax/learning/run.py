@@ -77,7 +77,7 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     names = stage_names(config)
     share = _share_done(len(names), report)
     share("plan: compile, solve", len(folder.finished()))
-    with process_executor(num_workers) as executor:
+    with process_executor(num_workers, fused=True) as executor:
         scenario = build_scenario(config, executor)
         if not folder.has("plan.nc"):
             folder.write_dataset("plan.nc", plan_dataset(scenario.plan, scenario.track, config.car))

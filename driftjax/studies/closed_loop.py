@@ -74,7 +74,7 @@ def closed_loop(case: ClosedLoopCase, nominal: VehicleConfig, extended: VehicleC
         models |= {"extended": extended}
     laps: dict[str, StageResult] = {}
     models_content: dict[str, Any] = {}
-    with process_executor(num_workers(SEEDS)) as executor:
+    with process_executor(num_workers(SEEDS), fused=True) as executor:
         for name, vehicle in models.items():
             try:
                 scenario = build_scenario(

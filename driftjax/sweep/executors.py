@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from driftjax.core import BadInput
+from driftjax.environment import FUSED_RESULTS, fuses_results, with_flag
 from driftjax.logs.extras import import_extra
 from driftjax.parallel import apply_settings, process_pool, settings
 
@@ -41,7 +42,7 @@ class ProcessExecutor(ChunkExecutor):
     def __init__(self, num: int, stack: ExitStack):
         super().__init__()
         self.num, self._stack = num, stack
-        self._pool = stack.enter_context(process_pool(num))
+        self._pool = stack.enter_context(process_pool(num, fuses_results()))
 
     @property
     def slots(self) -> int:
@@ -55,7 +56,7 @@ class ProcessExecutor(ChunkExecutor):
     def restart(self) -> None:
         """Replace the whole pool, which a dead worker broke; running chunks are lost."""
         self._stack.close()
-        self._pool = self._stack.enter_context(process_pool(self.num))
+        self._pool = self._stack.enter_context(process_pool(self.num, fuses_results()))
 
 
 class RayExecutor(ChunkExecutor):
@@ -65,6 +66,8 @@ class RayExecutor(ChunkExecutor):
         super().__init__()
         ray = import_extra("--ray", "Ray", "ray", "ray")
         environment = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
+        if fuses_results():
+            environment["XLA_FLAGS"] = with_flag(environment.get("XLA_FLAGS", ""), FUSED_RESULTS)
         try:
             ray.init(address=address, log_to_driver=False, logging_level="error", runtime_env={"env_vars": environment})
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:

@@ -10,6 +10,7 @@ import jax
 
 from driftjax.core import BadInput, require
 from driftjax.core.config import to_dict
+from driftjax.environment import fuses_results
 from driftjax.parallel import num_cores
 from driftjax.store import RunFolder
 from driftjax.sweep.analysis import Analysis, Shares, analyse, sensitivity, to_json
@@ -77,7 +78,8 @@ def finish_sweep(
         optuna = config.design == "optuna"
         source = OptunaSource(config, store.work, store) if optuna else (
             DesignSource(config, store.work, known, opened.share))  # fmt: skip
-        with open_executor(num if num > 1 else 0, ray, devices() is not None) as running:
+        apart = num > 1 or (fuses_results() and devices() is None)
+        with open_executor(num if apart else 0, ray, devices() is not None) as running:
             counts = run_trials(config, store.work, store, source, running, report)
         analysis = analyse(store, config)
         shares = sensitivity(analysis)

@@ -26,7 +26,7 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
     report("plan", 0, 4)
     num = config.training + config.held_out
     learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
-    with process_executor(num_workers) as executor:
+    with process_executor(num_workers, fused=True) as executor:
         evaluator = LapEvaluator(config, build_scenario(learn, executor))
         searches = run_searches(evaluator, report)
         report("laps of held-out plants", 3, 4)

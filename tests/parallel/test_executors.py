@@ -1,5 +1,6 @@
 """Executors: the same values in calls of any size and on any workers; zeros of the same shapes when compiled ahead."""
 
+import os
 import threading
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from driftjax.environment import FUSED, FUSED_RESULTS
 from driftjax.parallel import BatchExecutor, CompileAheadExecutor, process_executor, thread_executor
 
 
@@ -63,3 +65,12 @@ def test_threads_share_a_batch_and_end_with_the_context(num):
 def test_without_workers_everything_stays_in_this_process():
     with process_executor(0) as executor:
         assert executor.pool is None and executor.chunk == 1
+
+
+@pytest.mark.parametrize("wanted", ["1", "0"])
+def test_laps_are_computed_by_workers_whose_kernels_have_several_results(monkeypatch, wanted):
+    monkeypatch.setenv(FUSED, wanted)
+    with process_executor(0, fused=True) as executor:
+        flags = executor.submit(os.environ.get, "XLA_FLAGS")() or ""
+        assert (executor.pool is not None) == (FUSED_RESULTS in flags.split()) == (wanted == "1")
+    assert FUSED_RESULTS not in os.environ["XLA_FLAGS"]

@@ -37,7 +37,7 @@ def lap_options(num: int) -> LearnConfig:
 
 def learnt_residual() -> Residual:
     """Return the residual learnt from one plant's nominal lap, on the host."""
-    with process_executor(0) as executor:
+    with process_executor(0, fused=True) as executor:
         scenario = build_scenario(lap_options(1), executor)
         stage, _ = drive_nominal(scenario, 0)
         progress = update_progress(scenario, first_progress(scenario), stage, None, 0)
@@ -46,7 +46,7 @@ def learnt_residual() -> Residual:
 
 def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
     """Time a GP lap of `num` plants at once, with the programs of all workers compiled before."""
-    with process_executor(num_workers) as executor:
+    with process_executor(num_workers, fused=True) as executor:
         # one call takes either the whole batch or a single plant
         warm_up(executor, num if executor.chunk is None else max(1, num_workers), residual)
         scenario, batch = build_laps(executor, num, residual)

@@ -18,7 +18,7 @@ import jax
 
 from driftjax.core import from_dict, write_text
 from driftjax.core.config import to_dict
-from driftjax.environment import SERIAL_LOOPS
+from driftjax.environment import FUSED_RESULTS, SERIAL_LOOPS, fuses_results, with_flag
 from driftjax.studies.bench.config import BenchConfig, Part
 from driftjax.studies.bench.figures import write_curves
 from driftjax.studies.bench.machine import machine
@@ -77,12 +77,15 @@ def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
     """Return the environment of the part's process: this copy of the package first, one thread per peer."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     # only these programs are free of the LAPACK calls with which XLA's client can deadlock on several threads
-    elementwise = part in ("mpc", "simulator")
-    threads = str(cfg.threads if elementwise else 1)
+    elementwise = ("mpc", "simulator")
+    threads = str(cfg.threads if part in elementwise else 1)
     own = {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": threads}
-    if elementwise and jax.default_backend() == "cpu":
-        flags = os.environ.get("XLA_FLAGS", "").replace(SERIAL_LOOPS, "")  # their loops may be shared by threads
-        own["XLA_FLAGS"] = flags.strip()
+    if part in (*elementwise, "controller") and jax.default_backend() == "cpu":
+        flags = os.environ.get("XLA_FLAGS", "")
+        flags = (
+            flags.replace(SERIAL_LOOPS, "") if part in elementwise else flags
+        )  # their loops may be shared by threads
+        own["XLA_FLAGS"] = with_flag(flags, FUSED_RESULTS).strip() if fuses_results() else flags.strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})
 
