@@ -16,7 +16,7 @@ from driftjax.core import Control
 from driftjax.solve import Options, Solution, plain, solve_batch
 from driftjax.solve.batch_conditions import OptimalityError
 from driftjax.solve.batch_ocp import AbstractBatchOCP
-from driftjax.solve.real_time import Preparation, Response, judge, prepare, respond
+from driftjax.solve.real_time import Preparation, Response, prepare, problem_error, respond
 
 
 class MPCProblem(NamedTuple):
@@ -105,7 +105,7 @@ def respond_mpc(
 
 def judge_mpc(ocp: DriftOCP, prepared: Preparation, answer: MPCResponse) -> OptimalityError:
     """Return the residuals of the nonlinear problem at an answer, in the units of the solver."""
-    return judge(to_batch_ocp(ocp, ocp.u_scale[:, 1]), prepared, answer.response)
+    return problem_error(to_batch_ocp(ocp, ocp.u_scale[:, 1]), prepared, answer.response)
 
 
 def _guess(ocp: DriftOCP, problem: MPCProblem) -> tuple[AbstractBatchOCP, Array, Reference, Array, Array]:

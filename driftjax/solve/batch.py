@@ -28,7 +28,7 @@ from driftjax.solve.batch_program import (
     Programs,
     batch_data,
     first_iterate,
-    linearise,
+    qp_model,
     solve_programs,
     where,
     with_curvature,
@@ -38,7 +38,7 @@ from driftjax.solve.batch_search import HALVINGS, LineSearch, accepted, no_searc
 from driftjax.solve.component_derivatives import Matrix
 from driftjax.solve.compute_once import compute_once
 from driftjax.solve.ocp import Options, Solution
-from driftjax.solve.solution_derivative import objective, solution_tangent, split
+from driftjax.solve.solution_derivative import solution_tangent, split, total_cost
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
 PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
@@ -142,7 +142,7 @@ def _iterate(batch: BatchData, loop: _Loop) -> _Loop:
     """Judge the iterates, and step those that are not solved; non-finite ones count as finished."""
     it, searched = loop.iterate, loop.open & loop.search.active
     expansion = batch.ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages)
-    model, more, error = compute_once(lambda it, expansion: linearise(batch, it, expansion))(it, expansion)
+    model, more, error = compute_once(lambda it, expansion: qp_model(batch, it, expansion))(it, expansion)
     error = where(loop.open, error, loop.error)
     residual = worst(error)
     here = search_from(batch.ocp, batch.rows, batch.u_before, model, it, loop.search)
@@ -223,7 +223,7 @@ def _tangent(primals, tangents):
     solution, it = _solve(*primals)
     batch = batch_data(ocp, u_before, params, it.U[0][0], options)
     x, stages = [x[:-1] for x in it.X], batch.stages
-    model, more, _ = linearise(batch, it, ocp.local_expansion(x, it.U, stages))
+    model, more, _ = qp_model(batch, it, ocp.local_expansion(x, it.U, stages))
     model = with_curvature(model, ocp.curvature(x, it.U, it.costates, stages, more), it.U[0])
     start = list(jnp.zeros_like(x0) if d_x0 is None else d_x0)
     d_theta = (d_ocp, [None] * len(it.U) if d_before is None else list(d_before), d_params)
@@ -278,5 +278,5 @@ def _solve(
     it = end.iterate
     result = jax.vmap(_result)(worst(end.error), end.infeasible, batch.tolerance)
     X, U = jnp.stack(it.X), jnp.stack(it.U)
-    counts, cost = (end.num_steps, end.qp_steps), objective(ocp, split(params), list(u_before), it.X, it.U)
+    counts, cost = (end.num_steps, end.qp_steps), total_cost(ocp, split(params), list(u_before), it.X, it.U)
     return BatchSolution(X, U, cost, *end.error, end.qp_error, *counts, result), it

@@ -101,7 +101,7 @@ def slack_residuals(ocp: AbstractBatchOCP, u_before: Components, model: QPModel,
     return [value - slack for value, slack in zip((*bounds, *model.g, *model.gN), it.slack, strict=True)]
 
 
-def by_kind(model: QPModel, values: Components) -> tuple[Components, Components, Components]:
+def split_by_kind(model: QPModel, values: Components) -> tuple[Components, Components, Components]:
     """Split values in the order of slacks: of limits, of constraints, of terminal constraints (batch,)."""
     end, stage = len(values) - len(model.gN), len(values) - len(model.gN) - len(model.g)
     return values[:stage], values[stage:end], [value[0] for value in values[end:]]
@@ -154,7 +154,7 @@ def _constraint_terms(
 ) -> tuple[list[Entry], list[Entry], LimitTerms]:
     """Return the multiplier terms of the Lagrangian's gradient: in (x, u), in the last state, and of the limits."""
     gaps, nx = bound_constraints(ocp), len(it.X)
-    bounds, stage, end = by_kind(model, [-z for z in it.dual])
+    bounds, stage, end = split_by_kind(model, [-z for z in it.dual])
     limit_terms = [gap.sign * z for gap, z in zip(gaps, bounds, strict=True)]
     dynamics = [total((dot(column(model.M, i), it.costates), dot(column(model.G, i), stage)))
                 for i in range(nx + len(it.U))]  # fmt: skip

@@ -9,8 +9,8 @@ from jax import Array
 from driftjax.solve.batch_conditions import (
     QPModel,
     bound_constraints,
-    by_kind,
     filled,
+    split_by_kind,
     terms_of,
 )
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
@@ -44,7 +44,7 @@ class NewtonTerms(NamedTuple):
     end: list[Entry]  # in the last state, of the terminal cost (batch,)
 
 
-class Gains(NamedTuple):
+class StepGains(NamedTuple):
     """Feedback of the steps of the inputs; entries (N, batch)."""
 
     x: Matrix  # on the step of the state
@@ -63,7 +63,7 @@ def newton_system(ocp: AbstractBatchOCP, model: QPModel, stiff: Components) -> N
     """Build the system from a model and the second derivatives `stiff` of the limits' barrier in their values."""
     gaps, nx, nu = bound_constraints(ocp), len(model.c), len(model.h) - len(model.c)
     weight, like = ocp.rate_weight() or [0.0] * nu, model.c[0]
-    bounds, stage, end = by_kind(model, stiff)
+    bounds, stage, end = split_by_kind(model, stiff)
     of = lambda family, i: terms_of(gaps, family, i, bounds)
     both = lambda G, i, j, stiff: total(times(w, row[i], row[j]) for w, row in zip(stiff, G, strict=True))
     H = [[total((model.H[i][j], both(model.G, i, j, stage), *(of("input", i - nx) if i == j >= nx else ())))
@@ -79,7 +79,7 @@ def newton_system(ocp: AbstractBatchOCP, model: QPModel, stiff: Components) -> N
 def newton_terms(ocp: AbstractBatchOCP, model: QPModel, of_changes: Components, push: Components) -> NewtonTerms:
     """Build the right-hand side from first derivatives: of a model, of the cost of changes, `push` of the barrier."""
     gaps, nx = bound_constraints(ocp), len(model.c)
-    bounds, stage, end = by_kind(model, push)
+    bounds, stage, end = split_by_kind(model, push)
     signed = [gap.sign * p for gap, p in zip(gaps, bounds, strict=True)]
     of = lambda family, i: terms_of(gaps, family, i, signed)
     h = [total((h, dot(column(model.G, i), stage), *(of("input", i - nx) if i >= nx else ())))

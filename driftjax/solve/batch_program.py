@@ -14,7 +14,7 @@ from driftjax.solve.batch_conditions import (
     all_constraints,
     optimality_error,
 )
-from driftjax.solve.batch_newton import Gains
+from driftjax.solve.batch_newton import StepGains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import next_barrier, qp_step
 from driftjax.solve.component_derivatives import Entry, Matrix, hessian, total
@@ -56,7 +56,7 @@ def first_iterate(batch: BatchData, x0: Components, X: Components, U: Components
     return BatchIterate(X, U, [jnp.zeros_like(x[1:]) for x in X], slack, [barrier / s for s in slack])
 
 
-def linearise(batch: BatchData, it: BatchIterate, expansion: PyTree) -> tuple[QPModel, PyTree, OptimalityError]:
+def qp_model(batch: BatchData, it: BatchIterate, expansion: PyTree) -> tuple[QPModel, PyTree, OptimalityError]:
     """Return the model at an iterate, without second derivatives of the dynamics, what these need, and the error."""
     ocp, nx = batch.ocp, len(it.X)
     x, xN = [x[:-1] for x in it.X], [x[-1] for x in it.X]
@@ -98,7 +98,7 @@ class Programs(NamedTuple):
     model: QPModel
     iterate: BatchIterate
     barrier: Array
-    gains: Gains  # of the last Newton step
+    gains: StepGains  # of the last Newton step
     left: Array  # share of the defects that is left
     error: Array  # worst of optimality error and violation
     infeasible: Array  # whether proven to have no feasible point

@@ -21,7 +21,7 @@ from driftjax.solve.batch_conditions import (
     proves_infeasible,
     slack_residuals,
 )
-from driftjax.solve.batch_newton import Gains, newton_system, newton_terms, solve_backward, solve_forward
+from driftjax.solve.batch_newton import StepGains, newton_system, newton_terms, solve_backward, solve_forward
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.component_derivatives import dot, total
 
@@ -36,7 +36,7 @@ class QPStep(NamedTuple):
 
     model: QPModel  # about the new iterate
     iterate: BatchIterate
-    gains: Gains  # of the Newton step
+    gains: StepGains  # of the Newton step
     primal_length: Array  # of the steps of the primal variables
     length: Array  # of the shorter of both steps
     infeasible: Array  # whether the program was proven to have no feasible point
@@ -109,7 +109,7 @@ def next_barrier(it: BatchIterate, barrier: Array, length: Array, tolerance: Arr
 
 def _newton_step(
     ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, barrier: Array
-) -> tuple[BatchIterate, Gains]:
+) -> tuple[BatchIterate, StepGains]:
     """Solve the Newton system: backwards for value and policy, forwards for the step; the first state stays."""
     gaps, nu, zero = bound_constraints(ocp), len(it.U), jnp.zeros_like(barrier)
     residual = slack_residuals(ocp, u_before, model, it)
@@ -129,7 +129,7 @@ def _newton_step(
     d_values += [d[None] for d in filled([dot(row, dN) for row in model.GN], zero)]
     d_slack = [d + r for d, r in zip(d_values, residual, strict=True)]
     d_dual = [(barrier - z * ds) / s - z for s, z, ds in zip(it.slack, it.dual, d_slack, strict=True)]
-    return newton._replace(slack=d_slack, dual=d_dual), Gains(factors.Kx, factors.Kw)
+    return newton._replace(slack=d_slack, dual=d_dual), StepGains(factors.Kx, factors.Kw)
 
 
 def max_step_length(values: Components, steps: Components, open_: Array) -> Array:

@@ -13,12 +13,12 @@ from jax import Array
 from jaxtyping import PyTree
 
 from driftjax.solve.batch_conditions import BatchIterate, QPModel, all_constraints, slack_residuals
-from driftjax.solve.batch_newton import Gains
+from driftjax.solve.batch_newton import StepGains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import BOUNDARY_FRACTION, central
 from driftjax.solve.component_derivatives import dot
 from driftjax.solve.compute_once import compute_once
-from driftjax.solve.solution_derivative import objective
+from driftjax.solve.solution_derivative import total_cost
 
 HALVINGS = 8  # of one step before its point is taken all the same
 PROGRESS, LARGEST_VIOLATION = 1e-5, 10.0  # share of the violation that a step must gain; times 1 or the last one
@@ -35,7 +35,7 @@ class LineSearch(NamedTuple):
     cost: Array  # objective at the start
     logs: Array  # sum of the logarithms of the slacks at the start
     end: BatchIterate  # by the program
-    gains: Gains  # of its last Newton step
+    gains: StepGains  # of its last Newton step
     left: Array  # share of the defects that the program leaves
 
 
@@ -44,7 +44,7 @@ def no_search(start: BatchIterate, active: Array) -> LineSearch:
     zero = jnp.zeros_like(start.U[0][0])
     large = jnp.full_like(zero, jnp.inf)
     blank = lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in start.U]
-    gains = Gains(blank(len(start.X)), blank(len(start.U)))
+    gains = StepGains(blank(len(start.X)), blank(len(start.U)))
     none = jnp.zeros_like(active, jnp.int32)
     return LineSearch(active, none, start, start.costates, large, large, zero, start, gains, zero)
 
@@ -54,7 +54,7 @@ def search_from(
     last: LineSearch,
 ) -> LineSearch:  # fmt: skip
     """Begin a search at an iterate with its linearisation; `rows` are the parameters of the stages and of the end."""
-    cost = objective(ocp, rows, u_before, it.X, it.U)
+    cost = total_cost(ocp, rows, u_before, it.X, it.U)
     apart = [jnp.sum(jnp.abs(v), axis=0) for v in (*model.c, *slack_residuals(ocp, u_before, model, it))]
     logs = sum((jnp.sum(jnp.log(s), axis=0) for s in it.slack), jnp.zeros_like(cost))
     return last._replace(
@@ -79,7 +79,7 @@ def trial_point(
 
     A limit that is open by itself is its own slack; only one that is closed keeps the slack of the line.
     """
-    start, length = search.start, 0.5**search.halvings
+    start, length = search.start, jnp.exp2(-search.halvings.astype(barrier.dtype))
     step = jax.tree.map(lambda a, b: length * (b - a), start, search.end)
     left = 1 - length * (1 - search.left)
 

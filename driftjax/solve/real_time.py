@@ -1,7 +1,7 @@
 """Real-time iteration in two halves (Diehl et al. 2005, Sec. 3): prepare a program, then solve it from a measurement.
 
 `prepare` linearises at a guess, before the state is measured; `respond` solves the program from the state, touching
-stored matrices only; `judge` says afterwards how near to optimal the answer is for the nonlinear problem.
+stored matrices only; `problem_error` says afterwards how near to optimal the answer is for the nonlinear problem.
 """
 
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.solve.batch_conditions import BatchIterate, OptimalityError, QPModel
-from driftjax.solve.batch_newton import Gains
+from driftjax.solve.batch_newton import StepGains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_program import (
     BatchData,
     Programs,
     batch_data,
     first_iterate,
-    linearise,
+    qp_model,
     solve_programs,
     with_curvature,
 )
@@ -67,7 +67,7 @@ def prepare(
     batch = batch_data(ocp, u_before, params, like, options)
     barrier = jnp.broadcast_to(jnp.asarray(options.barrier, like.dtype), like.shape)
     it = first_iterate(batch, [x[0] for x in X], list(X), list(U), barrier)
-    model, *_ = linearise(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))
+    model, *_ = qp_model(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))
     straight = [[None for _ in row] for row in model.H]  # multipliers begin at 0: a Gauss-Newton step
     whole = with_curvature(model, straight, it.U[0])
     return Preparation(batch.u_before, batch.rows, batch.tolerance, whole, it, barrier)
@@ -82,7 +82,7 @@ def respond(ocp: AbstractBatchOCP, prepared: Preparation, x0: Float[Array, "nx b
     batch, barrier = prepared.batch(ocp), prepared.barrier
     model, it = _from_state(prepared.model, prepared.iterate, list(x0))
     none, blank = jnp.zeros_like(barrier), lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in it.U]
-    gains = Gains(blank(len(it.X)), blank(len(it.U)))
+    gains = StepGains(blank(len(it.X)), blank(len(it.U)))
     never, count = jnp.zeros_like(barrier, bool), jnp.zeros_like(barrier, jnp.int32)
     start = Programs(model, it, barrier, gains, none + 1, none + jnp.inf, never, ~never, count)
     end = solve_programs(batch, start, batch.tolerance, jnp.full_like(count, MOST))
@@ -98,7 +98,7 @@ def _from_state(model: QPModel, it: BatchIterate, x0: Components) -> tuple[QPMod
     return model, it._replace(X=[x.at[0].set(new) for x, new in zip(it.X, x0, strict=True)])
 
 
-def judge(ocp: AbstractBatchOCP, prepared: Preparation, response: Response) -> OptimalityError:
+def problem_error(ocp: AbstractBatchOCP, prepared: Preparation, response: Response) -> OptimalityError:
     """Return the residuals of the nonlinear problem at the response, which costs another linearisation."""
     batch, it = prepared.batch(ocp), response.iterate
-    return linearise(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))[2]
+    return qp_model(batch, it, ocp.local_expansion([x[:-1] for x in it.X], it.U, batch.stages))[2]

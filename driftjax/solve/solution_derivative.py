@@ -20,7 +20,7 @@ from driftjax.solve.batch_newton import newton_system, newton_terms, solve_backw
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 
 
-def objective(
+def total_cost(
     ocp: AbstractBatchOCP, rows: tuple[PyTree, PyTree], u_before: Components, X: Components, U: Components
 ) -> Array:
     """Return the cost of each entry (batch,); `rows` are the parameters of the stages and of the end."""
@@ -62,7 +62,7 @@ def solution_tangent(
     policy = substitute(system, factors, newton_terms(ocp, moved, zero, push))
     dX, dU, _ = solve_forward(system, factors, policy, (d_x0, d_before))
     dX = [jnp.concatenate([first[None], later]) for first, later in zip(d_x0, dX, strict=True)]
-    cost = lambda ocp, u_before, params, X, U: objective(ocp, split(params), u_before, X, U)
+    cost = lambda ocp, u_before, params, X, U: total_cost(ocp, split(params), u_before, X, U)
     d_cost = _along(cost, (*theta, it.X, it.U), (d_ocp, d_before, d_params, dX, dU))
     return dX, dU, d_cost, jnp.all(factors.convex, axis=0)
 
@@ -80,7 +80,7 @@ def _conditions(it: BatchIterate, ocp: AbstractBatchOCP, u_before: Components, p
         defects, limits = parts(X, U)
         terms = [jnp.sum(y * c) for y, c in zip(it.costates, defects, strict=True)]
         terms += [-jnp.sum(z * g) for z, g in zip(it.dual, limits, strict=True)]
-        return jnp.sum(objective(ocp, (stages, last), u_before, X, U)) + sum(terms)
+        return jnp.sum(total_cost(ocp, (stages, last), u_before, X, U)) + sum(terms)
 
     return jax.grad(lagrangian, (0, 1))(it.X, it.U), *parts(it.X, it.U)
 
