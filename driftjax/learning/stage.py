@@ -49,7 +49,8 @@ def run_stage(scenario: Scenario, drivers: Driver, number: int) -> StageResult:
     keys = jax.vmap(lambda key: jax.random.fold_in(key, number))(scenario.keys)
     speed = jnp.full(scenario.batch_size, scenario.plan.V[0])
     batch = (drivers, scenario.plants, speed, keys)
-    trace, code, V_ref, figures = scenario.executor.map(drive_batch, batch, scenario.sensors, config.lap, config.mpc.dt)
+    laps = scenario.executor.map_blocks(drive_batch, batch, scenario.sensors, config.lap, config.mpc.dt)
+    trace, code, V_ref, figures = laps
     return StageResult(Laps(trace, code, jnp.asarray(config.mpc.dt)), drivers.table, V_ref, figures)
 
 

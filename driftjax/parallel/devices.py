@@ -33,6 +33,10 @@ class DeviceExecutor(BatchExecutor):
         self.mesh = Mesh(np.array(devices or jax.local_devices()), (AXIS,))
         self._most: int | None = None  # entries of one call that fit into the memory, known after one that did not
 
+    def map_blocks(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        """Return what `map` returns: the calls are those of the devices."""
+        return self.map(function, batch, *shared)
+
     def map(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
         """Return `function(batch, *shared)`; all arrays of `batch` and of the result have a leading batch axis."""
         num, width = batch_size(batch), self.mesh.size

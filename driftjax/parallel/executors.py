@@ -22,6 +22,7 @@ from driftjax.parallel.batch import batch_size, concatenate
 from driftjax.parallel.programs import call, compile_ahead
 
 T = TypeVar("T")
+BLOCK, CALLS = 16, 4  # most entries of a call; calls that each core has at least, so that all cores end together
 SETTINGS = (
     "jax_enable_x64",
     "jax_cpu_enable_async_dispatch",
@@ -33,10 +34,10 @@ SETTINGS = (
 class BatchExecutor:
     """Compute a function of a batch in calls of `chunk` entries, one after the other or on the workers of `pool`.
 
-    The whole batch is one call where `chunk` is None, which is what a GPU needs. On a CPU a call of many entries takes
-    as long per entry as a call of one, and iterates until the slowest entry has converged. Calls of one entry also
-    give the same bits for every batch and number of workers, and compile for one shape only. Long elementwise programs
-    of thousands of entries are the exception: see `thread_executor`.
+    The whole batch is one call where `chunk` is None, which is what a GPU needs. On a CPU calls of one entry give the
+    same bits for every batch and number of workers, and compile for one shape only; most functions take as long per
+    entry in a larger call, which iterates until the slowest entry has converged. For those that gain see `map_blocks`,
+    and for long elementwise programs of thousands of entries `thread_executor`.
     """
 
     def __init__(self, chunk: int | None = 1, pool: Executor | None = None):
@@ -47,18 +48,31 @@ class BatchExecutor:
 
         `function` must be defined at the top level of a module, so that workers can import it (see `call`).
         """
+        return self._map(self.chunk, function, batch, *shared)
+
+    def map_blocks(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        """Return what `map` returns, computed in calls of `block_size` entries on a CPU.
+
+        For functions whose entries are elementwise on one axis, and seldom wait for each other, such as laps: a call of
+        many fills the processor's vector registers. The last call is filled up with copies of its last entry.
+        """
+        if self.chunk != 1:
+            return self.map(function, batch, *shared)
+        return self._map(block_size(batch_size(batch)), function, batch, *shared)
+
+    def _map(self, chunk: int | None, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
         num = batch_size(batch)
-        chunk = num if self.chunk is None else self.chunk
+        chunk = num if chunk is None else chunk
         if chunk >= num and self.pool is None:
             return call(function, batch, *shared)
-        arrays = jax.tree.map(_to_numpy, batch)
-        chunks = [jax.tree.map(lambda a, i=i: a[i : i + chunk] if eqx.is_array(a) else a, arrays)
-                  for i in range(0, num, chunk)]  # fmt: skip
+        arrays, last = jax.tree.map(_to_numpy, batch), np.full(-num % chunk, num - 1)
+        some = lambda i: np.append(np.arange(i, min(i + chunk, num)), last[: max(0, i + chunk - num)])
+        chunks = [_entries(arrays, some(i)) for i in range(0, num, chunk)]
         if self.pool is None:
-            return concatenate(*(_call(function, one, *shared) for one in chunks))
+            return _entries(concatenate(*(_call(function, one, *shared) for one in chunks)), slice(num))
         shared = jax.tree.map(_to_numpy, shared)
         results = self.pool.map(_call, *zip(*((function, one, *shared) for one in chunks), strict=True))
-        return concatenate(*_result(lambda: list(results)))
+        return _entries(concatenate(*_result(lambda: list(results))), slice(num))
 
     def submit(self, function: Callable[..., T], *args: Any) -> Callable[[], T]:
         """Start `function(*args)` in a worker and return a function that waits for its result.
@@ -82,7 +96,11 @@ class CompileAheadExecutor(BatchExecutor):
 
     def map(self, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
         """Return zeros of the shapes that `BatchExecutor.map` returns."""
-        num, args = batch_size(batch), (jax.tree.map(_first, batch), *jax.tree.map(_to_numpy, shared))
+        return self._map(self.chunk, function, batch, *shared)
+
+    def _map(self, chunk: int | None, function: Callable[..., PyTree], batch: PyTree, *shared: Any) -> PyTree:
+        num, one = batch_size(batch), _entries(jax.tree.map(_to_numpy, batch), slice(chunk))
+        args = (one, *jax.tree.map(_to_numpy, shared))
         name = repr((function.__qualname__, jax.tree.structure(args)))
         with self._lock:
             if name not in self._compiled:
@@ -101,8 +119,9 @@ def _result(wait_for: Callable[[], T]) -> T:
         ) from None
 
 
-def _first(leaf: Any) -> Any:
-    return _to_numpy(leaf)[:1] if eqx.is_array(leaf) else leaf
+def _entries(batch: PyTree, which: Any) -> PyTree:
+    """Return some entries of the arrays of a batch."""
+    return jax.tree.map(lambda a: a[which] if eqx.is_array(a) else a, batch)
 
 
 def _to_numpy(leaf: Any) -> Any:
@@ -122,6 +141,11 @@ def _compile_ahead(function: Callable[..., PyTree], *args: Any) -> PyTree:
 def num_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def block_size(entries: int) -> int:
+    """Return how many entries a call takes: several only where there are several calls for each core."""
+    return max(1, min(BLOCK, entries // (CALLS * num_cores())))
 
 
 def num_workers(entries: int) -> int:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from driftjax.environment import FUSED, FUSED_RESULTS
-from driftjax.parallel import BatchExecutor, CompileAheadExecutor, process_executor, thread_executor
+from driftjax.parallel import BatchExecutor, CompileAheadExecutor, executors, process_executor, thread_executor
+from driftjax.parallel.batch import batch_size
 
 
 class Car(eqx.Module):
@@ -74,3 +75,17 @@ def test_laps_are_computed_by_workers_whose_kernels_have_several_results(monkeyp
         flags = executor.submit(os.getenv, "XLA_FLAGS")() or ""
         assert (executor.pool is not None) == (FUSED_RESULTS in flags.split()) == (wanted == "1")
     assert FUSED_RESULTS not in os.environ["XLA_FLAGS"]
+
+
+def sizes(batch):
+    return jnp.full(batch_size(batch), batch_size(batch)), batch
+
+
+@pytest.mark.parametrize("num, size", [(3, 1), (16, 2), (19, 2), (300, 16)])
+def test_blocks_fill_calls_of_one_size(monkeypatch, num, size):
+    monkeypatch.setattr(executors, "num_cores", lambda: 2)
+    numbers = jnp.arange(num)
+    calls, same = BatchExecutor(1).map_blocks(sizes, numbers)
+    np.testing.assert_array_equal(calls, np.full(num, size))
+    np.testing.assert_array_equal(same, numbers)
+    np.testing.assert_array_equal(BatchExecutor(None).map_blocks(sizes, numbers)[0], np.full(num, num))

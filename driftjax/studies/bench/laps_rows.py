@@ -14,7 +14,7 @@ from driftjax.learning.scenario import Scenario, build_drivers, build_scenario
 from driftjax.learning.stage import run_stage
 from driftjax.learning.stages import drive_nominal, first_progress
 from driftjax.learning.updates import update_progress
-from driftjax.parallel import BatchExecutor, process_executor
+from driftjax.parallel import BatchExecutor, CompileAheadExecutor, process_executor
 from driftjax.sim import LapCode
 from driftjax.studies.bench.config import BenchConfig
 from driftjax.studies.bench.rows import PartResult, Row, Timing
@@ -45,22 +45,18 @@ def learnt_residual() -> Residual:
 
 
 def time_laps(num: int, num_workers: int, residual: Residual) -> Driven:
-    """Time a GP lap of `num` plants at once, with the programs of all workers compiled before."""
+    """Time a GP lap of `num` plants at once, with its program compiled before; workers then load it."""
     with process_executor(num_workers, fused=True) as executor:
-        # one call takes either the whole batch or a single plant
-        warm_up(executor, num if executor.chunk is None else max(1, num_workers), residual)
         scenario, batch = build_laps(executor, num, residual)
+        if executor.pool is None:
+            run_stage(scenario, batch, 0)
+        else:
+            run_stage(dataclasses.replace(scenario, executor=CompileAheadExecutor(executor.pool)), batch, 0)
         start = time.perf_counter()
         stage = run_stage(scenario, batch, 1)
         jax.block_until_ready(stage.laps.code)
         seconds = time.perf_counter() - start
     return Driven(seconds, float(np.mean(np.asarray(stage.laps.code) == int(LapCode.COMPLETED))))
-
-
-def warm_up(executor: BatchExecutor, num: int, residual: Residual) -> None:
-    """Drive a lap of `num` plants to compile all programs."""
-    scenario, batch = build_laps(executor, num, residual)
-    run_stage(scenario, batch, 0)
 
 
 def build_laps(executor: BatchExecutor, num: int, residual: Residual) -> tuple[Scenario, Driver]:
