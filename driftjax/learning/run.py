@@ -72,7 +72,7 @@ def check_files(config: LearnConfig) -> None:
 def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
     """Drive every stage missing in `folder`; write and return the results, and collect the laps.
 
-    Deterministic: the same config gives the same laps, resumed or not, with any number of worker processes.
+    Deterministic on one machine: a config gives the same laps, resumed or not, with any number of worker processes.
     """
     names = stage_names(config)
     share = _share_done(len(names), report)
