@@ -13,4 +13,4 @@ for _ in range(3):
     plan = mpc.respond(prepared, dj.mpc_state(x, u))  # after it
     u, x = np.array([plan.u.delta, plan.u.Fxr]), plan.X[1]  # here the car does what the model says
     print("steering [rad], force [N]:", u, "error of the program:", plan.response.error)
-print("of the problem:", mpc.judge(prepared, plan))
+    print("of the problem:", mpc.judge(prepared, plan))  # when there is time
