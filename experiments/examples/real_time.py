@@ -1,4 +1,4 @@
-"""Drive with the drift MPC at a fixed rate, in two halves; `dj.export_mpc` writes them for a controller without this."""
+"""Drive with the drift MPC at a fixed rate, in two halves; `dj.export_mpc` writes both for use without this package."""
 
 import jax.numpy as jnp
 import numpy as np
