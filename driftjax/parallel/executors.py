@@ -158,10 +158,11 @@ def num_workers(entries: int) -> int:
 def process_executor(num: int, fused: bool = False) -> Iterator[BatchExecutor]:
     """Compute batches in `num` worker processes, which end with the context; with 0, in this process.
 
-    `fused` is for laps: on a CPU at least one worker process then computes them, twice as fast (`FUSED_RESULTS`).
+    `fused` is for laps: on a CPU at least one worker process then computes them, twice as fast (`FUSED_RESULTS`),
+    unless this process has that flag itself.
     """
     on_cpu = jax.default_backend() == "cpu"
-    fused = fused and on_cpu and fuses_results()
+    fused = fused and on_cpu and fuses_results() and FUSED_RESULTS not in os.environ.get("XLA_FLAGS", "").split()
     if num == 0 and not fused:
         yield BatchExecutor(1 if on_cpu else None)
         return

@@ -24,6 +24,7 @@ from driftjax.core import RESULTS
 from driftjax.solve.batch_conditions import BatchIterate, OptimalityError, QPModel
 from driftjax.solve.batch_ocp import AbstractBatchOCP
 from driftjax.solve.batch_program import (
+    LAST_STEPS,
     BatchData,
     Programs,
     batch_data,
@@ -41,7 +42,7 @@ from driftjax.solve.ocp import Options, Solution
 from driftjax.solve.solution_derivative import solution_tangent, split, total_cost
 
 MANY, SHARE = 64, 8  # from this batch size on, the last eighth of the entries goes on in a smaller batch
-PROGRAM_STEPS, LAST_STEPS = 3, 60  # interior-point iterations per program, and of the last program allowed
+PROGRAM_STEPS = 3  # interior-point iterations per program, but for the last one allowed
 EARLY = 8  # iterations of a batch of `MANY` with cheaper second derivatives: most entries need no more
 SMALLER = 0.1  # times the first barrier of the attempt before
 FORCING, COARSE, FINE = 0.1, 1e-2, 0.3  # a program ends at these shares of the problem's error, of 1, of the tolerance

@@ -51,6 +51,12 @@ class StepGains(NamedTuple):
     u: Matrix  # on the step of the input before
 
 
+def no_gains(X: Components, U: Components) -> StepGains:
+    """Return gains of zero."""
+    blank = lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in U]
+    return StepGains(blank(len(X)), blank(len(U)))
+
+
 class Policy(NamedTuple):
     """Right-hand side treated backwards."""
 

@@ -22,6 +22,7 @@ from driftjax.solve.compute_once import compute_once
 from driftjax.solve.ocp import Options
 from driftjax.solve.solution_derivative import split
 
+LAST_STEPS = 60  # interior-point iterations of a program that is solved to the tolerance
 SLACK_FLOOR = 0.1  # least first slack, over the root of the barrier: a smaller one is pressed to its limit at once
 
 

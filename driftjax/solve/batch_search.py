@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import PyTree
 
 from driftjax.solve.batch_conditions import BatchIterate, QPModel, all_constraints, slack_residuals
-from driftjax.solve.batch_newton import StepGains
+from driftjax.solve.batch_newton import StepGains, no_gains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_qp import BOUNDARY_FRACTION, central
 from driftjax.solve.component_derivatives import dot
@@ -43,10 +43,8 @@ def no_search(start: BatchIterate, active: Array) -> LineSearch:
     """Return a search that has not begun."""
     zero = jnp.zeros_like(start.U[0][0])
     large = jnp.full_like(zero, jnp.inf)
-    blank = lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in start.U]
-    gains = StepGains(blank(len(start.X)), blank(len(start.U)))
     none = jnp.zeros_like(active, jnp.int32)
-    return LineSearch(active, none, start, start.costates, large, large, zero, start, gains, zero)
+    return LineSearch(active, none, start, start.costates, large, large, zero, start, no_gains(*start[:2]), zero)
 
 
 def search_from(

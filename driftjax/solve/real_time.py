@@ -11,9 +11,10 @@ from jax import Array
 from jaxtyping import Float, PyTree
 
 from driftjax.solve.batch_conditions import BatchIterate, OptimalityError, QPModel
-from driftjax.solve.batch_newton import StepGains
+from driftjax.solve.batch_newton import no_gains
 from driftjax.solve.batch_ocp import AbstractBatchOCP, Components
 from driftjax.solve.batch_program import (
+    LAST_STEPS,
     BatchData,
     Programs,
     batch_data,
@@ -24,8 +25,6 @@ from driftjax.solve.batch_program import (
 )
 from driftjax.solve.component_derivatives import dot, total
 from driftjax.solve.ocp import Options
-
-MOST = 60  # interior-point iterations of a response
 
 
 class Preparation(NamedTuple):
@@ -81,11 +80,10 @@ def respond(ocp: AbstractBatchOCP, prepared: Preparation, x0: Float[Array, "nx b
     """
     batch, barrier = prepared.batch(ocp), prepared.barrier
     model, it = _from_state(prepared.model, prepared.iterate, list(x0))
-    none, blank = jnp.zeros_like(barrier), lambda n: [[jnp.zeros_like(u) for _ in range(n)] for u in it.U]
-    gains = StepGains(blank(len(it.X)), blank(len(it.U)))
+    none, gains = jnp.zeros_like(barrier), no_gains(*it[:2])
     never, count = jnp.zeros_like(barrier, bool), jnp.zeros_like(barrier, jnp.int32)
     start = Programs(model, it, barrier, gains, none + 1, none + jnp.inf, never, ~never, count)
-    end = solve_programs(batch, start, batch.tolerance, jnp.full_like(count, MOST))
+    end = solve_programs(batch, start, batch.tolerance, jnp.full_like(count, LAST_STEPS))
     X, U = jnp.stack(end.iterate.X), jnp.stack(end.iterate.U)
     return Response(X, U, end.error, end.num_steps, end.infeasible, end.iterate)
 

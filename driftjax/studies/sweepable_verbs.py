@@ -120,13 +120,13 @@ def paper_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> It
 
 PAPER_FIGURES = ("lateral_error", "lateral_error_max", "velocity_rmse", "lap_time", "completed", "drifted")
 WORKS = {
-    "learn": Work(complete_learn, learn_files, learn_rows, LAP_COLUMNS),
+    "learn": Work(complete_learn, learn_files, learn_rows, LAP_COLUMNS, fused=True),
     "diagnose": Work(
         complete_diagnose, diagnose_files, diagnose_rows,
         {"verdict": str, "named": int, "causes": str, "error_ratio": float, "skill": float},
     ),
     "paper": Work(
         complete_paper, paper_files, paper_rows,
-        {"car": str, "controller": str, "stage": str} | dict.fromkeys(PAPER_FIGURES, float),
+        {"car": str, "controller": str, "stage": str} | dict.fromkeys(PAPER_FIGURES, float), fused=True,
     ),
 }  # fmt: skip

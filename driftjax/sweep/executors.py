@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from driftjax.core import BadInput
-from driftjax.environment import FUSED_RESULTS, fuses_results, with_flag
+from driftjax.environment import FUSED_RESULTS, with_flag
 from driftjax.logs.extras import import_extra
 from driftjax.parallel import apply_settings, process_pool, settings
 
@@ -39,10 +39,10 @@ class ChunkExecutor:
 class ProcessExecutor(ChunkExecutor):
     """Run in worker processes; one chunk waits for each."""
 
-    def __init__(self, num: int, stack: ExitStack):
+    def __init__(self, num: int, stack: ExitStack, fused: bool):
         super().__init__()
-        self.num, self._stack = num, stack
-        self._pool = stack.enter_context(process_pool(num, fuses_results()))
+        self.num, self._stack, self._fused = num, stack, fused
+        self._pool = stack.enter_context(process_pool(num, fused))
 
     @property
     def slots(self) -> int:
@@ -56,17 +56,17 @@ class ProcessExecutor(ChunkExecutor):
     def restart(self) -> None:
         """Replace the whole pool, which a dead worker broke; running chunks are lost."""
         self._stack.close()
-        self._pool = self._stack.enter_context(process_pool(self.num, fuses_results()))
+        self._pool = self._stack.enter_context(process_pool(self.num, self._fused))
 
 
 class RayExecutor(ChunkExecutor):
     """Run on a Ray cluster, one core per worker; chunks of a lost worker or node are retried elsewhere."""
 
-    def __init__(self, address: str):
+    def __init__(self, address: str, fused: bool):
         super().__init__()
         ray = import_extra("--ray", "Ray", "ray", "ray")
         environment = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
-        if fuses_results():
+        if fused:
             environment["XLA_FLAGS"] = with_flag(environment.get("XLA_FLAGS", ""), FUSED_RESULTS)
         try:
             ray.init(address=address, log_to_driver=False, logging_level="error", runtime_env={"env_vars": environment})
@@ -96,12 +96,12 @@ def _in_worker(known: dict[str, Any], function: Callable, args: tuple) -> Any:
 
 
 @contextmanager
-def open_executor(num: int, ray: str | None, batched: bool = False) -> Iterator[ChunkExecutor]:
+def open_executor(num: int, ray: str | None, batched: bool = False, fused: bool = False) -> Iterator[ChunkExecutor]:
     """Open an executor: the cluster at address `ray`, `num` worker processes, or this process where `num` is 0."""
     with ExitStack() as stack:
         if ray is not None:
-            cluster = RayExecutor(ray)
+            cluster = RayExecutor(ray, fused)
             stack.callback(cluster.close)
             yield cluster
         else:
-            yield ProcessExecutor(num, stack) if num else ChunkExecutor(batched)
+            yield ProcessExecutor(num, stack, fused) if num else ChunkExecutor(batched)

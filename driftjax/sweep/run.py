@@ -78,8 +78,8 @@ def finish_sweep(
         optuna = config.design == "optuna"
         source = OptunaSource(config, store.work, store) if optuna else (
             DesignSource(config, store.work, known, opened.share))  # fmt: skip
-        apart = num > 1 or (fuses_results() and devices() is None)
-        with open_executor(num if apart else 0, ray, devices() is not None) as running:
+        fused = store.work.fused and fuses_results() and devices() is None
+        with open_executor(num if num > 1 or fused else 0, ray, devices() is not None, fused) as running:
             counts = run_trials(config, store.work, store, source, running, report)
         analysis = analyse(store, config)
         shares = sensitivity(analysis)

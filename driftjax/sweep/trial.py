@@ -30,6 +30,8 @@ class Work:
     """Yield the rows of every step as it ends; the folder is for the trial's own files."""
     columns: dict[str, type]
     """Columns of the rows."""
+    fused: bool = False
+    """Whether XLA may merge the kernels of its programs (`driftjax.environment.FUSED_RESULTS`)."""
 
 
 @dataclass(frozen=True)

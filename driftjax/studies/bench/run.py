@@ -82,9 +82,8 @@ def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
     own = {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NPROC": threads}
     if part in (*elementwise, "controller") and jax.default_backend() == "cpu":
         flags = os.environ.get("XLA_FLAGS", "")
-        flags = (
-            flags.replace(SERIAL_LOOPS, "") if part in elementwise else flags
-        )  # their loops may be shared by threads
+        if part in elementwise:  # their loops may be shared by threads
+            flags = flags.replace(SERIAL_LOOPS, "")
         own["XLA_FLAGS"] = with_flag(flags, FUSED_RESULTS).strip() if fuses_results() else flags.strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})
