@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from driftjax.core import BadInput, from_dict
+from driftjax.environment import FUSED_RESULTS
 from driftjax.sweep import check, open_executor, run_trials
 from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.engine import CHUNK_SECONDS
@@ -330,3 +331,11 @@ def test_a_ray_cluster_that_loses_a_node_gives_the_same(tmp_path):
 @pytest.mark.slow
 def test_a_ray_cluster_that_loses_twenty_nodes_gives_the_same(tmp_path):
     lost_nodes_change_nothing(tmp_path, 1000, 20)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_workers_merge_kernels_only_for_work_that_allows_it(monkeypatch, fused):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    with open_executor(1, None, fused=fused) as workers:
+        flags = workers.submit(os.getenv, "XLA_FLAGS").result(timeout=60) or ""
+    assert (FUSED_RESULTS in flags.split()) == fused
