@@ -1,8 +1,8 @@
-"""The ablations of the comparison: the words and the changed options of each."""
+"""Ablations of the comparison: the words and the changed options of each."""
 
 
 def by(acquisition: str) -> dict:
-    """Return the change to another rule than Algorithm 1."""
+    """Return the options that replace Algorithm 1 by the rule `acquisition`."""
     return {"acquisition": acquisition}
 
 

@@ -1,4 +1,4 @@
-"""Credit each cause with its gain: contrasts of ablations that differ in one change, paired over plants."""
+"""Attribute the gain to its causes: contrasts of ablations that differ in one change, paired over plants."""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +7,7 @@ import numpy as np
 from driftjax.learning.metrics import difference, reduction
 
 GPR, EXPLORED = "gpr-best", "explore-best"
-RUNGS = {  # name: (words, ablation, stage whose laps are judged)
+VARIANTS = {  # name: (words, ablation, stage whose laps are judged)
     "nominal": ("nominal MPC, as many laps", "nominal", GPR),
     "lags": ("+ learnt lags", "lags", GPR),
     "arrival": ("+ measured arrival", "arrival", GPR),
@@ -23,7 +23,7 @@ RUNGS = {  # name: (words, ablation, stage whose laps are judged)
 
 
 class ArmContrast(NamedTuple):
-    """A gain and the two rungs between which it lies."""
+    """Name of a gain, and the two variants whose errors it compares."""
 
     words: str
     before: str
@@ -53,22 +53,22 @@ SQUARE = {("planned", "off"): "laps", ("planned", "on"): "correction", ("sets", 
 
 
 def credit(ablations: dict[str, Any]) -> dict[str, Any]:
-    """Return per controller the rungs that the finished `ablations` drove, and every contrast between two of them.
+    """Return per controller the variants that the finished `ablations` drove, and the contrasts between two of them.
 
     Lateral errors are mean lap errors [m]; gains are paired over plants, with 95 % intervals by Student's t.
     """
     controllers = dict.fromkeys(who for one in ablations.values() for who in one["methods"])
-    ladders = {who: _credit(ablations, who) for who in controllers}
-    return {who: one for who, one in ladders.items() if one["contrasts"]}
+    credits = {who: _credit(ablations, who) for who in controllers}
+    return {who: one for who, one in credits.items() if one["contrasts"]}
 
 
 def _credit(ablations: dict[str, Any], who: str) -> dict[str, Any]:
-    rungs: dict[str, Any] = {}
-    for name, (_, ablation, stage) in RUNGS.items():
+    variants: dict[str, Any] = {}
+    for name, (_, ablation, stage) in VARIANTS.items():
         figures = ablations.get(ablation, {}).get("methods", {}).get(who, {}).get(stage)
         if figures:
-            rungs[name] = {key: figures[key] for key in ("lateral_error", "velocity_rmse", "completed")}
-    values = lambda name, figure="lateral_error": np.asarray(rungs[name][figure]["per_plant"], float)
+            variants[name] = {key: figures[key] for key in ("lateral_error", "velocity_rmse", "completed")}
+    values = lambda name, figure="lateral_error": np.asarray(variants[name][figure]["per_plant"], float)
     contrasts = {
         name: {
             "metres": difference(values(before), values(after)),
@@ -76,10 +76,10 @@ def _credit(ablations: dict[str, Any], who: str) -> dict[str, Any]:
             "velocity_percent": reduction(values(before, "velocity_rmse"), values(after, "velocity_rmse")),
         }
         for name, (_, before, after) in CONTRASTS.items()
-        if before in rungs and after in rungs
+        if before in variants and after in variants
     }
-    ladder = {"rungs": rungs, "contrasts": contrasts}
-    if all(name in rungs for name in SQUARE.values()):
+    credited = {"rungs": variants, "contrasts": contrasts}
+    if all(name in variants for name in SQUARE.values()):
         alone, beside = values("sets") - values("laps"), values("all") - values("correction")
-        ladder["interaction"] = difference(alone, beside)
-    return ladder
+        credited["interaction"] = difference(alone, beside)
+    return credited

@@ -19,10 +19,10 @@ def write_figures(results: dict[str, Any], folder: Path) -> list[Path]:
     """Write `statistics_<car>`, `laps_<car>`, `credit_<car>` as .png and .pdf where they have content; return PNGs."""
     cars = results["cars"].items()
     compared = [_draw(car, result, folder) for car, result in cars if "methods" in result]
-    ladders = {car: {who: one for who, one in result["credit"].items() if "interaction" in one and
+    credits = {car: {who: one for who, one in result["credit"].items() if "interaction" in one and
                      all(step in one["contrasts"] for step in WATERFALL)} for car, result in cars}  # fmt: skip
     compared += [_draw_choosers(car, result["choosers"], folder) for car, result in cars if result.get("choosers")]
-    return compared + [_draw_credit(car, ladder, folder) for car, ladder in ladders.items() if ladder]
+    return compared + [_draw_credit(car, credited, folder) for car, credited in credits.items() if credited]
 
 
 def _draw(car: str, result: dict[str, Any], folder: Path) -> Path:
@@ -109,9 +109,9 @@ def _ablations(axis: Axes, ablations: dict[str, Any], end: str, title: str) -> N
 def _draw_credit(car: str, credit: dict[str, Any], folder: Path) -> Path:
     """Draw per controller the waterfall from nominal to explored and the interaction of speed and correction."""
     figure, axes = new_figure(len(credit), 2, (13.0, 4.2 * len(credit)), width_ratios=(2, 1))
-    for row, (who, ladder) in zip(axes, credit.items(), strict=True):
-        _waterfall(row[0], ladder)
-        _interaction(row[1], ladder)
+    for row, (who, credited) in zip(axes, credit.items(), strict=True):
+        _waterfall(row[0], credited)
+        _interaction(row[1], credited)
         row[0].set_title(CONTROLLERS[who])
     figure.suptitle(f"{car}: who owns the gain; means and 95 % intervals over plants, of steps paired")
     return save(figure, folder, f"credit_{car}")
@@ -139,14 +139,14 @@ def _draw_choosers(car: str, choosers: dict[str, Any], folder: Path) -> Path:
     return save(figure, folder, f"laps_{car}")
 
 
-def _waterfall(axis: Axes, ladder: dict[str, Any]) -> None:
-    level = {name: rung["lateral_error"]["mean"] for name, rung in ladder["rungs"].items()}
+def _waterfall(axis: Axes, credited: dict[str, Any]) -> None:
+    level = {name: variant["lateral_error"]["mean"] for name, variant in credited["rungs"].items()}
     axis.barh(0, level["nominal"], color=NOMINAL)
     for y, step in enumerate(WATERFALL, start=1):
         _, before, after = CONTRASTS[step]
         better = level[after] <= level[before]
         axis.barh(y, level[after] - level[before], left=level[before], color=GPR if better else EXPLORED)
-        low, high = ladder["contrasts"][step]["metres"]["ci95"]
+        low, high = credited["contrasts"][step]["metres"]["ci95"]
         if low is not None:
             axis.plot([level[before] + low, level[before] + high], [y, y], color="black", lw=1.2)
         axis.plot([level[before]] * 2, [y - 1, y], color="black", lw=0.6)
@@ -157,9 +157,9 @@ def _waterfall(axis: Axes, ladder: dict[str, Any]) -> None:
     axis.set_xlabel("mean lateral error [m]; blue: less, red: more")
 
 
-def _interaction(axis: Axes, ladder: dict[str, Any]) -> None:
+def _interaction(axis: Axes, credited: dict[str, Any]) -> None:
     for correction, colour, shift in (("off", NOMINAL, -0.03), ("on", EXPLORED, 0.03)):
-        cells = [ladder["rungs"][SQUARE[speed, correction]]["lateral_error"] for speed in ("planned", "sets")]
+        cells = [credited["rungs"][SQUARE[speed, correction]]["lateral_error"] for speed in ("planned", "sets")]
         x = [shift, 1 + shift]
         axis.plot(x, [cell["mean"] for cell in cells], "o-", color=colour, label=f"correction of the path {correction}")
         for at, cell in zip(x, cells, strict=True):

@@ -3,7 +3,7 @@
 from typing import Any
 
 from driftjax.report.table import CONTROLLERS, format_interval, markdown_table, number
-from driftjax.studies.paper.credit import CONTRASTS, RUNGS
+from driftjax.studies.paper.credit import CONTRASTS, VARIANTS
 from driftjax.studies.paper.statistics import ALONE, METHODS, TARGETS
 
 HEAD = {
@@ -110,22 +110,22 @@ def _feasible(feasibility: dict[str, Any]) -> list[str]:
 
 
 def _credit(credit: dict[str, Any], car: str) -> list[str]:
-    """Return who owns the gain: the rungs, then the contrasts between them."""
-    rungs = [
-        (RUNGS[name][0], CONTROLLERS[who], format_interval(cell["lateral_error"], ".3f"),
+    """Return the tables of the causes of the gain: the variants, then the contrasts between them."""
+    variants = [
+        (VARIANTS[name][0], CONTROLLERS[who], format_interval(cell["lateral_error"], ".3f"),
          format_interval(cell["velocity_rmse"], ".2f"), format_interval(cell["completed"], ".2f"))
-        for who, ladder in credit.items() for name, cell in ladder["rungs"].items()
+        for who, credited in credit.items() for name, cell in credited["rungs"].items()
     ]  # fmt: skip
     rows: list[tuple[str, ...]] = []
-    for who, ladder in credit.items():
-        for name, cell in ladder["contrasts"].items():
+    for who, credited in credit.items():
+        for name, cell in credited["contrasts"].items():
             aim = TARGETS[car].get(name.removesuffix("_gross")) if who == "paper" else None
             gains = (format_interval(cell[key], ".0f") for key in ("percent", "velocity_percent"))
             metres = format_interval(cell["metres"], "+.3f")
             rows.append((CONTRASTS[name].words, CONTROLLERS[who], metres, *gains, number(aim, "g")))
-        if "interaction" in ladder:
+        if "interaction" in credited:
             words = "interaction: V-sets beside the correction less V-sets alone"
-            rows.append((words, CONTROLLERS[who], format_interval(ladder["interaction"], "+.3f"), "-", "-", "-"))
+            rows.append((words, CONTROLLERS[who], format_interval(credited["interaction"], "+.3f"), "-", "-", "-"))
     text = [
         "Who owns the gain: all rows have the same plants and noise, as many GPR laps and, where explored, as many "
         "exploration laps. The single layer has as many laps of data as the double layer here; in the main comparison "
@@ -134,8 +134,8 @@ def _credit(credit: dict[str, Any], car: str) -> list[str]:
     ]
     change = ("gain of", "controller", "change of lateral error [m]", "reduction [%]", "of speed RMSE [%]",
               "Wu et al. [%]")  # fmt: skip
-    rung_head = ("driven", "controller", "lateral error [m]", "speed RMSE [m/s]", "completed")
-    return [*text, *_rows(rung_head, rungs), *_rows(change, rows)]
+    variant_head = ("driven", "controller", "lateral error [m]", "speed RMSE [m/s]", "completed")
+    return [*text, *_rows(variant_head, variants), *_rows(change, rows)]
 
 
 def _choosers(result: dict[str, Any]) -> list[str]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driftjax.studies.paper.credit import CONTRASTS, RUNGS, SQUARE, WATERFALL, credit
+from driftjax.studies.paper.credit import CONTRASTS, SQUARE, VARIANTS, WATERFALL, credit
 from driftjax.studies.paper.figures import write_figures
 from driftjax.studies.paper.statistics import summarise_figures
 from driftjax.studies.paper.table import paper_page
@@ -16,11 +16,11 @@ PLANTS = np.array([0.7, 0.9, 1.1, 1.3])  # the error of each is that many times 
 
 
 def ablations(*without: str) -> dict[str, Any]:
-    """Ablations as in results.json, of which the rungs in `without` were not driven."""
+    """Ablations as in results.json, of which the variants in `without` were not driven."""
     content: dict[str, Any] = {}
-    for rung, error in ERRORS.items():
-        _, name, stage = RUNGS[rung]
-        if rung in without:
+    for variant, error in ERRORS.items():
+        _, name, stage = VARIANTS[variant]
+        if variant in without:
             continue
         figures = {"lateral_error": error * PLANTS, "velocity_rmse": 2 * error * PLANTS, "completed": np.ones(4)}
         one = content.setdefault(name, {"words": name, "methods": {"paper": {}}, "gains": {"paper": {}}})
@@ -36,18 +36,18 @@ def results(*without: str) -> dict[str, Any]:
     return {"split": split, "cars": {"sedan": {"ablations": content, "credit": credit(content)}}}
 
 
-def test_gains_are_paired_differences_of_the_rungs_between_which_they_lie():
-    ladder = credit(ablations())["paper"]
-    assert list(ladder["rungs"]) == list(RUNGS) and list(ladder["contrasts"]) == list(CONTRASTS)
+def test_gains_are_paired_differences_of_the_variants_that_they_compare():
+    credited = credit(ablations())["paper"]
+    assert list(credited["rungs"]) == list(VARIANTS) and list(credited["contrasts"]) == list(CONTRASTS)
     for name, (_, before, after) in CONTRASTS.items():
-        cell, change = ladder["contrasts"][name], ERRORS[after] - ERRORS[before]
+        cell, change = credited["contrasts"][name], ERRORS[after] - ERRORS[before]
         assert cell["metres"]["mean"] == pytest.approx(change) and cell["metres"]["pairs"] == 4
         half = 3.18245 * abs(change) * PLANTS.std(ddof=1) / 2  # Student's t with three degrees of freedom
         np.testing.assert_allclose(cell["metres"]["ci95"], [change - half, change + half], rtol=1e-4)
         for figure in ("percent", "velocity_percent"):  # the same share on every plant: nothing left to vary
             assert cell[figure]["value"] == pytest.approx(-100 * change / ERRORS[before])
             assert np.ptp(cell[figure]["ci95"]) < 1e-6
-    assert ladder["interaction"]["mean"] == pytest.approx((0.12 - 0.1) - (0.24 - 0.25))
+    assert credited["interaction"]["mean"] == pytest.approx((0.12 - 0.1) - (0.24 - 0.25))
 
 
 def test_the_waterfall_leads_from_nominal_to_explored_without_a_gap():
@@ -59,11 +59,11 @@ def test_the_waterfall_leads_from_nominal_to_explored_without_a_gap():
 
 
 def test_what_was_not_driven_is_credited_with_nothing():
-    ladder = credit(ablations("lags", "sets"))["paper"]
-    assert "interaction" not in ladder
+    credited = credit(ablations("lags", "sets"))["paper"]
+    assert "interaction" not in credited
     left = {name for name, (_, *ends) in CONTRASTS.items() if not {"lags", "sets"} & set(ends)}
-    assert set(ladder["contrasts"]) == left
-    assert credit({}) == {} and credit(ablations(*(name for name in RUNGS if name != "lags"))) == {}
+    assert set(credited["contrasts"]) == left
+    assert credit({}) == {} and credit(ablations(*(name for name in VARIANTS if name != "lags"))) == {}
 
 
 def test_net_gains_stand_beside_those_of_the_paper_and_the_figure_is_drawn(tmp_path):
@@ -73,7 +73,7 @@ def test_net_gains_stand_beside_those_of_the_paper_and_the_figure_is_drawn(tmp_p
     gpr, exploration = net[CONTRASTS["gpr"].words], net[CONTRASTS["exploration"].words]
     assert gpr[3].startswith("50 [50") and gpr[-1] == "52.8"
     assert exploration[2].startswith("+0.020 [") and exploration[3].startswith("-20 [") and exploration[-1] == "27.1"
-    assert "Plants 4 to 7" in words and all(RUNGS[name][0] in words for name in SQUARE.values())
+    assert "Plants 4 to 7" in words and all(VARIANTS[name][0] in words for name in SQUARE.values())
     paths = write_figures(results(), tmp_path)
     assert [path.name for path in paths] == ["credit_sedan.png"]
     assert all(paths[0].with_suffix(kind).stat().st_size > 10000 for kind in (".png", ".pdf"))
