@@ -1,4 +1,4 @@
-"""Shared by the verbs: flags over files, work inside a run folder, progress."""
+"""Helpers that all verbs share: parse flags over files, work inside a run folder, report progress."""
 
 import argparse
 import os
@@ -33,7 +33,7 @@ SILENCE = 60.0  # between two lines of one text in a log file [s]
 
 
 def early_flags(argv: list[str], *flags: str) -> tuple[dict[str, str | None], list[str]]:
-    """Parse the flags that set the defaults of all others; returns their values and the other arguments."""
+    """Parse first the `flags` that set the defaults of the others; return their values and the remaining arguments."""
     early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for flag in flags:
         early.add_argument(f"--{flag}", nargs="?")

@@ -1,4 +1,4 @@
-"""Excite steering and drive in the corner, so that a lap's inputs are not tied to its states by the feedback."""
+"""Excite steering and drive in the corner, so that a lap's inputs do not only follow its states."""
 
 import jax.numpy as jnp
 from jax import Array

@@ -94,7 +94,7 @@ class DriftBatchOCP(AbstractBatchOCP):
                 *((n + i, 1 - share) for i, share in enumerate(mean))]  # fmt: skip
 
     def jacobian(self, function: Callable[..., Sequence[Array]], *z: Array) -> tuple[Components, Matrix]:
-        """Return values and derivatives; of a car with named effects, a long function, all at once."""
+        """Return values and derivatives; for a car with named effects, whose function is long, all at once."""
         return (jacobian if isinstance(self.car, SingleTrack) else jacobian_together)(function, *z)
 
     def step(self, x: Components, u: Components, p: Reference) -> Components:

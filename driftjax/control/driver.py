@@ -149,7 +149,7 @@ class Driver(eqx.Module):
         return MPCProblem(x, memory.command, memory.lagged_input, reference, X, U, options)
 
     def excitation(self, s: Array) -> Float[Array, " 2"]:
-        """Return what is added to steering [rad] and drive [N] at arc length `s`."""
+        """Return the excitation of steering [rad] and drive [N] at arc length `s`."""
         start = self.table.drift_start - self.lead
         return self.dither * corner_excitation((s - start) / (self.table.drift_end - start))
 

@@ -18,7 +18,7 @@ MEMORY = 0.3  # s
 
 
 class Estimate(NamedTuple):
-    """Estimate of the motion at a sample, before its measurement, and what has been commanded since."""
+    """Estimate of the motion at a sample, before its measurement, and of the actuators."""
 
     x: Float[Array, "6"]  # V, beta, r, x, y, psi
     P: Float[Array, "6 6"]
@@ -38,11 +38,11 @@ class Estimator(eqx.Module):
 
     @property
     def num_pending(self) -> int:
-        """Return the number of commands that are on their way at a sample."""
+        """Return the number of commands that do not act yet at a sample."""
         return self.whole + (self.part is not None)
 
     def start(self) -> Estimate:
-        """Return the estimate before the first sample: nothing is known, no command is on its way."""
+        """Return the estimate before the first sample: nothing is known, no command is pending."""
         commands = jnp.zeros((self.num_pending, 2))
         return Estimate(jnp.zeros(6), jnp.zeros((6, 6)), jnp.zeros(2), commands, jnp.asarray(False))
 

@@ -27,7 +27,7 @@ def rk4_step(f: Callable[[T], T], x: T, dt: float | Array) -> T:
 
 
 class Tableau(NamedTuple):
-    """Explicit Runge-Kutta method whose slopes each need the one before only."""
+    """Explicit Runge-Kutta method in which each slope needs only the one before."""
 
     into: np.ndarray  # distance along the previous slope at which each is evaluated, in steps
     weights: np.ndarray  # of the slopes in the step

@@ -98,7 +98,7 @@ def gains_of_adding(model: QuadraticCost, effects: tuple[int, ...]) -> np.ndarra
 
 
 def beam_search(model: QuadraticCost, most: int, penalty: float) -> list[EffectSet]:
-    """Return sets of up to `most` effects, the least cost with a `penalty` per parameter first; at most `WIDTH` a size.
+    """Return sets of up to `most` effects, lowest cost plus `penalty` per parameter first; at most `WIDTH` a size.
 
     Each set of one size is extended by every effect; all pairs are looked at, since singles are all kept.
     """

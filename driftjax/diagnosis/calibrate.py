@@ -251,5 +251,5 @@ def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit
     """
     columns = loose.columns(selected)
     rough, _ = refit_to_convergence(loose, require_finite_cost(nominal_fit(loose)), columns)
-    anew = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
-    return anew, *refit_to_convergence(anew, require_finite_cost(evaluate_fit(anew, rough.theta)), columns)
+    again = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
+    return again, *refit_to_convergence(again, require_finite_cost(evaluate_fit(again, rough.theta)), columns)

@@ -281,7 +281,7 @@ def judge(
 
 
 def exceeds_tolerance(gap: Gap, tolerated: float) -> bool:
-    """Return whether more than `tolerated` of the gap is left beyond doubt, or it is in doubt that most is closed."""
+    """Return whether more than the share `tolerated` of the gap is surely left, or it is unsure that most is closed."""
     if gap.closed is None:
         return False
     one = gap.closed

@@ -53,7 +53,7 @@ class Information(NamedTuple):
 
 
 def information_of(problem: Problem, fit: Fit, linearisation: Linearisation) -> Information:
-    """Return the information of the log of `problem` about `fit`, which the `linearisation` belongs to."""
+    """Return the information of the log of `problem`, with its `linearisation` at `fit`."""
     J, e, block = np.asarray(linearisation.J), np.asarray(linearisation.e), problem.data.block
     num = problem.data.num_blocks
     H = np.stack([information(J[block == k][None]) for k in range(num)])

@@ -41,7 +41,7 @@ class Change(NamedTuple):
 
 
 def left_out_blocks(data: Pieces, buffer: int) -> np.ndarray | None:
-    """Return which blocks of time (P, C) a fit leaves out that is to predict each piece; None where the log is short.
+    """Return the blocks of time (P, C) left out of the fit that predicts each piece; None for a log that is too short.
 
     These are those of its run, or its own ones with `buffer` blocks before and after them.
     """

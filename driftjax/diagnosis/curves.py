@@ -43,7 +43,7 @@ class AxleCurve(NamedTuple):
 
 
 def axle_curve(problem: Problem, selection: Selection, member: int) -> AxleCurve | None:
-    """Return the curve of the axle whose form the effect `member` frees; None for any other effect.
+    """Return the force curve of the axle that the effect `member` gives a free form; None for any other effect.
 
     Band and intervals follow from the robust covariance of all named parameters to first order (delta method): single
     parameters of a form may be open where the curve is not.

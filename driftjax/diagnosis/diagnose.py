@@ -103,7 +103,7 @@ class Diagnosis:
 
     @property
     def extended(self) -> VehicleConfig:
-        """Return the car to go on with, for simulator, planner, equilibria and MPC: the one with the named effects.
+        """Return the car to use from now on, in simulator, planner, equilibria and MPC: the one with the named effects.
 
         Where that predicts held-out runs worse than the nominal car or the re-tuned one (friction and stiffness), it
         is the better one of these.
@@ -121,7 +121,7 @@ class Diagnosis:
     def drive_proposal(self, truth: Path, path: Path, *, cut: float | None = None) -> Log:
         """Drive the proposed manoeuvre on the simulated car that the file `truth` describes, and write it to `path`.
 
-        Returns the log of the diagnosis read anew, with that run, as `read_log` does. Raises `BadInput` where nothing
+        Returns the log of the diagnosis read again, with that run, as `read_log` does. Raises `BadInput` where nothing
         is proposed, or where the log came from no file.
         """
         if self.proposal is None:
@@ -198,7 +198,7 @@ def diagnose(
 
 
 class _Named(NamedTuple):
-    """What was named from all runs."""
+    """Result of naming effects from all runs."""
 
     problem: Problem
     selection: Selection
@@ -223,7 +223,7 @@ def _conclude(
     named: _Named,
     gain: PredictionGain | None,
 ) -> Diagnosis:
-    """Return the diagnosis: the verdict by the size of what is left, the car to go on with, the next manoeuvre."""
+    """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
     problem, selection, causes, remaining = named
     comparison = gain.comparison if gain else compare_on_all_runs(problem, selection, config.seed)
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)

@@ -120,7 +120,7 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
 
 
 def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
-    """Return every named effect with its interval, probability and rivals, that of the largest share first.
+    """Return every named effect with its interval, probability and rivals, largest share first.
 
     One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory.
     """
@@ -205,7 +205,7 @@ def homogeneity_p_value(score: np.ndarray, known: np.ndarray, tolerance: float, 
 
 
 def family_probability(problem: Problem, share: np.ndarray, member: int) -> float:
-    """Return the probability that an effect of the family of `member` acts, from those (E,) of single effects."""
+    """Return the probability that an effect of the family of `member` acts: the sum of those (E,) of its effects."""
     family = [FAMILY_OF[effect.name] for effect in problem.effects]
     return float(sum(p for name, p in zip(family, share, strict=True) if name == family[member]))
 
@@ -219,10 +219,10 @@ def effect_probabilities(problem: Problem, selection: Selection, model: Quadrati
 
 
 def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
-    """Return the costs (E,) with each effect in the place of `member`, infinite for other members.
+    """Return the cost (E,) with `member` replaced by each effect in turn, infinite for the other members.
 
     They follow from the quadratic model about the fit; those of credible rivals are refitted, and so is in any case
-    what promises to be more probable than `member`. Infinite too for what ends at its bound.
+    what is predicted to be more probable than `member`. Infinite too for what ends at its bound.
     """
     rest = tuple(i for i in selection.selected if i != member)
     sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
@@ -245,7 +245,7 @@ def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCo
 
 
 def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
-    """Return the fall (E,) of the cost by the effects `rest` with each other one, within bounds.
+    """Return the fall of the cost (E,) from the effects `rest` together with each other effect in turn, within bounds.
 
     -inf for members, and for what ends at its bound, which is no explanation.
     """
@@ -259,7 +259,7 @@ def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
 
 
 def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> Scores:
-    """Return the scores where the other members are fitted without `member`, to first order.
+    """Return the scores of all effects when `member` is removed and the others are refitted, to first order.
 
     Their p-values are adjusted for all effects, but not for the search itself.
     """
@@ -273,7 +273,7 @@ def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, mem
 def significance(
     problem: Problem, selection: Selection, model: QuadraticCost, shares: dict[int, float]
 ) -> dict[int, Significance]:
-    """Test every member for significance, given their `shares` in what all explain.
+    """Test each named effect for significance, in order of its Shapley share.
 
     Those of the largest share, as many as the test alone may name, are significant where their own p-value is below
     5 %; others are exploratory, under a false discovery rate of 10 % among all effects.
@@ -289,7 +289,7 @@ def significance(
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:
-    """Return the dispersion of the selection: the `overdispersion` of its effects at the fit where none is given."""
+    """Return the dispersion of the selection; if it has none, the `overdispersion` of its effects at the fit."""
     if selection.dispersion is not None:
         return selection.dispersion
     return overdispersion(selection.scores.H, selection.scores.blocks, problem.columns(selection.selected))

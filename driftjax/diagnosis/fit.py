@@ -51,7 +51,7 @@ from driftjax.vehicle.universal import Universal, universal_car
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
-SIDESLIPS = 2  # times that a force is estimated anew for the sideslip which the observer infers with it
+SIDESLIPS = 2  # times that a force is estimated again for the sideslip which the observer infers with it
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
@@ -318,7 +318,7 @@ def refine(
         here, goal = fit.theta[columns], fit.theta.copy()
         goal[columns] = minimise_quadratic(score + H @ here, H, problem.lower[columns], problem.upper[columns])
         step = goal[columns] - here
-        if not 2 * score @ step - step @ H @ step > tolerance:  # what the step promises
+        if not 2 * score @ step - step @ H @ step > tolerance:  # predicted fall of the cost
             break
         before, fit = fit.cost, _shorten(problem, fit, goal)
         fall = before - fit.cost

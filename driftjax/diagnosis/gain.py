@@ -93,7 +93,7 @@ def predict_run(
 
 
 def run_predictions(model, theta, runs, z, starts, num, room, dt, residual):
-    """Apply `predict_run` to pieces one after the other: with parameters in the batch it takes 40 times as long."""
+    """Apply `predict_run` to pieces one after another: as a batch with parameters (P, K) they take 40 times as long."""
     one = lambda of: predict_run(model, of[0], of[1], of[2], starts, num, room, dt, residual)
     return jax.lax.map(one, (theta, runs, z))
 

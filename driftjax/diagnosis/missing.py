@@ -26,7 +26,7 @@ class Unidentifiable(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Describe the limits of the log in words; empty without any."""
+        """Return the limits of the log in words; empty without any."""
         words = []
         if "beta" in self.channels:
             words.append("The log has no sideslip; it was inferred from speed and yaw rate.")

@@ -61,12 +61,12 @@ def central_difference_of_first(f: Array, num: Array) -> Array:
 
 
 def window_size(model: Universal, dt: float) -> int:
-    """Return the samples from the begin of a window to its end."""
+    """Return the number of samples from the start of a window to its end."""
     return max(round(SPAN * float(model.base.unit_time) / dt), 2)
 
 
 def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Array]:
-    """Return the motion (T,) that the sensors of `model` measured as the `run`, and where it is known (T, 3)."""
+    """Return the motion (T,) behind the measured `run`, sensor errors removed, and where it is known (T, 3)."""
     aligned = align_measurements(model, run, dt)
     sensors, y = model.split_delays(dt)[1], State(*aligned.y.T)
     rate = jax.tree.map(lambda a: central_difference(a) / dt, y)
@@ -154,7 +154,7 @@ def motion_residuals(
 
 
 def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Array:
-    """Return in which windows (n, 5) all is measured that each channel is compared with."""
+    """Return the windows (n, 5) in which every value that a channel is compared with was measured."""
     begin = jnp.arange(n) * W
 
     def complete(f):
@@ -194,7 +194,7 @@ def piece_derivatives(model: Universal, data: Pieces, theta: np.ndarray) -> np.n
 
 
 def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
-    """Apply `function` to all pieces, with room for windows of few sizes, and return those windows that there are."""
+    """Apply `function` to all pieces with an array of windows of a padded size, and return the windows that exist."""
     W, where = window_size(model, data.dt), jnp.asarray(theta)
     n = (data.size - 1) // W
     one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), padded_size(n, ROOM), data.dt)
@@ -243,7 +243,7 @@ def robust_scale(values: np.ndarray) -> float:
 def robust_step(
     e: np.ndarray, J: np.ndarray, own: np.ndarray, valid: np.ndarray, moved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit residuals (P, n, 5) by errors of sensors, derivatives (P, n, 5, K), and by `own` ones; outliers count less.
+    """Fit residuals (P, n, 5) by sensor errors, with derivatives (P, n, 5, K), and by `own` errors, robust to outliers.
 
     Return the step (K,) from the present errors, which are `moved` by so many standard deviations of their prior, the
     residuals left and which are no outliers.
@@ -264,7 +264,7 @@ def robust_step(
 
 
 def dependence(e: np.ndarray, used: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return how many times their standard deviation residuals (P, n, 5) count in the sum over a block, at least 1."""
+    """Return the standard deviation (5,) of block sums of `e` (P, n, 5), over that of independent noise; at least 1."""
     sums, num = np.zeros((2, block.max() + 1, e.shape[-1]))
     np.add.at(sums, block, e)
     np.add.at(num, block, used)

@@ -1,4 +1,4 @@
-"""Start the search far from the optimum: with disturbances that absorb errors, and from a large steering delay."""
+"""Search for effects from several starts: with more process noise, and with a large steering delay."""
 
 from collections.abc import Callable
 
@@ -55,16 +55,16 @@ def search_multistart(
         best = close if late is None or penalised(close) <= penalised(late) else late
         too_noisy = bool(best.selected) and disturbance_ratio(problem, best).min() < LEAST_DISTURBANCE
         return search_with_own_noise(problem, best, seed, most, report) if too_noisy else (problem, best)
-    anew, selection = search_from_far(problem, seed, most, report)
-    if close and misfit(problem, close.fit) <= misfit(anew, selection.fit):
+    repeated, selection = search_from_far(problem, seed, most, report)
+    if close and misfit(problem, close.fit) <= misfit(repeated, selection.fit):
         return problem, close
-    return anew, selection
+    return repeated, selection
 
 
 def search_from_late(
     problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> Selection | None:
-    """Search from the best of `DELAYS`; None where none saves `LATE` of the cost, or `close` has a delay already."""
+    """Search from the best of `DELAYS`; None if none saves the share `LATE` of the cost, or `close` has a delay."""
     delays = tuple(
         i for i, effect in enumerate(problem.effects) if effect.name == "steer_delay" and i not in close.selected
     )
@@ -82,7 +82,7 @@ def search_from_late(
 
 
 def with_nominal_noise(problem: Problem) -> Problem:
-    """Return the problem with the noise estimated for the nominal car alone, no parameter profiled out."""
+    """Return the problem with the noise estimated for the nominal car, with all parameters fixed."""
     return with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
 
 
@@ -113,7 +113,7 @@ def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
 def search_with_own_noise(
     problem: Problem, rough: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> tuple[Problem, Selection]:
-    """Search again with the noise of the car fitted in `rough`, from its effects; nominal values stay."""
+    """Search again with the noise of the car fitted in `rough`, starting from its effects; keep its nominal results."""
     own = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(own, evaluate_fit(own, rough.fit.theta), own.columns(rough.selected))[0]
     selection = search(own, require_finite_cost(fit), seed, rough.selected, most, report)

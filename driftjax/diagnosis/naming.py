@@ -16,7 +16,7 @@ from driftjax.diagnosis.shapley import shapley_shares
 def name_effects(
     problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
 ) -> tuple[Problem, Selection]:
-    """Search for effects, none of them less probable than a rival; return the problem searched in and the selection.
+    """Name effects so that none has a more probable rival; return the problem with its final noise, and the selection.
 
     Exploratory effects that the false discovery rate does not allow are left out again. `report` is called with
     the effects named at each step.
@@ -34,9 +34,9 @@ def name_effects(
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
-    """Return the exploratory effect of the least share that the false discovery rate does not allow; None of none.
+    """Return the exploratory effect with the smallest share that the false discovery rate rejects; None without one.
 
-    It is left out before the others are tested anew. A single effect is never one.
+    It is left out before the others are tested again. A single effect is never one.
     """
     weak = [i for i, one in (selection.significance or {}).items() if not one.supported]
     return min(weak, key=lambda i: shares[i]) if weak and len(shares) > 1 else None
@@ -62,7 +62,7 @@ def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Se
 def most_probable_rival(
     problem: Problem, selection: Selection, replacements: dict[int, np.ndarray]
 ) -> tuple[int, int] | None:
-    """Return the member and the rival in its place that make the most probable hypothesis; None where all may stay.
+    """Return the (member, rival) whose exchange gives the most probable hypothesis; None if none is more probable.
 
     `replacements` holds the costs (E,) with each effect in the place of a member.
     """

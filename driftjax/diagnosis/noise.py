@@ -61,7 +61,7 @@ def measurement_noise(y: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def robust_deviation(values: np.ndarray) -> float:
-    """Return the standard deviation of normal `values` (n,) about zero, from the median of their size; 0 of none."""
+    """Return the standard deviation of normal `values` (n,) about zero, from their median size; 0 without values."""
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
@@ -116,7 +116,7 @@ class NoiseScale(NamedTuple):
 
 
 def search_scale(first: Noise) -> NoiseScale:
-    """Return the variables of a search that begins at the noise `first`."""
+    """Return the scale of the variables for a search that starts at the noise `first`."""
     zero = np.zeros(3)
     offset = Noise(zero, LINEAR * first.disturbance, 0.0, LINEAR * first.sigma, 0.0)
     return NoiseScale(jnp.asarray(first.as_vector()), jnp.asarray(offset.as_vector()))
@@ -125,7 +125,7 @@ def search_scale(first: Noise) -> NoiseScale:
 def information_of_noise(
     x: Float[Array, "11"], scale: NoiseScale, steps: Steps, e: Array, L: Array, dt: float, informative: Array
 ) -> Float[Array, "11 11"]:
-    """Return half the expected curvature of `restricted_likelihood` by the variables, of known parameters.
+    """Return half the expected curvature of `restricted_likelihood` in the variables, for known parameters.
 
     Ljung 1999, Eq. 9.29 and 7.88. That of the innovations' derivatives is taken from `e`, which should hold nothing
     that the car gets wrong.
@@ -147,7 +147,7 @@ def information_of_noise(
 
 
 def _expansion(x: Array, scale: NoiseScale, steps: Steps, e: Array, J: Array, L: Array, dt: float, informative: Array):
-    """Return `restricted_likelihood`, its gradient, and `information_of_noise`, that of some pieces for all."""
+    """Return `restricted_likelihood`, its gradient, and `information_of_noise` from every `EVERY`-th piece."""
     value = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, dt, informative)
     (cost, theta), slope = jax.value_and_grad(value, has_aux=True)(x)
     some, own, L = jax.tree.map(lambda a: a[::EVERY], (steps, e + J @ theta, L))

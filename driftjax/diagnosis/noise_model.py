@@ -26,7 +26,7 @@ class Noise(NamedTuple):
 
     @property
     def total(self) -> np.ndarray:
-        """Standard deviation of all errors of V, beta, r (3,)."""
+        """Return the standard deviation (3,) of all errors of V, beta, r."""
         return np.hypot(self.sigma, self.slow)
 
     def as_vector(self) -> np.ndarray:
@@ -47,7 +47,7 @@ class Decay(NamedTuple):
 
     @property
     def all(self) -> Float[Array, "6"]:
-        """Factor of every disturbance and slow error."""
+        """Return the factor of every disturbance and slow error."""
         return jnp.concatenate([jnp.full(3, self.disturbance), jnp.full(3, self.slow)])
 
 
@@ -73,7 +73,7 @@ def process_covariance(noise: Noise, decay: Decay) -> Float[Array, "9 9"]:
 
 
 def initial_covariance(noise: Noise) -> Float[Array, "9 9"]:
-    """Return the covariance of w at the first sample, whose state is the measured one and so errs as its sensors do."""
+    """Return the covariance of w at the first sample, whose state is the measured one with its sensor errors."""
     slow = jnp.diag(jnp.asarray(noise.slow) ** 2)
     state = START_VARIANCE * jnp.diag(jnp.asarray(noise.sigma) ** 2) + slow
     P = jnp.zeros((9, 9)).at[:3, :3].set(state).at[3:, 3:].set(jnp.diag(stationary_deviations(noise) ** 2))

@@ -25,7 +25,7 @@ DURATION = 10.0  # of a proposed run [s]
 
 
 def drivable_runs(vehicle: VehicleConfig, theta: np.ndarray, rate: float, seed: int) -> tuple[Run, ...]:
-    """Record every manoeuvre of the library that the car can drive; one without a drift equilibrium holds no drift."""
+    """Record every manoeuvre of the library that the car can drive: no drift without a drift equilibrium."""
     runs: list[Run] = []
     for name in MANOEUVRES:
         try:

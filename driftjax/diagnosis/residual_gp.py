@@ -17,7 +17,7 @@ DICTIONARY_SIZE = 300  # rows that the GP is conditioned on
 
 
 def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, Array]:
-    """Return the states and inputs (n, 5) as `features`, the mean rates (n, 3) that the model lacks, which rows count.
+    """Return the states and inputs (n, 5) as `features`, mean rates (n, 3) that the model lacks, and which rows count.
 
     States come from an observer of fixed gain, which believes the data more than any model; a rate [SI] is the change
     of the state that the model `theta` misses over one window, over its length. Sensor effects take no part: the GP

@@ -116,7 +116,7 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
 
 
 def piece_size(lengths: list[int]) -> int:
-    """Return the samples of one piece for runs of these `lengths`: short where that leaves much less to compute."""
+    """Return the number of samples of a piece for runs of these `lengths`: the short one where it saves computation."""
     padded_size = lambda size: sum(-(-n // size) * size for n in lengths)
     short, long = padded_size(SHORT_PIECE_LENGTH), padded_size(PIECE_LENGTH)
     return SHORT_PIECE_LENGTH if short <= WORTHWHILE * long else PIECE_LENGTH

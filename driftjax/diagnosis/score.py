@@ -1,4 +1,4 @@
-"""Score tests of effects: scores, their test at a family-wise rate, and the fall of the cost they promise.
+"""Test effects by their scores, at a family-wise error rate, and predict by how much each lowers the cost.
 
 Scores are summed over blocks of time, and blocks get random signs: the largest of all |T| under these signs is what
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
@@ -37,7 +37,7 @@ class Scores(NamedTuple):
     blocks: np.ndarray  # (C, K) score of each block
     T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
-    gain: np.ndarray  # (E,) fall of the cost that each effect promises, 0 for members
+    gain: np.ndarray  # (E,) predicted fall of the cost with each effect, 0 for members
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
     effective: np.ndarray  # (C, k) scores of each block of the k parameters tested, the selected ones projected out
     seed: int  # of the random signs
@@ -60,7 +60,7 @@ class Scores(NamedTuple):
         return self._either(self._rarity(max(np.abs(self.T[columns]).max(), self.joint[effect])), columns)
 
     def single_p_value(self, effect: int, columns: np.ndarray) -> float:
-        """Return the p-value of one effect alone, not adjusted for the others, from the tail of the normal law.
+        """Return the p-value of one effect alone, not adjusted for the others, from the tail of a normal distribution.
 
         Random signs cannot give ones as small as a false discovery rate needs.
         """
@@ -68,7 +68,7 @@ class Scores(NamedTuple):
         return self._either(min(2 * float(norm.sf(size)) * len(columns), 1.0), columns)
 
     def _either(self, p_value: float, columns: np.ndarray) -> float:
-        """Return the p-value of both tests together, of which the signs give `p_value`."""
+        """Return the p-value of both tests together, where the test with random signs gives `p_value`."""
         if self.few is None:
             return p_value
         return min(p_value / (1 - FEW_SHARE), float(self.few[columns].min()) / FEW_SHARE, 1.0)
@@ -133,7 +133,7 @@ def scores(
 
 
 def benjamini_yekutieli(p_values: np.ndarray, rate: float) -> np.ndarray:
-    """Return which hypotheses (n,) are rejected at a false discovery `rate`, however their `p_values` (n,) depend.
+    """Return which hypotheses (n,) are rejected at a false discovery `rate`, for `p_values` (n,) of any dependence.
 
     Benjamini and Yekutieli (2001), Theorem 1.3.
     """
@@ -146,7 +146,7 @@ def benjamini_yekutieli(p_values: np.ndarray, rate: float) -> np.ndarray:
 def few_block_p_values(
     problem: Problem, effective: np.ndarray, J: np.ndarray, own: np.ndarray, one_sided: np.ndarray
 ) -> np.ndarray | None:
-    """Return p-values (K,) of effects that act in few blocks, Bonferroni's among these, 1 elsewhere; None of none.
+    """Return p-values (K,), adjusted by Bonferroni, of effects that act in few blocks; 1 elsewhere, None without any.
 
     From effective scores by block (C, K) and effective derivatives (P, T, c, K). A block's score varies by its
     information times the `block_dispersion` of the others'. The block that says most for an effect is left out, so
@@ -171,7 +171,7 @@ def few_block_p_values(
 
 
 def score_dispersion(effective: np.ndarray, known: np.ndarray) -> float:
-    """Return how many times their information scores (C, k) vary by, about each one's own fit; at least 1.
+    """Return the overdispersion of scores (C, k): block variance over information, each about its own fit; at least 1.
 
     That of the effects that vary most but for a tenth, with leverages (MacKinnon and White 1985); `known` (C, k) is the
     information by block.
@@ -183,7 +183,7 @@ def score_dispersion(effective: np.ndarray, known: np.ndarray) -> float:
 
 
 def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return how many times their information the scores (C, k) of each block vary by, robust to few of them: (C,)."""
+    """Return the overdispersion (C,) of each block's scores (C, k): the median of squared score over information."""
     there = known > CONDITION * known.sum(axis=0)
     ratio = np.where(there, effective**2 / np.where(there, known, 1.0), np.nan)
     some = there.any(axis=1)
@@ -193,7 +193,7 @@ def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def studentised_scores(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the studentised scores (K,): sums over blocks (C, K) over their root sum of squares; 0 where not `own`."""
+    """Return the studentised scores (K,): sums over blocks (C, K) over their root sum of squares; 0 unless `own`."""
     spread = np.sqrt((effective**2).sum(axis=0))
     return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 
@@ -208,7 +208,7 @@ def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
 
 
 def pair_p_value(effective: np.ndarray, seed: int) -> float:
-    """Return the probability that chance gives any pair of scores (C, k) as large a joint score, Hotelling's.
+    """Return the probability that chance gives some pair of scores (C, k) a joint score (Hotelling's) this large.
 
     Two effects that cancel in each other's single scores stand out in the joint one.
     """
@@ -273,7 +273,7 @@ def half_widths_from(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> 
 
 
 def overdispersion(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> float:
-    """Return how many times their information the scores of the parameters `columns` vary by, at least 1.
+    """Return the overdispersion of the scores of `columns`: their variance over their information, at least 1.
 
     Mean eigenvalue of H^-1 (U'U) with the correction of `covariance` for few blocks: the first-order correction of a
     likelihood ratio whose samples depend on each other (Varin, Reid and Firth 2011, Sec. 2.3), and the c-hat of QAIC

@@ -1,4 +1,4 @@
-"""Select effects: sets from a beam search, refitted in the whole nonlinear model, while a test finds something left."""
+"""Select effects: search sets by beam search and refit them in the nonlinear model, until a test finds no more."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ def search(
     problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS,
     report: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
-    """Name more effects, at most `most`, while the test rejects; replace, merge and drop them wherever that is better.
+    """Name more effects, at most `most`, while the test rejects; replace, merge and drop them where that is better.
 
     Steps beyond the first effects must predict parts left out of the fit better.
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
@@ -98,18 +98,18 @@ def search(
     selected, free = selected or motion, FIRST + len(motion)
     now = fitted(problem, start, selected, first_at)
     remaining = scores(problem, now.linearisation, now.fit.theta, selected, seed) if selected else first
-    barred: frozenset[int] = frozenset()
+    excluded: frozenset[int] = frozenset()
     while True:
         if now.selected:
             report(f"naming: {', '.join(problem.effects[i].name for i in now.selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = extend_selection(now, (now.fit, now.linearisation), limit, free, barred)
-        if new is None and more and now.selected:  # a local optimum, perhaps: sets that the nominal car promises
-            new = extend_selection(now, (start, first_at), limit, free, barred)
+        new = extend_selection(now, (now.fit, now.linearisation), limit, free, excluded)
+        if new is None and more and now.selected:  # a local optimum, perhaps: search about the nominal car too
+            new = extend_selection(now, (start, first_at), limit, free, excluded)
         if new is None:
-            new, barred = drop_bounded(now, free, barred)
+            new, excluded = drop_bounded(now, free, excluded)
         if new is None:
             return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, first, free)
         now = new
@@ -131,22 +131,24 @@ def bounded(step: SelectionStep) -> list[int]:
 
 
 def extend_selection(
-    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, barred: frozenset[int]
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, excluded: frozenset[int]
 ) -> SelectionStep | None:
-    """Return the best set without `barred` effects that costs less than that of `now`, None where there is none.
+    """Return the best set without `excluded` effects that costs less than that of `now`, None where there is none.
 
     One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
     effects need not: on an unstable drift even the true car predicts no better, and the test has its own error rate.
     """
-    for effects, trial in better_sets(now, about, limit, barred):
+    for effects, trial in better_sets(now, about, limit, excluded):
         after = fitted(now.problem, trial, effects)
         if len(effects) <= max(len(now.selected), free) or after.improves(now):
             return after
     return None
 
 
-def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple[SelectionStep | None, frozenset[int]]:
-    """Remove or replace an effect at its bound; return the step and the barred effects.
+def drop_bounded(
+    now: SelectionStep, free: int, excluded: frozenset[int]
+) -> tuple[SelectionStep | None, frozenset[int]]:
+    """Remove or replace an effect at its bound; return the step and the excluded effects.
 
     The data ask for more of such an effect than is plausible: it stands in for another cause, and stays only where
     parts left out of the fit are predicted better with it. None where all stay.
@@ -155,13 +157,13 @@ def drop_bounded(now: SelectionStep, free: int, barred: frozenset[int]) -> tuple
     for i in bounded(now) if now.errors is not None else []:
         rest = tuple(j for j in now.selected if j != i)
         theta = np.where(np.isin(np.arange(len(now.fit.theta)), problem.columns((i,))), problem.start, now.fit.theta)
-        less, out = fitted(problem, evaluate_fit(problem, theta), rest), barred | {i}
+        less, out = fitted(problem, evaluate_fit(problem, theta), rest), excluded | {i}
         if not now.improves(less):
             return less, out
         other = extend_selection(less, (less.fit, less.linearisation), len(now.selected), free, out)
         if other is not None and not now.improves(other):
             return other, out
-    return None, barred
+    return None, excluded
 
 
 def motion_effects(problem: Problem, start: Fit, linearisation: Linearisation, seed: int, most: int) -> tuple[int, ...]:
@@ -189,14 +191,14 @@ def motion_effects(problem: Problem, start: Fit, linearisation: Linearisation, s
 
 
 def better_sets(
-    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, excluded: frozenset[int]
 ) -> list[tuple[tuple[int, ...], Fit]]:
-    """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the least first.
+    """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the lowest first.
 
-    Of the sets that promise less in the quadratic model `about` a fit, those that promise least are refitted.
+    Of the sets with a lower cost in the quadratic model `about` a fit, those with the lowest are refitted.
     """
     problem, trials, linearisation = now.problem, [], about[1]
-    for one in promising_sets(now, about, limit, barred):
+    for one in promising_sets(now, about, limit, excluded):
         trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), linearisation, num=1)
         trials.append((one.effects, trial))
     penalised = lambda item: penalised_cost(problem, item[1], item[0])
@@ -210,16 +212,16 @@ def better_sets(
 
 
 def promising_sets(
-    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, barred: frozenset[int]
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, excluded: frozenset[int]
 ) -> list[EffectSet]:
-    """Return up to 3 `REFITS` sets without `barred` effects that promise to be better than that of `now`.
+    """Return up to 3 `REFITS` sets without `excluded` effects, of a lower predicted penalised cost than that of `now`.
 
     They are the best of all in the model `about` a fit, then of each size, then of those with no parameter at a bound.
     Where that is not the fit of `now`, the cost of the present set is predicted by the same model.
     """
     problem = now.problem
     model = quadratic_cost(problem, *about)
-    model = model._replace(columns=tuple(c[:0] if i in barred else c for i, c in enumerate(model.columns)))
+    model = model._replace(columns=tuple(c[:0] if i in excluded else c for i, c in enumerate(model.columns)))
     penalty = lambda effects: PARAMETER_PENALTY * len(problem.columns(effects))
     there = about[0] is now.fit
     cost = now.fit.cost if there else model.cost - gain_of(model, best_parameters(model, now.selected))
@@ -235,7 +237,7 @@ def promising_sets(
 
 
 def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
-    """Return the better of two starts for refitting a set: the model's minimum, and `fit` without other effects."""
+    """Return the better of two starts for the set `one`: the minimum of its quadratic model, or its values in `fit`."""
     columns = problem.columns(one.effects)
     kept = problem.start.copy()
     kept[columns] = fit.theta[columns]

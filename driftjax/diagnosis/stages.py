@@ -151,12 +151,12 @@ def run_stages(
 
 
 def least_samples(problem: Problem) -> float:
-    """Return the samples below which the runs lack a kind of stretch."""
+    """Return the least number of samples for a kind of stretch to be used."""
     return LEAST * float(problem.model.base.unit_time) / problem.data.dt
 
 
 def stage_dispersion(part: Problem, linearisation: Linearisation, columns: np.ndarray) -> float:
-    """Return how many times their information the scores of the `columns` vary by, over blocks that have any."""
+    """Return the `overdispersion` of the scores of the parameters `columns`, over blocks in which any is not zero."""
     H, blocks = sums_by_block(part, linearisation.e, linearisation.J)
     some = blocks[:, columns].any(axis=1)
     return overdispersion(H + np.eye(len(H)) / PRIOR**2, blocks[some], columns)

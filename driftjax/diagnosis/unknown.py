@@ -50,9 +50,9 @@ class Unexplained(NamedTuple):
     """Errors that the named effects do not explain."""
 
     p_value: float  # that chance gives the largest score of all effects and generic terms left
-    gain: float  # fall of the cost that the best single term promises
+    gain: float  # predicted fall of the cost with the best single term
     share: float  # of the fall by named effects and that term together: what the term would add, 1 where none is named
-    variables: dict[str, float]  # explanatory, with the promised fall of the cost, largest first
+    variables: dict[str, float]  # explanatory, with the predicted fall of the cost, largest first
     term: Term  # that explains most by itself
     simpler: Term | None  # explains by itself as much as all effects named, of which there are several
     nominal_variables: dict[str, float]  # as `variables`, for all errors of the nominal car
@@ -144,7 +144,7 @@ def find_unexplained(problem: Problem, selection: Selection, seed: int) -> Unexp
 def generic_terms(
     problem: Problem, linearisation: Linearisation, tested: Scores, selected: tuple[int, ...], seed: int
 ) -> GenericTerms:
-    """Score the generic terms at the hypothesis `selected`, which `linearisation` and `tested` belong to."""
+    """Score the generic terms at the fit of the effects `selected`, with its `linearisation` and scores `tested`."""
     rates = [(v, *one) for v, terms in rate_functions(problem, linearisation.path).items() for one in terms.items()]
     sensors = [(v, *one) for v, one in sensor_functions(problem, linearisation.path).items()]
     kinds = [
@@ -168,7 +168,7 @@ def generic_terms(
 
 
 def rank_variables(terms: GenericTerms) -> dict[str, float]:
-    """Rank the variables by the fall of the cost that their terms promise, the largest first."""
+    """Rank the variables by the predicted fall of the cost with their terms, the largest first."""
     names = list(dict.fromkeys(variable for variable, *_ in terms.kinds))
     among = lambda name: np.array([kind[0] in ("1", name) for kind in terms.kinds]) & terms.distinct
     each = {name: _penalised_gain(terms.U, terms.F, among(name)) for name in names}
@@ -176,7 +176,7 @@ def rank_variables(terms: GenericTerms) -> dict[str, float]:
 
 
 def best_term(problem: Problem, terms: GenericTerms) -> tuple[float, Term]:
-    """Return the fall of the cost that the best single term promises, and that term."""
+    """Return the largest fall of the cost that a single term is predicted to give, and that term."""
     information = np.diag(terms.F)
     gain = np.where(terms.distinct, terms.U**2 / np.where(terms.distinct, information, 1.0), 0.0)
     at = int(np.argmax(gain))
@@ -228,7 +228,7 @@ def _sensitivities(
 
 
 def _penalised_gain(U: np.ndarray, F: np.ndarray, which: np.ndarray) -> float:
-    """Return the fall of the cost that the terms `which` promise together, less a penalty per term."""
+    """Return the predicted fall of the cost with the terms `which` together, less a penalty per term."""
     if not which.any():
         return 0.0
     part, U = F[np.ix_(which, which)], U[which]

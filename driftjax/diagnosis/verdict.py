@@ -54,7 +54,7 @@ class Explained(NamedTuple):
     held_out: bool  # whether measured on runs without which the effects were named
 
     def unexplained_exceeds(self, tolerated: float) -> bool:
-        """Return whether more than `tolerated` is left beyond doubt, or it is in doubt that most is explained.
+        """Return whether more than the share `tolerated` is surely left, or it is not sure that most is explained.
 
         In either case what is left must be that share of the model's own error too: a small excess is no reason to
         doubt a model, however significant. Equivalence is judged by size (Schuirmann 1987; ISO 19364).

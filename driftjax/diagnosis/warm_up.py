@@ -1,4 +1,4 @@
-"""Compile the programs of a diagnosis in parallel to its work, those first that it needs last.
+"""Compile the programs that a diagnosis needs last in a thread, while its first steps compute.
 
 Compiling takes longer than all else in the first diagnosis on a machine, and leaves a core idle: what one thread
 compiles, the other finds ready.

@@ -110,7 +110,7 @@ def solve_map(car: AnyCar, V: Array, r: Array) -> Equilibrium:
 
 
 def around_nominal(car: Extended, V: Array, r: Array) -> Equilibrium:
-    """Return the steady states of an extended car at one (V, r) near those of its nominal car at `NEAR` yaw rates.
+    """Return the steady states of an extended car at one (V, r), from those of its nominal car at `NEAR` yaw rates.
 
     The nominal car may have none at this yaw rate: two drifts merge at a fold and vanish, and effects move the fold.
     """

@@ -1,4 +1,4 @@
-"""Choose what to drive next by the lateral error that a lap is predicted to have, and by what it would teach.
+"""Choose the next lap by its predicted lateral error and by what its data would teach.
 
 The closed loop, linearised about the plan of candidate c, turns the part d~ of the model error that is not known into
 a lateral error e = m_c + G_c d~, with d~ ~ N(0, S_c + noise) by the posterior of the Gaussian process at the inputs of
@@ -35,7 +35,7 @@ class Prediction(eqx.Module):
 
 
 class Assessment(NamedTuple):
-    """What is predicted of C candidates."""
+    """Predictions for C candidates."""
 
     error: Float[Array, " C"]  # expected mean lateral error J_c [m]
     deviation: Float[Array, " C"]  # root mean square of the standard deviation of e along the plan [m]
@@ -71,7 +71,7 @@ def _lateral(p: Prediction, covariance: Array) -> tuple[Array, Array]:
 
 
 def _scatter(p: Prediction, gp: GP) -> Array:
-    """Return the variance (C, T) of lateral errors by the noise of the rows, each node with a draw of its own.
+    """Return the variance (C, T) of lateral errors from the noise of the rows, independent between nodes.
 
     Between nodes, some 0.2 s apart, the noise is independent; within a node it is not, as what it stands for, dynamics
     that the model lacks, lasts as long.
@@ -116,7 +116,7 @@ def assess_candidates(p: Prediction, gp: GP, limit: Array, key: Array) -> Assess
 
 
 def sampled_errors(p: Prediction, gp: GP, key: Array, num: int) -> Float[Array, "num C"]:
-    """Draw mean lateral errors of all candidates [m], expected over the noise, on cars drawn from the posterior."""
+    """Draw mean lateral errors of all candidates [m], averaged over the noise, for cars drawn from the posterior."""
     C, T = p.mean.shape
     K = _covariance(p, gp).reshape(3, C * T, C * T)
     jitter = JITTER * jnp.max(jnp.diagonal(K, axis1=1, axis2=2), axis=1)

@@ -41,7 +41,7 @@ class ReducedCar(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name of the car as part of a file name, without the underscore that some targets split names at."""
+        """Return the car's name as part of a file name, without the underscore that some targets split names at."""
         return "".join(c if c.isalnum() else "-" for c in self.vehicle.name)
 
     @property

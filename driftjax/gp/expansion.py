@@ -25,7 +25,7 @@ class Expansion(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums over the data m of amount_m and a derivative of the kernel in q, times products of the data's inputs."""
+    """Sums over the data m of amount_m times the kernel, or a derivative of it in q, times products of the inputs."""
 
     value: Float[Array, "*batch P"]
     S: Float[Array, "*batch 1+nf P"]  # first derivative: times 1, a_i

@@ -115,7 +115,7 @@ class GP(eqx.Module):
 
     @property
     def reach(self) -> Array:
-        """Limit (D,) of `bounded_mean`: twice the largest target."""
+        """Return the limit (D,) of `bounded_mean`: twice the largest target."""
         largest = jnp.maximum(-self.lower, self.upper)
         return jnp.where(largest > 0, 2 * largest, 1.0)
 

@@ -61,7 +61,7 @@ def candidate_grid(scenario: Scenario) -> Grid:
 def plan_candidates(
     ocp: DriftOCP, arrival: Arrival, table: ReferenceTable, plan: ReferenceTable, aims: Aim, lead: Array, tol: Array
 ) -> tuple[ReferenceTable, Bool[Array, " C"]]:
-    """Plan the corner of one car for all `aims` (C), to first order about the `plan` for the first's path.
+    """Plan the corner of one car for all `aims` (C), to first order about the `plan` along the path of the first aim.
 
     One optimal control problem is solved, at the planned speed and sideslip, and its solution is differentiated by
     those of the aim: two more solves of its linear system, however many the candidates. Inputs are put into their
@@ -87,7 +87,7 @@ def plan_candidates(
 
 
 def predict_errors(ocp: DriftOCP, table: ReferenceTable, aim: Aim, lead: Array, num: int, dither: Array) -> Prediction:
-    """Predict one candidate: the drift MPC along its plan as the linear feedback that it is without limits.
+    """Predict the errors of one candidate, with the drift MPC along its plan as a linear feedback without limits.
 
     An unknown rate error is constant between nodes and acts like the known one, on V, beta and r, over each step.
     Lateral error counts from the path aimed at: the offset aimed at stands for errors of past laps that no model

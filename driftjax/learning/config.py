@@ -46,7 +46,7 @@ class GPConfig:
 
     @property
     def program(self) -> "GPConfig":
-        """The options that a compiled program depends on; numeric arguments are set to their defaults."""
+        """Return the options that a compiled program depends on; numeric arguments are set to their defaults."""
         return replace(self, shortest=GPConfig.shortest)
 
 
@@ -106,12 +106,12 @@ class ExploreConfig:
 
     @property
     def kind(self) -> Literal["sets", "random", "uniform", "planned"]:
-        """Kind of the speeds that Algorithm 1 chooses from: the planned one where another rule chooses."""
+        """Return the kind of the speeds that Algorithm 1 chooses from: the planned one where another rule chooses."""
         return self.speeds if self.acquisition == "paper" else "planned"
 
     @property
     def num_laps(self) -> int:
-        """Most laps of exploration; none without sets."""
+        """Return the largest number of exploration laps; 0 without sets."""
         return self.laps if self.num_sets else 0
 
 
@@ -185,12 +185,12 @@ class LearnConfig:
 
     @property
     def distribution(self) -> str:
-        """Name of the distribution that plants are drawn from."""
+        """Return the name of the distribution that plants are drawn from."""
         return self.car if self.population == "near" else f"{self.car}_{self.population}"
 
     @property
     def batch_size(self) -> int:
-        """Laps driven side by side."""
+        """Return the number of laps driven side by side."""
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)
 
     def __post_init__(self) -> None:

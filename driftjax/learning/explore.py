@@ -126,7 +126,7 @@ def remaining(
 
 
 def _offsets(config: ExploreConfig, keys: Array, number: int) -> Array:
-    """Return the speeds (batch, K) that the V-sets are compared with in a stage, relative to their largest bound.
+    """Return the candidate speeds (batch, K) of the other kinds, as changes over the largest bound of the V-sets.
 
     The nearest to the planned speed comes first, as in nested sets, and has the smallest correction of the path.
     """

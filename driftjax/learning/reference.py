@@ -111,7 +111,7 @@ def entry_horizon(table: ReferenceTable, lead: float, trail: float, dt: float) -
 
 
 def aimed_reference(table: ReferenceTable, aim: Aim, s: Float[Array, " N+1"]) -> Reference:
-    """Return what is aimed at where the car is expected, at the arc lengths `s`."""
+    """Return the reference to track: plan plus changes `aim`, at the arc lengths `s` [m]."""
     plan = table.reference(s)
     e = plan.e + jnp.interp(s, aim.s, aim.e, left=0.0, right=0.0)
     turned = (aim.beta - 1) * plan.beta  # the course stays

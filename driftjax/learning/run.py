@@ -96,13 +96,13 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
 
 
 def _share_done(num_stages: int, report: Report) -> Callable[[str, float], None]:
-    """Return `share(text, parts)`, which reports the parts done in percent: a stage is one, `ONCE` has the others."""
+    """Return `share(text, parts)`, which reports finished parts in percent: a stage is one, `ONCE` has the others."""
     total = num_stages + sum(ONCE.values())
     return lambda text, parts: report(text, round(100 * parts / total), 100)
 
 
 def _stage_text(name: str, seen: set[str]) -> str:
-    """Return what is done at the begin of a stage; its kind is added to those `seen`, whose programs are there."""
+    """Return the progress text of a stage that starts, and add its kind to `seen`, the kinds that are compiled."""
     kind = name.partition("-")[0]
     text = name if kind in seen else f"{name}: compile, drive"
     seen.add(kind)

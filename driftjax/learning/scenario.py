@@ -172,8 +172,10 @@ def lay_out(
 
 
 def nominal_drift(car: AnyCar, where: Corner, config: LearnConfig) -> tuple[Equilibrium, Branch]:
-    """Return the steady state of the corner and its branch: a drift or, where the tyres have no peak below such a
-    sideslip, as may be with driven wheels at both ends, a slide below the peak."""
+    """Return the steady state of the corner and its branch: a drift or, where there is none, a slide below the peak.
+
+    Driven wheels at both ends can put the peak of the tyres above the sideslip of the corner.
+    """
     fixed = SlipRadius(where.beta, where.R)
     steady = eqx.filter_jit(solve_steady)(car, fixed, branch=Branch.COUNTERSTEER)
     if bool(steady.result == RESULTS.successful):

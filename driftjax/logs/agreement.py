@@ -92,7 +92,7 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
 
 
 def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and rates (n,) of `y` (n,) by parabolas over `window` [s]; NaN in gaps and of a shorter `y`."""
+    """Return values and rates (n,) of `y` (n,) by parabolas over `window` [s]; NaN in gaps or if `y` is shorter."""
     from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
 
     num = max(2 * round(window / dt / 2) + 1, 5)

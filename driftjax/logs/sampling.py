@@ -22,7 +22,7 @@ def sample_time(t: np.ndarray) -> float:
 
 
 def spacing(t: np.ndarray) -> float:
-    """Return the time in which a next sample comes as a rule [s]: longer than the mean step where steps are uneven."""
+    """Return the interval [s] to the next sample: the sample time, or for uneven steps their `REGULAR` quantile."""
     dt = sample_time(t)
     return dt if jitter(t, dt) <= JITTER else max(float(np.quantile(np.diff(t), REGULAR)), dt)
 
@@ -41,7 +41,7 @@ def even_rate(t: np.ndarray) -> float | None:
 
 
 def proposed_rate(rate: float) -> float:
-    """Return the rate to resample to of uneven samples that come with this mean `rate` [Hz], to two digits."""
+    """Return the rate [Hz] to resample uneven samples of mean `rate` [Hz] to, rounded to two digits."""
     return float(f"{FEWER * rate:.2g}")
 
 
@@ -56,7 +56,7 @@ def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.nda
 
 
 def surrounding(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of the last and of the next sample that is `there` (n,), itself included; -1, n if none."""
+    """Return the indices of the last and next sample marked in `there` (n,), the row included; -1, n if none."""
     index, n = np.arange(len(there)), len(there)
     last = np.maximum.accumulate(np.where(there, index, -1))
     return last, np.minimum.accumulate(np.where(there, index, n)[::-1])[::-1]

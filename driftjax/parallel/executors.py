@@ -144,12 +144,12 @@ def num_cores() -> int:
 
 
 def block_size(entries: int) -> int:
-    """Return how many entries a call takes: several only where there are several calls for each core."""
+    """Return the number of entries of one call: more than one only where each core gets several calls."""
     return max(1, min(BLOCK, entries // (CALLS * num_cores())))
 
 
 def num_workers(entries: int) -> int:
-    """Return how many worker processes pay for a batch of `entries`: none on a GPU or a single core."""
+    """Return the number of workers to start for `entries`; 0 on a GPU or one core."""
     useful = min(num_cores(), entries)
     return useful if jax.default_backend() == "cpu" and useful > 1 else 0
 

@@ -1,4 +1,4 @@
-"""Compiled programs that outlive the process before tracing, which JAX's own compilation cache does not.
+"""Store compiled programs on disk and load them without tracing.
 
 JAX finds compiled programs on disk only after it has traced and lowered the function, which takes longer than loading
 them. Here lowered programs are stored beside them (`jax.export`), under a hash of everything that they depend on:
@@ -92,12 +92,12 @@ def _unplaced(a: Any) -> jax.ShapeDtypeStruct:
 
 
 def _default_device() -> Any:
-    """Return the device of arrays that were put nowhere: those put there share their programs."""
+    """Return the device of arrays that were put on none: arrays put on it explicitly share their programs."""
     return jax.config.values["jax_default_device"] or jax.local_devices()[0]
 
 
 def _strongly_typed(leaf: Any) -> Any:
-    """Return an integer that came from a Python number as one of fixed type, which else were a program of its own.
+    """Return a weakly typed integer as one of fixed type, so that both share one program.
 
     Floats stay: a Python number does not make single precision double, a number of type float64 does.
     """
@@ -174,14 +174,14 @@ def _nodes(structure: Any) -> Iterator[Any]:
 
 
 class _Place:
-    """Marks where array number `index` stands in the output."""
+    """Mark where array number `index` stands in the output."""
 
     def __init__(self, index: int):
         self.index = index
 
 
 class _Plain:
-    """The function of its arrays only; records the structure of its output while it is traced."""
+    """Function of the arrays only; while it is traced, it records the structure of its output."""
 
     def __init__(self, function: Callable[..., PyTree], structure: Any, static: list, traced: tuple[bool, ...]):
         self.function, self.structure, self.static, self.traced = function, structure, static, traced

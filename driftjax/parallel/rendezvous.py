@@ -1,4 +1,4 @@
-"""Tasks in threads whose batches are computed together."""
+"""Run tasks in threads and compute their equal calls as one batch."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ class _Call(NamedTuple):
 
 
 class _Rendezvous(BatchExecutor):
-    """The executor of the tasks; the thread that arrives last computes for all."""
+    """Executor of the tasks; the thread that arrives last computes for all."""
 
     def __init__(self, executor: BatchExecutor, tasks: int):
         super().__init__(None)
@@ -71,7 +71,7 @@ class _Rendezvous(BatchExecutor):
         return call.result.result()
 
     def arrive(self, call: _Call | None) -> None:
-        """Add the call of one task, or None where the task has ended; compute all calls where no task is missing."""
+        """Add the call of one task, None if it has ended; once every running task waits, compute all calls."""
         with self._lock:
             self._tasks -= call is None
             self._waiting += [call] if call else []

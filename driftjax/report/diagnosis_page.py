@@ -272,7 +272,7 @@ def _scores(data: xr.Dataset) -> str:
         ]
         for name, fall, score, named in best_scores(data)
     ]
-    head = ("effect", "promised fall of the cost", "largest |score|", "named")
+    head = ("effect", "predicted fall of the cost", "largest |score|", "named")
     words = (
         f"What the nominal car's errors say of each effect by itself; by chance 5 % exceed a score of "
         f"{data.attrs['score_threshold']:.2f}. Source: diagnosis.nc, promise and score."

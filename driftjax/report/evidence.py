@@ -14,7 +14,7 @@ PLAIN, RIVAL = "#8FA3B0", "#C9B27C"
 
 
 def best_scores(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
-    """Return each effect with its promised fall of the cost, largest |score| and whether it is named, best first."""
+    """Return each effect with its predicted fall of the cost, largest |score| and whether it is named, best first."""
     owner = np.array([str(name).split(".")[0] for name in data["parameter"].values])
     score, named = np.abs(data["score"].values), data["named"].values
     each = ((str(name), owner == name) for name in data["effect"].values)
@@ -26,12 +26,12 @@ def best_scores(data: xr.Dataset) -> list[tuple[str, float, float, bool]]:
 
 
 def plot_scores(data: xr.Dataset) -> Figure:
-    """Plot the promised fall of the cost and the score of every effect, with the 5 % threshold of chance."""
+    """Plot the predicted fall of the cost and the score of every effect, with the 5 % threshold of chance."""
     every = best_scores(data)
     rows = every[:BARS] + [row for row in every[BARS:] if row[3]]
     figure, axes = new_figure(1, 2, (9.5, 0.24 * len(rows) + 1.6), sharey=True)
     at, colours = np.arange(len(rows)), [EXPLORED if row[3] else PLAIN for row in rows]
-    labels = ("fall of the cost promised [-]", "|studentised score| [-]")
+    labels = ("predicted fall of the cost [-]", "|studentised score| [-]")
     for axis, column, label in zip(axes[0], (1, 2), labels, strict=True):
         axis.barh(at, [row[column] for row in rows], color=colours, zorder=2)
         axis.grid(False, axis="y")

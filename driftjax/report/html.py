@@ -41,7 +41,7 @@ class Cell(NamedTuple):
 
 
 def quantity(text: str, source: str) -> Cell:
-    """Return a cell from `source`, sorted by the number that its text begins with, if it does."""
+    """Return a cell from `source`, sorted by the number at the start of its text, if there is one."""
     number = re.match(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])", text)
     return Cell(text, source, float(number[0]) if number else None)
 

@@ -1,4 +1,4 @@
-"""The page of a run, whichever verb made it."""
+"""Write the page of a run of any verb."""
 
 from pathlib import Path
 

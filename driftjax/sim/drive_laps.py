@@ -1,4 +1,4 @@
-"""Drive laps with a controller of one's own."""
+"""Drive laps with the user's own controller."""
 
 from collections.abc import Sequence
 from pathlib import Path

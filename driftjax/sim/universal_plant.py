@@ -35,7 +35,7 @@ class UniversalPlant(eqx.Module):
 
     @property
     def universal(self) -> Universal:
-        """The universal car model."""
+        """Return the universal car model."""
         return Universal(base_car(self.nominal), effects_by_name(self.names), self.scale, self.theta)
 
     def rolling(

@@ -120,7 +120,7 @@ def _solve_open(batch: BatchData, loop: _Loop) -> _Loop:
 
 
 def _with_curvature(batch: BatchData, loop: _Loop, model: QPModel, more: PyTree) -> QPModel:
-    """Return the model with second derivatives of the dynamics: in large batches cheaper ones at first, if there are.
+    """Return the model with second derivatives of the dynamics; a large batch may start with cheaper ones.
 
     A small batch would lose more time compiling both.
     """
@@ -159,7 +159,7 @@ def _iterate(batch: BatchData, loop: _Loop) -> _Loop:
 
 
 def _step_open(batch: BatchData, loop: _Loop, model: QPModel, more: PyTree, stepped: Array) -> _Loop:
-    """Move the `stepped` entries towards the solutions of their programs, of the last one allowed to the tolerance."""
+    """Step the `stepped` entries towards the solutions of their programs, solved to the tolerance in the last step."""
     last, search = loop.num_steps + 1 >= batch.max_steps, loop.search
     share = jnp.maximum(jnp.minimum(FORCING * worst(loop.error), COARSE), FINE * batch.tolerance)
     accuracy, most = jnp.where(last, batch.tolerance, share), jnp.where(last, LAST_STEPS, PROGRAM_STEPS)
@@ -174,7 +174,7 @@ def _step_open(batch: BatchData, loop: _Loop, model: QPModel, more: PyTree, step
 
 
 def _next_point(batch: BatchData, searched: Array, search: LineSearch, end: Programs) -> BatchIterate:
-    """Return the trial points of the `searched` entries, of others the solutions of their programs."""
+    """Return the trial points of the `searched` entries, and the solutions of their programs for the others."""
     trial = lambda: trial_point(batch.ocp, batch.rows, batch.u_before, search, end.barrier)
     return where(searched, jax.lax.cond(jnp.any(searched), trial, lambda: end.iterate), end.iterate)
 

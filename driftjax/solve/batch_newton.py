@@ -58,7 +58,7 @@ def no_gains(X: Components, U: Components) -> StepGains:
 
 
 class Policy(NamedTuple):
-    """Right-hand side treated backwards."""
+    """Result of the backward sweep for one right-hand side."""
 
     k: Components  # constant parts of the steps of the inputs
     p: Components  # gradients of the cost-to-go after each stage
@@ -103,7 +103,7 @@ def _wide(entries, like: Array):
 
 
 def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFactors, Policy]:
-    """Factorise the system and treat one right-hand side, in one sweep from the last stage to the first."""
+    """Factorise the system and run the backward sweep for one right-hand side."""
     zero = jnp.zeros_like(terms.stages.c[0][0])
     nx, nu = len(terms.stages.c), len(terms.stages.pull)
 
@@ -124,7 +124,7 @@ def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFacto
 
 
 def substitute(system: NewtonSystem, factors: StageFactors, terms: NewtonTerms) -> Policy:
-    """Treat another right-hand side of a factorised system; linear in `terms`."""
+    """Run the backward sweep of a factorised system for another right-hand side; linear in `terms`."""
     zero = jnp.zeros_like(terms.stages.c[0][0])
 
     def back(after: CostGradient, s: tuple):

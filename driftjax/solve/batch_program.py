@@ -1,4 +1,4 @@
-"""Quadratic programs of a batch: linearise its problems at an iterate, and solve the programs that come out."""
+"""Quadratic programs of a batch: linearise its problems at an iterate, and solve the resulting programs."""
 
 from typing import NamedTuple
 

@@ -93,7 +93,7 @@ def _infeasible(
 
 
 def central(dual: Components, slack: Components, barrier: Array, open_: Array) -> Components:
-    """Return duals with slack products near the barrier: an entry at a limit without its dual cannot move."""
+    """Return duals whose products with the slacks stay near the barrier; others would block the step."""
     near = lambda z, s: jnp.clip(z, barrier / (CENTRALITY * s), CENTRALITY * barrier / s)
     return [jnp.where(open_, near(z, s), z) for z, s in zip(dual, slack, strict=True)]
 

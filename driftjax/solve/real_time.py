@@ -28,7 +28,7 @@ from driftjax.solve.ocp import Options
 
 
 class Preparation(NamedTuple):
-    """Quadratic programs of a batch about a guess, and what of their problems changes from step to step."""
+    """Quadratic programs of a batch about a guess, and the data of their problems that change from step to step."""
 
     u_before: Components
     params: tuple[PyTree, PyTree]  # of the stages and of the end

@@ -167,7 +167,7 @@ DIAGNOSIS: dict[str, Variable] = {
     "explained": Variable(("model", "driver", "force"), "1", "share of a force's variance that a driver explains"),
     "parameter": Variable(("parameter",), "1", "parameter of an effect, effect.parameter"),
     "effect": Variable(("effect",), "1", "effect of the catalogue"),
-    "promise": Variable(("effect",), "1", "fall of the cost that the effect's best linear step promises"),
+    "promise": Variable(("effect",), "1", "predicted fall of the cost with the effect's best linear step"),
     "score": Variable(("parameter",), "1", "studentised score of a parameter at the nominal car"),
     "named": Variable(("parameter",), "1", "whether the effect was named"),
     "other": Variable(("other",), "1", "parameter of an effect, effect.parameter"),

@@ -55,7 +55,7 @@ class OptunaSource(Source):
 
     @property
     def watcher(self) -> partial | None:
-        """Make the callback that reports each step to the study, where a pruner may end the trial."""
+        """Return the callback that reports each step to the study, where a pruner may end the trial."""
         return None if self.config.pruner == "NopPruner" else partial(make_watch, self._url)
 
     def trials(self) -> Iterator[Trial]:

@@ -42,7 +42,7 @@ class LapEvaluator:
 
     @cached_property
     def untuned_drivers(self) -> Driver:
-        """Build the drivers of all plants before tuning."""
+        """Return the drivers of all plants before tuning."""
         scenario = self.scenario
         initial = scenario.over_batch(no_residual(zero_gp(1, 5, 3), scenario.lags))
         return build_drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)

@@ -82,7 +82,7 @@ class Universal(eqx.Module):
 
     @property
     def _delays(self) -> np.ndarray:
-        """Indices of the parameters that are delays of V, beta and r; empty if no effect has any."""
+        """Return the indices of the parameters that are delays of V, beta and r; empty if no effect has any."""
         return np.flatnonzero([effect.sensor_delay for effect in self.effects for _ in effect.parameters])
 
     def split_delays(self, dt: float | Array) -> tuple[Float[Array, "3"], "Universal"]:

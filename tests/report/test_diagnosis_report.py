@@ -108,8 +108,8 @@ def test_curves_are_those_stored_in_the_units_of_their_axes(run):
 
 def test_bars_are_the_scores_largest_first_and_named_ones_red(run):
     data = run.read_dataset("diagnosis.nc")
-    promised, tested = plot_scores(data).axes
-    for axis in (promised, tested):
+    predicted, tested = plot_scores(data).axes
+    for axis in (predicted, tested):
         bars = [bar for bar in axis.patches if isinstance(bar, Rectangle)]
         widths = [bar.get_width() for bar in bars]
         assert widths == sorted(widths, reverse=True) and len(widths) == len(EFFECTS)

@@ -45,7 +45,7 @@ class LogColumns(NamedTuple):
     time_factor: float
     """[s per unit of it]"""
     run: str | None
-    """Column that separates runs, in each of which time starts anew."""
+    """Column that separates runs, in each of which time starts again."""
     columns: list[Column]
     flags: list[str]
     """Columns of two or three values."""
@@ -122,7 +122,7 @@ def _of_recording(path: Path, kind: str) -> LogColumns:
 
 
 def _uneven(t: np.ndarray) -> list[float]:
-    """Return the samples per second of uneven time stamps, nothing of even ones."""
+    """Return the samples per second of uneven time stamps in a list; empty for even ones."""
     rate = even_rate(t) if len(t) > 2 else None
     return [] if rate is None else [rate]
 

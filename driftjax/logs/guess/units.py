@@ -43,7 +43,7 @@ def best_factors(signals: dict[str, Signal], meanings: dict[str, Meaning], facto
 
 
 def _costs(v: Values, dt: float) -> Iterator[float]:
-    """Yield by how much each channel contradicts the others or exceeds its plausible range."""
+    """Yield for each channel how much it contradicts the others or exceeds its plausible range."""
     for role, signal in v.items():
         if role in LIMITS and np.nanpercentile(np.abs(signal.y), 98) > LIMITS[role]:
             yield WORST

@@ -28,7 +28,7 @@ class Timing:
 
     @property
     def quartiles(self) -> tuple[float, float]:
-        """Lower and upper quartile of the runs [s]."""
+        """Return the lower and upper quartile of the runs [s]."""
         low, high = np.quantile(self.runs, (0.25, 0.75))
         return float(low), float(high)
 
@@ -72,7 +72,7 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Whether the median ratio reaches the target; None where there is nothing to compare."""
+        """Return whether the median ratio reaches the target; None where there is nothing to compare."""
         ratio = self.ratio
         if ratio is None or self.target is None:
             return None

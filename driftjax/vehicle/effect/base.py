@@ -55,7 +55,7 @@ class Parameter:
 
     @property
     def suffix(self) -> str:
-        """Unit as printed after a number; empty for a pure number."""
+        """Return the unit as printed after a number; empty for a pure number."""
         return "" if self.unit == "1" else f" {self.unit}"
 
     def scale(self, vehicle: VehicleConfig) -> float:

@@ -8,7 +8,7 @@ from driftjax.vehicle.effect.flow import Flow
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Load both axles with the square of speed, as the weight does."""
+    """Add to both axle loads a force that grows with the square of speed, split as the weight is."""
     share = p[0] * flow.x.V**2 / flow.car.wheelbase
     return flow._replace(Fzf=flow.Fzf + share * flow.car.b, Fzr=flow.Fzr + share * flow.car.a)
 

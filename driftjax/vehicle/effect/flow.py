@@ -34,32 +34,32 @@ class Car(NamedTuple):
 
     @property
     def tyre_f(self) -> SimplifiedPacejka | CurvedPacejka:
-        """Tyre of the front axle."""
+        """Return the tyre of the front axle."""
         return tyre(self.muf, self.Bf, self.Cf, self.curve_f)
 
     @property
     def tyre_r(self) -> SimplifiedPacejka | CurvedPacejka:
-        """Tyre of the rear axle."""
+        """Return the tyre of the rear axle."""
         return tyre(self.mur, self.Br, self.Cr, self.curve_r)
 
     @property
     def wheelbase(self) -> Array:
-        """Distance L between the axles [m]."""
+        """Return the distance L between the axles [m]."""
         return self.a + self.b
 
     @property
     def unit_speed(self) -> Array:
-        """sqrt(g L), the speed of Froude number 1 [m/s]."""
+        """Return sqrt(g L), the speed of Froude number 1 [m/s]."""
         return jnp.sqrt(G * self.wheelbase)
 
     @property
     def unit_time(self) -> Array:
-        """sqrt(L / g) [s]."""
+        """Return sqrt(L / g) [s]."""
         return jnp.sqrt(self.wheelbase / G)
 
     @property
     def nominal(self) -> SingleTrack:
-        """The single track with this car's size and mass; its tyre is the front one."""
+        """Return the single track with this car's size and mass; its tyre is the front one."""
         return SingleTrack(self.m, self.Iz, self.a, self.b, SimplifiedPacejka(self.muf, self.Bf, self.Cf))
 
 

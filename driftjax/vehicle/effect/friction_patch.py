@@ -12,7 +12,7 @@ NUM = 6  # windows around the lap
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Scale the friction of both axles by where the car is."""
+    """Scale the friction of both axles by the value of the patches at the car's place in the lap."""
     change = jnp.zeros_like(flow.place.s)
     for i in range(NUM):
         d = NUM * (jnp.mod(flow.place.s - i / NUM + 0.5, 1.0) - 0.5)

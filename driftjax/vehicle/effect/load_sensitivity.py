@@ -14,7 +14,7 @@ HEIGHT = 0.1  # least height of the centre of mass, over the wheelbase [-]
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Lower the friction of an axle with what it carries beyond its static load."""
+    """Lower the friction of each axle in proportion to its load beyond the static one."""
     car = flow.car
     moved = (flow.Fzr * car.b - flow.Fzf * car.a) / car.wheelbase
     least = HEIGHT * car.m * flow.ax

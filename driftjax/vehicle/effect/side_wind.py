@@ -15,7 +15,7 @@ CALM = 1e-3  # speed that keeps the norms smooth, over sqrt(g L) [-]
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Push with the wind; written so that the force is exactly zero without wind."""
+    """Add the force of the wind, written so that it is exactly zero without wind."""
     x, car, sin, cos = flow.x, flow.car, jnp.sin(flow.place.psi), jnp.cos(flow.place.psi)
     vx, vy = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)
     wx, wy = p[0] * cos + p[1] * sin, p[1] * cos - p[0] * sin

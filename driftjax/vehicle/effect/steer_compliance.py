@@ -14,7 +14,7 @@ STEPS = 3  # of Newton's method
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Turn the front wheels back by the side force that they then have."""
+    """Reduce the front steering angle by p times the front side force, solved for the slip angle that results."""
     front = tyre(flow.muf, flow.car.Bf, flow.car.Cf, flow.car.curve_f)
     force = lambda alpha: front.lateral(alpha, flow.Fzf)
     alpha = flow.alpha_f
