@@ -38,7 +38,7 @@ def residual_derivatives(residual: Residual, z: Components, unit: Sequence[Array
 
 
 def _expanded(residual: Residual, z: Sequence[Array]) -> Expansion:
-    """Expand `Residual` by the chain rule from mean and nearness, at inputs (..., batch)."""
+    """Expand `Residual` to second order by the chain rule, from mean and nearness, at inputs (..., batch)."""
     mean, near = expansions(residual.gp, z)
     wide = lambda a: a.T.reshape(3, *[1] * (z[0].ndim - 1), len(a))
     reach, trust_factor = wide(jax.vmap(lambda gp: gp.reach)(residual.gp)), wide(residual.trust_factor)

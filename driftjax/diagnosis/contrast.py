@@ -207,7 +207,7 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
 
 
 def probabilities(contrast: Contrast, selected: tuple[int, ...], member: int) -> np.ndarray:
-    """Return the probabilities (E,) that `member` differs, or another effect in its place."""
+    """Return the probabilities (E,) that `member`, or another effect in its place, differs."""
     model = with_dispersion(contrast).cost
     costs = -rival_gains(model, tuple(i for i in selected if i != member))
     costs[member] = -gain_of(model, best_parameters(model, selected))

@@ -113,7 +113,7 @@ def run_stages(
     expected: np.ndarray,
     begin: Callable[[CalibrationStage], None] = lambda stage: None,
 ) -> StagedFit:
-    """Run all stages once for the parameters `columns`, from `theta` (K,), where those of later stages stay.
+    """Run all stages once for the parameters `columns`, from `theta` (K,); later stages' parameters keep its values.
 
     Scores are `expected` to vary by so many times their information, by kind of stretch (4,): innovations that depend
     on each other, or that no car explains, count less than those of other stages. `begin` is called at every stage.

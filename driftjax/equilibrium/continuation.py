@@ -78,7 +78,7 @@ def _follow(
     first: Equilibrium,
     branch: Array | int,
 ) -> Equilibrium:
-    """Continue `first` through `part(eta)`, a model and the car that judges it, to `last_part` at eta = 1."""
+    """Continue `first` through `part(eta)`, a model and the car that classifies it, to `last_part` at eta = 1."""
 
     def stage(last: Equilibrium, eta: Array):
         new = solve_equilibrium(*part(eta), fixed, (last.x, last.u), branch=branch)

@@ -49,7 +49,7 @@ def _hyper(x: Array) -> Hyper:
 
 
 def _subset(mask: Array, size: int, key: Array, *columns: Array) -> tuple[Array, ...]:
-    """Return at most `size` random rows of `columns` and then of `mask`, data first."""
+    """Return at most `size` random rows of `columns`, then of `mask`, preferring rows with data."""
     if mask.shape[0] <= size:
         return *columns, mask
     score = jnp.where(mask, jax.random.uniform(key, mask.shape), -1.0)

@@ -30,7 +30,7 @@ def planned_arrival(table: ReferenceTable, lead: Array | float) -> Arrival:
 def update_arrival(
     before: Arrival, trace: Trace, command: Control, s0: Array, lags: Float[Array, " 2"], dt: Array
 ) -> Arrival:
-    """Update `before` with one lap (time on the leading axis), from measurements and the commands that acted only.
+    """Update `before` with one lap (time on the leading axis), from measurements and the commands that acted.
 
     `s0` [m] is where the drift controller takes over; a lap that does not get there changes nothing.
     """

@@ -147,7 +147,7 @@ def build_scenario(
 def lay_out(
     config: LearnConfig, on: tuple[str, AnyPlant] | None, lap: float
 ) -> tuple[tuple[BatchEntry, ...], AnyPlant, Array]:
-    """Return all batch entries (controller, plant, seed), their plants and noise keys; `on` gives one plant for all.
+    """Return all batch entries (controller, plant, seed), their plants and noise keys; `on` is one plant for all.
 
     `lap` is the length of the track [m].
     """

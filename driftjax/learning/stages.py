@@ -125,7 +125,7 @@ def _gpr(scenario: Scenario, progress: Progress, number: int):
 
 
 def _best(scenario: Scenario, progress: Progress, name: str, number: int):
-    """Repeat each entry's best setting; before exploration its lap also gives the V-sets."""
+    """Drive each entry's best setting again; before exploration, compute the V-sets from its lap."""
     if name == "explore-best" and not bool(progress.explored):
         return None
     best = progress.best
@@ -142,7 +142,7 @@ def _best(scenario: Scenario, progress: Progress, name: str, number: int):
 
 
 class _Proposal(eqx.Module):
-    """What every entry drives next (leading axis: batch)."""
+    """Next lap of every entry (leading axis: batch)."""
 
     index: Array  # candidate, which sets the gain of the path's correction
     aim: Aim

@@ -1,4 +1,4 @@
-"""Optional libraries for some log formats: import by extra, and convert their errors to one sentence."""
+"""Optional libraries for some log formats: import them by extra, and convert their errors to one sentence."""
 
 import importlib
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def import_extra(path: Path | str, kind: str, extra: str, module: str) -> Any:
 
 @contextmanager
 def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
-    """Raise `BadInput` with `remedy` if a library cannot read `path`: damaged bytes can raise any exception."""
+    """Raise `BadInput` with `remedy` if a library cannot read `path`; damaged bytes can raise any exception."""
     try:
         yield
     except BadInput:

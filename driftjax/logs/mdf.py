@@ -47,7 +47,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _values(mdf: Any, places: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the places (group, channel) that are not the time stamps of the group."""
+    """Return those `places` (group, channel) that are not the time stamps of their group."""
     return [(group, channel) for group, channel in places if mdf.masters_db.get(group) != channel]
 
 

@@ -76,7 +76,7 @@ def _closure(modules: tuple[str, ...]) -> tuple[dict[str, Path], set[str]]:
 
 @functools.cache
 def _imports(module: str, file: Path) -> set[str]:
-    """Return the modules that a file imports, and what may be one: `b` of `from a import b` where `a` is a package."""
+    """Return the modules that a file imports, and what may be one: `b` of `from a import b` if `a` is a package."""
     package, names = module if file.name == "__init__.py" else module.rpartition(".")[0], set()
     text = COMMENT.sub(b"", file.read_bytes())
     if b"iter_modules(__path__)" in text:  # a package that imports all its modules, whatever their names

@@ -80,7 +80,7 @@ class MinimumTime(AbstractOCP):
         return jnp.stack([*dx, e_dot, theta_dot, *rates]) / self.scale / self.progress(s_dot)
 
     def progress(self, s_dot: Array) -> Array:
-        """Return s_dot, bounded below where no feasible trajectory goes [m/s]."""
+        """Return s_dot [m/s], bounded below by a value that no feasible trajectory reaches."""
         return jnp.maximum(s_dot, SLOWEST * self.V0)
 
     def slowness(self, x: Array, kappa: Array) -> Array:

@@ -194,7 +194,7 @@ def animate(
 
 
 def _gif(path: Path, figure: Figure, frames: Iterator[None], step: float) -> None:
-    """Write a GIF of few colours that differ from frame to frame in few places, so that it is small."""
+    """Write a GIF of few colours whose frames differ in few places, so that it is small."""
     images = []
     for _ in frames:
         figure.canvas.draw()

@@ -141,7 +141,7 @@ def _at_start(
 
 
 def sensed_on(path: Track, s: Array, V: Array, beta: Array, r: Array, x: Array, y: Array, psi: Array) -> Sensed:
-    """Return a motion with its place along `path`; `s` [m] is about where that is."""
+    """Return a motion with its place along `path`; `s` [m] is a first guess of its arc length."""
     s, e = path.project(x, y, s)
     return Sensed(V, beta, r, x, y, psi, s, e, wrap(psi - path.pose(s)[2]))
 

@@ -16,7 +16,6 @@ from driftjax.sim.plant_files import batch_of
 from driftjax.sim.universal_plant import AnyPlant
 from driftjax.vehicle import Motion, PlantConfig, VehicleConfig
 
-Car = VehicleConfig | PlantConfig
 CHANNELS = {
     "V": ("m/s", "speed of the centre of mass"),
     "beta": ("rad", "sideslip, left positive"),
@@ -32,7 +31,7 @@ CHANNELS = {
 
 
 def simulate(
-    cars: Car | Sequence[Car],
+    cars: VehicleConfig | PlantConfig | Sequence[VehicleConfig | PlantConfig],
     commands: ArrayLike,
     dt: float,
     *,

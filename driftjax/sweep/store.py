@@ -33,7 +33,7 @@ class Store:
 
     @contextmanager
     def locked(self, process: int = 0) -> Iterator[None]:
-        """Lock the folder, or the share of this `process` of several; raises `BadInput` where another sweep holds it.
+        """Lock the folder, or the share of this `process` of several; raises `BadInput` if another sweep has locked it.
 
         A killed sweep leaves no lock.
         """

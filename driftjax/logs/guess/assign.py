@@ -91,7 +91,7 @@ def untransformed_signals(assigned: dict[str, ChannelAssignment], dt: float) -> 
 
 
 def _one_pose(assigned: dict[str, ChannelAssignment], known: list[_Known], dt: float) -> dict[str, ChannelAssignment]:
-    """Return the channels with the heading that comes with the position, where another one is hardly better."""
+    """Return the channels with the heading of the source of the position, unless another one is clearly better."""
     if "psi" not in assigned or "x" not in assigned:
         return assigned
     best, x = assigned["psi"], assigned["x"]

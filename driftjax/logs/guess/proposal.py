@@ -205,7 +205,7 @@ def _even_rate(log: LogColumns, guesses: list[Guessed], left: list[str]) -> floa
 def _without_course(
     assigned: dict[str, ChannelAssignment], v: dict[str, Signal], dt: float, left: list[str]
 ) -> dict[str, ChannelAssignment]:
-    """Leave out a heading that is the direction of travel, as of GPS, where the sideslip tells them apart."""
+    """Remove a heading that is the direction of travel, as from GPS, where the sideslip tells the two apart."""
     slip = v["beta"].y if "beta" in v else np.arctan2(v["vy"].y, v["vx"].y) if {"vx", "vy"} <= set(v) else None
     if "psi" not in v or slip is None or (way := course(v)) is None:
         return assigned

@@ -7,7 +7,7 @@ from driftjax.vehicle.effect.flow import Flow
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Pull against the velocity, by its square."""
+    """Add a force against the velocity, proportional to its square."""
     drag = p[0] * flow.x.V**2
     return flow._replace(X=flow.X - drag * jnp.cos(flow.x.beta), Y=flow.Y - drag * jnp.sin(flow.x.beta))
 

@@ -10,7 +10,7 @@ from driftjax.vehicle.effect.flow import Car
 
 
 def apply(car: Car, p) -> Car:
-    """Add p to the square of the ellipse's share; for p > 0 the derivative is not zero even where that share was 0."""
+    """Add p to the square of the ellipse's share; for p > 0 the derivative is not zero even if that share was 0."""
     ellipse = car.ellipse + p[0]
     return car._replace(ellipse=jnp.where(ellipse < 0, 0.0, ellipse))
 

@@ -12,7 +12,7 @@ WIDTH = 0.05  # of the smooth sign, over sqrt(g / L) [-]
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Turn with the drive force, in the sense of the yaw rate."""
+    """Add a yaw moment proportional to the drive force, in the direction of the yaw rate."""
     r, width = flow.x.r, WIDTH * flow.car.unit_speed / flow.car.wheelbase
     return flow._replace(N=flow.N + p[0] * flow.Fxr * r / jnp.sqrt(r**2 + width**2))
 

@@ -13,7 +13,7 @@ CENTRE, WIDTH = 0.02, 0.005  # drive force at which it lets go, over the weight 
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Pull against the forward speed where the car is not driven."""
+    """Add a force against the forward speed where the car is not driven."""
     drive = flow.u.Fxr / (flow.car.m * G)
     return flow._replace(X=flow.X - p[0] * jax.nn.sigmoid((CENTRE - drive) / WIDTH) * forward_sign(flow))
 

@@ -12,7 +12,7 @@ FRONT = 0.5  # share of the rear's fade that the front has [-]
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Lower the friction by the sliding work done."""
+    """Lower the friction exponentially with the sliding work of the rear tyres."""
     fade = p[0] * flow.place.heat
     return flow._replace(muf=flow.muf * jnp.exp(-FRONT * fade), mur=flow.mur * jnp.exp(-fade))
 

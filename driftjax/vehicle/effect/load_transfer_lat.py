@@ -14,7 +14,7 @@ from driftjax.vehicle.single_track import G
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Lower the friction of each axle with the square of the lateral acceleration, and turn the car."""
+    """Lower the friction of each axle with the square of the lateral acceleration, and add a yaw moment."""
     k_f, k_r, h_f = p
     ay = flow.ay + flow.ay_lag
     square = (ay / G) ** 2

@@ -8,7 +8,7 @@ from driftjax.vehicle.single_track import G
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Pull to the left by the weight's part along the road; a bank that turns with the car, as in a built corner."""
+    """Add the weight's part along the bank, to the left; the bank turns with the car, as in a banked corner."""
     return flow._replace(Y=flow.Y + flow.car.m * G * jnp.sin(p[0]))
 
 

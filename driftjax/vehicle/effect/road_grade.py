@@ -11,7 +11,7 @@ from driftjax.vehicle.single_track import G
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Pull downhill, whatever the heading."""
+    """Add the weight's part along the slope, downhill at every heading."""
     weight, sin, cos = flow.car.m * G, jnp.sin(flow.place.psi), jnp.cos(flow.place.psi)
     X = flow.X - weight * (p[0] * cos + p[1] * sin)
     return flow._replace(X=X, Y=flow.Y + weight * (p[0] * sin - p[1] * cos))

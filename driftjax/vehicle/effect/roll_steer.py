@@ -9,7 +9,7 @@ from driftjax.vehicle.effect.flow import Flow
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Turn the front wheels out of the turn with the lateral acceleration."""
+    """Turn the front wheels to the outside of the turn, in proportion to the lateral acceleration."""
     turn = p[0] * (flow.ay + flow.ay_lag)
     return flow._replace(u=flow.u._replace(delta=flow.u.delta - turn), alpha_f=flow.alpha_f + turn)
 

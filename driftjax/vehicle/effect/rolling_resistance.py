@@ -6,7 +6,7 @@ from driftjax.vehicle.single_track import G
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Pull against the forward speed by a share of the weight."""
+    """Add a force against the forward speed, proportional to the weight."""
     return flow._replace(X=flow.X - p[0] * flow.car.m * G * forward_sign(flow))
 
 

@@ -13,7 +13,7 @@ BOTTOM = 0.02  # width over which the absolute value is rounded, over sqrt(g L) 
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Lower the friction of each axle by its own sliding speed, V |sin alpha| with a smooth bottom."""
+    """Lower the friction of each axle with its own sliding speed, V |sin alpha|, smooth at 0."""
     unit, x = flow.car.unit_speed, flow.x
 
     def share_left(alpha):

@@ -9,7 +9,7 @@ TINY = 1e-9  # play below which the wheels always lie at one of its sides [rad]
 
 
 def apply(memory, u: Control, V, dt, p):
-    """Move the wheels by either side of the play; `memory` is the last command and the position within the play.
+    """Follow the command with the play; `memory` is the last command and the position within the play, from -1 to 1.
 
     The position is a share of the play, so that the angle has the right slopes at w = 0, where both sides meet.
     """

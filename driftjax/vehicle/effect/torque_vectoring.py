@@ -10,7 +10,7 @@ CHARACTERISTIC = 3.5  # characteristic speed over sqrt(g L) [-]
 
 
 def apply(flow: Flow, p) -> Flow:
-    """Turn towards the yaw rate of an understeering car at this steering angle."""
+    """Add a yaw moment towards the yaw rate of an understeering car at this steering angle."""
     V, car = flow.x.V, flow.car
     reference = V * flow.u.delta / (car.wheelbase * (1 + (V / (CHARACTERISTIC * car.unit_speed)) ** 2))
     return flow._replace(N=flow.N + p[0] * (reference - flow.x.r))
