@@ -18,10 +18,10 @@ import tyro
 import driftjax as dj
 
 DEG, KMH, G = np.pi / 180, 1 / 3.6, 9.80665
-Truth = dict[str, tuple[str, float]]
+ColumnTruth = dict[str, tuple[str, float]]
 
 
-def same(*names: str) -> Truth:
+def same(*names: str) -> ColumnTruth:
     """Columns in the units of the log format: `channel=column`."""
     return {channel: (column, 1.0) for channel, _, column in (name.partition("=") for name in names)}
 
@@ -36,7 +36,7 @@ MESSAGES = same("t=time", "vx=/odom.twist.twist.linear.x", "vy=/odom.twist.twist
                 "psi=/odom.pose.pose.orientation.yaw", "x=/odom.pose.pose.position.x", "ay=/imu.linear_acceleration.y",
                 "delta=/command.data[0]", "Fxr=/command.data[1]")  # fmt: skip
 # what each log holds, by file name; s and e may be placed or not
-KNOWN: dict[str, Truth] = {
+KNOWN: dict[str, ColumnTruth] = {
     "grip.csv": DART, "low_grip.csv": DART, "ramps.csv": DART, "steer_id.csv": DART, "targa66*.csv": FERRARI,
     "cpg*.csv": GENESIS, "dart*.csv": DART, "ferrari.csv": FERRARI, "genesis.csv": GENESIS,
     "*.bag": MESSAGES, "ros2*": MESSAGES, "*.mcap": MESSAGES,
@@ -93,7 +93,7 @@ class Config:
     """Rows of a CSV that the changed versions have at most."""
 
 
-def known(path: Path) -> Truth:
+def known(path: Path) -> ColumnTruth:
     """What the log `path` holds."""
     truths = [truth for pattern, truth in KNOWN.items() if fnmatchcase(path.name, pattern)]
     if not truths:
@@ -101,7 +101,7 @@ def known(path: Path) -> Truth:
     return truths[0]
 
 
-def in_other_units(path: Path, truth: Truth, out: Path, rows: int) -> Truth:
+def in_other_units(path: Path, truth: ColumnTruth, out: Path, rows: int) -> ColumnTruth:
     """Write the log with names that state no unit, in degrees, km/h and g; return what it holds."""
     names, cells = read_rows(path, rows)
     renamed = {}
@@ -115,7 +115,7 @@ def in_other_units(path: Path, truth: Truth, out: Path, rows: int) -> Truth:
             for channel, (column, _) in truth.items()}  # fmt: skip
 
 
-def in_other_signs(path: Path, truth: Truth, out: Path, rows: int) -> Truth:
+def in_other_signs(path: Path, truth: ColumnTruth, out: Path, rows: int) -> ColumnTruth:
     """Write the log with signs to the right and a compass heading; return what it holds."""
     names, cells = read_rows(path, rows)
     there = {channel: one for channel, one in truth.items() if channel in SIGN_CHANGES}
@@ -149,7 +149,7 @@ def write_rows(path: Path, names: list[str], cells: list[list[str]]) -> None:
         csv.writer(stream).writerows([names, *cells])
 
 
-def count(path: Path, truth: Truth) -> tuple[int, int, list[str]]:
+def count(path: Path, truth: ColumnTruth) -> tuple[int, int, list[str]]:
     """Return the number of right channels, of all that count, and the wrong ones.
 
     Those count that the log holds, and those that are placed without being there.

@@ -20,10 +20,10 @@ import tyro
 from driftjax.cli.front import Terminated
 from driftjax.core import BadInput, write_text
 from driftjax.core.config import require_finite
+from driftjax.core.progress import ProgressReport
 from driftjax.store import RunFolder
 
 T = TypeVar("T")
-Report = Callable[[str, float, int], None]
 
 BAR = "{l_bar}{bar}| {n:g}/{total:g} [{elapsed}{postfix}]"
 BAR_WITH_RATE = BAR.replace("]", ", {rate_fmt}]")  # where at least one part was done
@@ -84,7 +84,7 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"note: {note}", flush=True)
 
 
-def by_steps(report: Report, steps: Mapping[str, int]) -> Callable[[str], None]:
+def by_steps(report: ProgressReport, steps: Mapping[str, int]) -> Callable[[str], None]:
     """Return a progress report for texts `STEP` or `STEP: details`; `steps` has their usual shares of the time [%]."""
     *before, total = accumulate(steps.values(), initial=0)
     done = dict(zip(steps, before, strict=True))
@@ -142,7 +142,7 @@ def has_width(stream: TextIO) -> bool:
 
 
 @contextmanager
-def progress() -> Iterator[Report]:
+def progress() -> Iterator[ProgressReport]:
     """Yield `report(text, done, total)`: a bar with rate and time left in a terminal, lines in a log file.
 
     Both streams must be a terminal for the bar: one that goes into a file or a pipe gets lines instead, as does a
@@ -176,7 +176,7 @@ def progress() -> Iterator[Report]:
             thread.join()
 
 
-def _report_lines() -> Report:
+def _report_lines() -> ProgressReport:
     """Return a report that prints a line per stage with the time left, and a line a minute for an unchanged text."""
     clock, begin = TimeLeft(), time.monotonic()
     last = ("", begin)

@@ -13,7 +13,7 @@ from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_
 from driftjax.control.residual import ResidualDerivatives, residual_derivatives
 from driftjax.core import Control, State, lag_step, rk4_step
 from driftjax.gp import zero_gp
-from driftjax.solve.batch_ocp import AbstractBatchOCP, Components, Limits
+from driftjax.solve.batch_ocp import AbstractBatchOCP, BoxLimits, Components
 from driftjax.solve.component_derivatives import (
     Entry,
     Matrix,
@@ -195,11 +195,11 @@ class DriftBatchOCP(AbstractBatchOCP):
         """Return the weights on input changes."""
         return self.R
 
-    def input_limits(self) -> Limits:
+    def input_limits(self) -> BoxLimits:
         """Return the limits of delta and Fxr."""
         return list(zip(self.lower, self.upper, strict=True))
 
-    def change_limits(self) -> Limits:
+    def change_limits(self) -> BoxLimits:
         """Return the limits of input changes per step."""
         return [(-rate, rate) for rate in self.rate]
 

@@ -19,7 +19,7 @@ from driftjax.diagnosis.runs import error_blocks, lap_lengths, run_observer, ste
 from driftjax.diagnosis.smooth import smooth_disturbances
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 from driftjax.vehicle.single_track import G
 
 FORCES = ("Fx", "Fyf", "Fyr")
@@ -34,7 +34,9 @@ class ResidualForces(NamedTuple):
     block: np.ndarray  # (n,) number of the block of time
 
 
-def disturbance_forces(vehicle: VehicleConfig | Car, x: np.ndarray, delta: np.ndarray, push: np.ndarray) -> np.ndarray:
+def disturbance_forces(
+    vehicle: VehicleConfig | CarParameters, x: np.ndarray, delta: np.ndarray, push: np.ndarray
+) -> np.ndarray:
     """Return the axle forces (..., 3) [N] that cause the additional rates `push` (..., 3) in the state `x` (..., 3).
 
     dX = m (dV' cos beta - V dbeta' sin beta), dY = m (dV' sin beta + V dbeta' cos beta), dN = Iz dr'; and

@@ -15,7 +15,7 @@ from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.runs import run_observer
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 from driftjax.vehicle.single_track import G
 
 COAST_BELOW = 0.02  # longitudinal force over weight
@@ -63,7 +63,9 @@ def find_stretches(problem: Problem) -> np.ndarray:
     return np.where(within, kind, NOWHERE)
 
 
-def grip_use(car: Car, z: np.ndarray, rates: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def grip_use(
+    car: CarParameters, z: np.ndarray, rates: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lateral forces over friction times load (P, T, 2), slip angles (P, T, 2) [rad] and drive force (P, T) [N].
 
     By Newton's law from augmented states `z` (P, T, 6), `rates` (P, T, 3) and inputs `u` (P, T, 4); front, rear.
@@ -74,12 +76,12 @@ def grip_use(car: Car, z: np.ndarray, rates: np.ndarray, u: np.ndarray) -> tuple
     return forces[..., 1:] / largest_forces(car), np.stack(slip, axis=2), u[..., 1]
 
 
-def largest_forces(car: Car) -> np.ndarray:
+def largest_forces(car: CarParameters) -> np.ndarray:
     """Return friction times static load of front and rear axle [N]."""
     return np.array([float(car.muf * car.nominal.Fzf), float(car.mur * car.nominal.Fzr)])
 
 
-def tyre_use(car: Car, slip: np.ndarray) -> np.ndarray:
+def tyre_use(car: CarParameters, slip: np.ndarray) -> np.ndarray:
     """Return the share of friction that the nominal tyres use at slip angles (P, T, 2), 1 from the peak on."""
     B, C = (np.array([float(value) for value in pair]) for pair in ((car.Bf, car.Br), (car.Cf, car.Cr)))
     return np.sin(np.minimum(C * np.arctan(B * np.abs(slip)), np.pi / 2))

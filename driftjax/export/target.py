@@ -13,7 +13,7 @@ import yaml
 from driftjax.core import write_text
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, effects_by_name, reference
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 from driftjax.vehicle.effect.linear import GRIP
 from driftjax.vehicle.universal import Universal, base_car, universal_car
 
@@ -55,7 +55,7 @@ class ReducedCar(NamedTuple):
 
     @property
     def car(self) -> Any:
-        """Return the `Car` of floats, with the effects of the station `car` and the gains of friction."""
+        """Return the `CarParameters` of floats, with the effects of the station `car` and the gains of friction."""
         car = _in_floats(base_car(self.vehicle.build()))
         for name, effect in EFFECTS.items():
             values = tuple(one.value for one in self.vehicle.effects if one.effect == name)
@@ -85,7 +85,7 @@ class Format(NamedTuple):
     predicts: bool = True  # whether it is a model of motion, whose loss a prediction can measure
 
 
-def _in_floats(car: Car) -> Any:
+def _in_floats(car: CarParameters) -> Any:
     return jax.tree.map(float, car)
 
 

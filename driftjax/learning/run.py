@@ -10,6 +10,7 @@ import xarray as xr
 
 from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
+from driftjax.core.progress import ProgressReport
 from driftjax.environment import require_float64
 from driftjax.learning.compile_ahead import compile_stages
 from driftjax.learning.config import LearnConfig, load_learn_config
@@ -28,7 +29,6 @@ from driftjax.track import check_width, load_track
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.plants import load_distribution
 
-Report = Callable[[str, int, int], None]
 ONCE = {"plan": 6, "compile": 16}  # usual time of a first run, in that of a stage; less where the programs are stored
 
 
@@ -37,7 +37,7 @@ def learn(
     out: str | Path = "runs/learn",
     *,
     workers: int | None = None,
-    report: Report = lambda text, done, total: None,
+    report: ProgressReport = lambda text, done, total: None,
 ) -> RunFolder:
     """Run the paper's experiment: plan, nominal laps, GP laps and active exploration, on a batch of plants.
 
@@ -69,7 +69,7 @@ def check_files(config: LearnConfig) -> None:
         load_distribution(config.distribution)
 
 
-def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
+def run(config: LearnConfig, folder: RunFolder, report: ProgressReport, num_workers: int = 0) -> dict[str, Any]:
     """Drive every stage missing in `folder`; write and return the results, and collect the laps.
 
     Deterministic on one machine: a config gives the same laps, resumed or not, with any number of worker processes.
@@ -95,7 +95,7 @@ def run(config: LearnConfig, folder: RunFolder, report: Report, num_workers: int
     return summary
 
 
-def _share_done(num_stages: int, report: Report) -> Callable[[str, float], None]:
+def _share_done(num_stages: int, report: ProgressReport) -> Callable[[str, float], None]:
     """Return `share(text, parts)`, which reports finished parts in percent: a stage is one, `ONCE` has the others."""
     total = num_stages + sum(ONCE.values())
     return lambda text, parts: report(text, round(100 * parts / total), 100)

@@ -14,7 +14,7 @@ from driftjax.environment import require_float64
 from driftjax.parallel import call
 from driftjax.planner.config import PlanConfig, load_plan_config
 from driftjax.planner.nodes import nodes
-from driftjax.planner.problem import Limits, MinimumTime, Stage
+from driftjax.planner.problem import MinimumTime, PlanBounds, Stage
 from driftjax.planner.stages import guesses, stages
 from driftjax.solve import Options, Solution, solve_with_filter
 from driftjax.track import Track, check_width, resample
@@ -69,7 +69,7 @@ def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float,
     """Build the optimal control problem of `plan`, in its scaled units."""
     bounds = (config.V_min, config.V_max, vehicle.delta_max, vehicle.delta_rate_max, vehicle.Fxr_min,
               vehicle.Fxr_max, vehicle.Fxr_rate_max, config.end_slip)  # fmt: skip
-    limits = Limits(*map(as_float, bounds))
+    limits = PlanBounds(*map(as_float, bounds))
     kappa = np.abs(np.asarray(stage.kappa))
     L0 = min(1 / max(kappa.max(), 1e-3), 50 * vehicle.length)
     e0 = float(np.mean(np.asarray(stage.e_max - stage.e_min))) / 2

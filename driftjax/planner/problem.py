@@ -31,7 +31,7 @@ class Stage(NamedTuple):
     share: Array  # of the step in the time integral: 1, but 1/2 at both ends (trapezoidal rule)
 
 
-class Limits(NamedTuple):
+class PlanBounds(NamedTuple):
     """Bounds, in SI."""
 
     V_min: Array
@@ -53,7 +53,7 @@ class MinimumTime(AbstractOCP):
     """
 
     model: Callable[[State, Control], State]
-    limits: Limits
+    limits: PlanBounds
     ds: Array = eqx.field(converter=as_float)  # step [m]
     V0: Array = eqx.field(converter=as_float)  # scale of the speed [m/s]
     L0: Array = eqx.field(converter=as_float)  # scale of length: smallest radius [m]

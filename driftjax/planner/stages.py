@@ -13,9 +13,9 @@ from driftjax.planner.config import PlanConfig
 from driftjax.planner.problem import Stage
 from driftjax.track import Track
 from driftjax.vehicle import VehicleConfig
+from driftjax.vehicle.single_track import G
 
 DEVICE_OFF = -3.0  # slip bound that never binds [rad]
-G = 9.81  # [m/s^2]
 
 
 class TightCorner(NamedTuple):

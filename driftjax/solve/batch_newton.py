@@ -57,7 +57,7 @@ def no_gains(X: Components, U: Components) -> StepGains:
     return StepGains(blank(len(X)), blank(len(U)))
 
 
-class Policy(NamedTuple):
+class BackwardPass(NamedTuple):
     """Result of the backward sweep for one right-hand side."""
 
     k: Components  # constant parts of the steps of the inputs
@@ -102,7 +102,7 @@ def _wide(entries, like: Array):
     return jax.tree.map(lambda e: jnp.broadcast_to(e, like.shape), entries)
 
 
-def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFactors, Policy]:
+def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFactors, BackwardPass]:
     """Factorise the system and run the backward sweep for one right-hand side."""
     zero = jnp.zeros_like(terms.stages.c[0][0])
     nx, nu = len(terms.stages.c), len(terms.stages.pull)
@@ -120,10 +120,10 @@ def solve_backward(system: NewtonSystem, terms: NewtonTerms) -> tuple[StageFacto
     begin = CostHessian(P, blank(nx), blank(nu)), CostGradient(p, [zero] * nu)
     stages = (system.stages, system.state, terms.stages, terms.state)
     factors, k, p = jax.lax.scan(compute_once(back), begin, stages, reverse=True)[1]
-    return factors, Policy(k, p, terms.stages.c)
+    return factors, BackwardPass(k, p, terms.stages.c)
 
 
-def substitute(system: NewtonSystem, factors: StageFactors, terms: NewtonTerms) -> Policy:
+def substitute(system: NewtonSystem, factors: StageFactors, terms: NewtonTerms) -> BackwardPass:
     """Run the backward sweep of a factorised system for another right-hand side; linear in `terms`."""
     zero = jnp.zeros_like(terms.stages.c[0][0])
 
@@ -135,17 +135,17 @@ def substitute(system: NewtonSystem, factors: StageFactors, terms: NewtonTerms) 
 
     begin = CostGradient([e + zero for e in filled(terms.end, zero)], [zero] * len(terms.stages.pull))
     k, p = jax.lax.scan(back, begin, (factors, system.stages, terms.stages, terms.state), reverse=True)[1]
-    return Policy(k, p, terms.stages.c)
+    return BackwardPass(k, p, terms.stages.c)
 
 
 def solve_forward(
-    system: NewtonSystem, factors: StageFactors, policy: Policy, start: tuple[Components, Components]
+    system: NewtonSystem, factors: StageFactors, backward: BackwardPass, start: tuple[Components, Components]
 ) -> tuple[Components, Components, Components]:
     """Return the steps of later states and of inputs, and the costates after the step.
 
     `start` holds the steps of the first state and of the input before it.
     """
-    nx = len(policy.c)
+    nx = len(backward.c)
 
     def forth(carry: tuple[Components, Components], s: tuple):
         factors, stage, (k, p, c) = s
@@ -153,4 +153,4 @@ def solve_forward(
         costate = [total((p[i], dot(factors.P[i], dx), dot(factors.S[i], du))) for i in range(nx)]
         return (dx, du), (dx, du, costate)
 
-    return jax.lax.scan(compute_once(forth), start, (factors, system.stages, policy))[1]
+    return jax.lax.scan(compute_once(forth), start, (factors, system.stages, backward))[1]

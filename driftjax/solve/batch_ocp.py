@@ -13,7 +13,7 @@ from jaxtyping import Int, PyTree
 from driftjax.solve.component_derivatives import Matrix, dot, hessian, jacobian
 
 Components = list[Array]
-Limits = Sequence[tuple[Array | float | None, Array | float | None]]  # lower and upper, None for none
+BoxLimits = Sequence[tuple[Array | float | None, Array | float | None]]  # lower and upper, None for none
 
 
 class AbstractBatchOCP(eqx.Module):
@@ -49,15 +49,15 @@ class AbstractBatchOCP(eqx.Module):
         """Return the weight of the squared change of each input; none by default."""
         return ()
 
-    def input_limits(self) -> Limits:
+    def input_limits(self) -> BoxLimits:
         """Return the limits of each input; none by default."""
         return ()
 
-    def change_limits(self) -> Limits:
+    def change_limits(self) -> BoxLimits:
         """Return the limits of the change of each input between stages; none by default."""
         return ()
 
-    def state_limits(self) -> Limits:
+    def state_limits(self) -> BoxLimits:
         """Return the limits of each state of stages 1 to N; none by default."""
         return ()
 

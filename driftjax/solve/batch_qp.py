@@ -110,7 +110,7 @@ def next_barrier(it: BatchIterate, barrier: Array, length: Array, tolerance: Arr
 def _newton_step(
     ocp: AbstractBatchOCP, u_before: Components, model: QPModel, it: BatchIterate, barrier: Array
 ) -> tuple[BatchIterate, StepGains]:
-    """Solve the Newton system: backwards for value and policy, forwards for the step; the first state stays."""
+    """Solve the Newton system: backwards for gains, forwards for the step; the first state stays."""
     gaps, nu, zero = bound_constraints(ocp), len(it.U), jnp.zeros_like(barrier)
     residual = slack_residuals(ocp, u_before, model, it)
     inverse = [1 / slack for slack in it.slack]
@@ -118,8 +118,8 @@ def _newton_step(
     push = [w * r - barrier * i for w, r, i in zip(stiff, residual, inverse, strict=True)]
     system = newton_system(ocp, model, stiff)
     terms = newton_terms(ocp, model, change_gradient(ocp, u_before, it), push)
-    factors, policy = solve_backward(system, terms)
-    dX, dU, costates = solve_forward(system, factors, policy, ([zero] * len(it.X), [zero] * nu))
+    factors, backward = solve_backward(system, terms)
+    dX, dU, costates = solve_forward(system, factors, backward, ([zero] * len(it.X), [zero] * nu))
     of = {"input": dU, "change": changes(dU, [zero] * nu), "state": dX}
     d_costates = [new - old for new, old in zip(costates, it.costates, strict=True)]
     newton = BatchIterate([jnp.concatenate([zero[None], dx]) for dx in dX], dU, d_costates, [], [])

@@ -59,8 +59,8 @@ def solution_tangent(
     (gX, gU), c, gaps = _along(lambda *t: _conditions(it, *t), theta, (d_ocp, [None] * len(u_before), d_params))
     moved = model._replace(c=c, h=[*(g[:-1] for g in gX), *gU], hN=[g[-1] for g in gX])
     push = [weight * gap for weight, gap in zip(stiff, gaps, strict=True)]
-    policy = substitute(system, factors, newton_terms(ocp, moved, zero, push))
-    dX, dU, _ = solve_forward(system, factors, policy, (d_x0, d_before))
+    backward = substitute(system, factors, newton_terms(ocp, moved, zero, push))
+    dX, dU, _ = solve_forward(system, factors, backward, (d_x0, d_before))
     dX = [jnp.concatenate([first[None], later]) for first, later in zip(d_x0, dX, strict=True)]
     cost = lambda ocp, u_before, params, X, U: total_cost(ocp, split(params), u_before, X, U)
     d_cost = _along(cost, (*theta, it.X, it.U), (d_ocp, d_before, d_params, dX, dU))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 
+from driftjax.core.progress import ProgressReport
 from driftjax.parallel import BatchExecutor, DeviceExecutor, clear_program_cache, run_together
 from driftjax.sweep.config import SweepConfig
 from driftjax.sweep.executors import ChunkExecutor
@@ -21,11 +22,9 @@ CHUNK_SECONDS, LARGEST = 3.0, 256  # a chunk is what is lost when a worker dies,
 BATCH, AT_ONCE = 256, 4  # trials in one batch on devices; trials chosen at once where they follow results
 KILLS = 2  # workers that a trial may take with it where it runs alone
 
-Report = Callable[[str, int, int], None]
-
 
 def run_trials(
-    config: SweepConfig, work: Work, store: Store, source: Source, executor: ChunkExecutor, report: Report
+    config: SweepConfig, work: Work, store: Store, source: Source, executor: ChunkExecutor, report: ProgressReport
 ) -> Counter:
     """Run the trials that the store lacks; returns the number of trials run now by status."""
     state = _Run(config, work, store, source, executor, report)
@@ -35,7 +34,13 @@ def run_trials(
 
 class _Run:
     def __init__(
-        self, config: SweepConfig, work: Work, store: Store, source: Source, executor: ChunkExecutor, report: Report
+        self,
+        config: SweepConfig,
+        work: Work,
+        store: Store,
+        source: Source,
+        executor: ChunkExecutor,
+        report: ProgressReport,
     ):
         self.config, self.work, self.store = config, work, store
         self.source, self.executor, self.report = source, executor, report

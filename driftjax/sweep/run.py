@@ -10,12 +10,13 @@ import jax
 
 from driftjax.core import BadInput, require
 from driftjax.core.config import to_dict
+from driftjax.core.progress import ProgressReport
 from driftjax.environment import fuses_results
 from driftjax.parallel import num_cores
 from driftjax.store import RunFolder
 from driftjax.sweep.analysis import Analysis, Shares, analyse, sensitivity, to_json
 from driftjax.sweep.config import SweepConfig
-from driftjax.sweep.engine import Report, devices, run_trials
+from driftjax.sweep.engine import devices, run_trials
 from driftjax.sweep.executors import open_executor
 from driftjax.sweep.figures import write_figures
 from driftjax.sweep.optuna_source import OptunaSource
@@ -65,7 +66,7 @@ def finish_sweep(
     *,
     workers: int | None = None,
     ray: str | None = None,
-    report: Report = lambda text, done, total: None,
+    report: ProgressReport = lambda text, done, total: None,
 ) -> SweepResult:
     """Run the missing trials, then analyse all trials; writes results.json and figures.
 

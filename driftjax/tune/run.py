@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from driftjax.core.progress import ProgressReport
 from driftjax.learning.metrics import interval
 from driftjax.learning.scenario import build_scenario
 from driftjax.parallel import process_executor
@@ -16,12 +17,11 @@ from driftjax.tune.laps import LapEvaluator, LapResults, lap_outcome
 from driftjax.tune.parameters import NAMES, parameter_values
 from driftjax.tune.search import Search, descend, random_search
 
-Report = Callable[[str, int, int], None]
 KINDS = ("default", "tuned", "random")
 PAIRS = (("default", "tuned"), ("default", "random"), ("random", "tuned"))
 
 
-def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int = 0) -> dict[str, Any]:
+def run(config: TuneConfig, folder: RunFolder, report: ProgressReport, num_workers: int = 0) -> dict[str, Any]:
     """Search, evaluate, write `results.json`; return it. Deterministic except for the seconds."""
     report("plan", 0, 4)
     num = config.training + config.held_out
@@ -37,7 +37,7 @@ def run(config: TuneConfig, folder: RunFolder, report: Report, num_workers: int 
     return results
 
 
-def run_searches(evaluator: LapEvaluator, report: Report) -> dict[str, dict[str, Any]]:
+def run_searches(evaluator: LapEvaluator, report: ProgressReport) -> dict[str, dict[str, Any]]:
     """Return the three settings: the start, and the result of each search on the training plants."""
     config, notes = evaluator.config, {"failed_laps": 0, "laps_without_slope": 0, "slopes": 0, "slope_seconds": 0.0}
     training, box = slice(0, config.training), config.box

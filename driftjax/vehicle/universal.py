@@ -9,7 +9,16 @@ from jaxtyping import Float
 
 from driftjax.core import Control, State
 from driftjax.vehicle.effect.base import Effect, Station
-from driftjax.vehicle.effect.flow import Aux, Car, Flow, Place, add_accelerations, axle_forces, initial_flow, rates
+from driftjax.vehicle.effect.flow import (
+    Aux,
+    CarParameters,
+    Flow,
+    Place,
+    add_accelerations,
+    axle_forces,
+    initial_flow,
+    rates,
+)
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import SingleTrack
 
@@ -17,16 +26,16 @@ from driftjax.vehicle.single_track import SingleTrack
 class Universal(eqx.Module):
     """The nominal car with effects; `theta` is in typical sizes, so it does not depend on units."""
 
-    base: Car
+    base: CarParameters
     effects: tuple[Effect, ...] = eqx.field(static=True)
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
     substeps: int = eqx.field(static=True)  # in which a step of the log is integrated
-    car: Car  # `base` after the effects of station `car`; follows from the others, set by `with_parameters`
+    car: CarParameters  # `base` after the effects of station `car`; follows from the others, set by `with_parameters`
 
     def __init__(
         self,
-        base: Car,
+        base: CarParameters,
         effects: tuple[Effect, ...],
         scale: Float[Array, " K"],
         theta: Float[Array, " K"],
@@ -103,10 +112,10 @@ class Universal(eqx.Module):
         return self._through("sensor", x, dx)
 
 
-def base_car(nominal: SingleTrack) -> Car:
-    """Return the nominal car as `Car`."""
+def base_car(nominal: SingleTrack) -> CarParameters:
+    """Return the nominal car as `CarParameters`."""
     tyre, zero = nominal.tyre, jnp.zeros_like(nominal.m)
-    return Car(
+    return CarParameters(
         nominal.m, nominal.Iz, nominal.a, nominal.b, tyre.mu, tyre.mu, tyre.B, tyre.B, tyre.C, tyre.C,
         nominal.combined_slip**2, zero, zero,
     )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 DEG = np.pi / 180
-G = 9.80665  # m/s^2
+STANDARD_GRAVITY = 9.80665  # of the unit g [m/s^2]
 
 
 class Unit(NamedTuple):
@@ -27,7 +27,7 @@ UNITS: dict[str, Unit] = {
     **_units("rate", radps=1, rads=1, degps=DEG, degs=DEG, dps=DEG, rpm=np.pi / 30),
     **_units("angle", rad=1, deg=DEG, degree=DEG, degrees=DEG, mrad=1e-3),
     **_units("length", m=1, km=1e3, cm=1e-2, mm=1e-3, ft=0.3048, meter=1, meters=1),
-    **_units("acceleration", mps2=1, ms2=1, mpss=1, g=G),
+    **_units("acceleration", mps2=1, ms2=1, mpss=1, g=STANDARD_GRAVITY),
     **_units("force", n=1, kn_=1e3),
     **_units("time", s=1, sec=1, seconds=1, ms=1e-3, us=1e-6, ns=1e-9),
     **_units("other", radps2=1, rads2=1, degps2=1, nm=1, bar=1, c=1, v=1, percent=1, hz=1, pa=1, mpa=1, kg=1, w=1),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth_with_rate
-from driftjax.logs.guess.names import DEG, G
+from driftjax.logs.guess.names import DEG, STANDARD_GRAVITY
 
 EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # weight of a relation: of rigid bodies, without sideslip, of cars as a rule
 EVERY = 4  # sample that the size of the values is taken from
@@ -14,7 +14,7 @@ WEAK = 0.6  # correlation that says nothing
 ALIKE = (0.8, 1.25)  # ratio to the factor of a unit
 NOT_UNLIKE = (0.6, 1.6)
 FACTORS = {"speed": (1.0, 1 / 3.6, 0.44704, 1852 / 3600), "rate": (1.0, DEG), "angle": (1.0, DEG),
-           "length": (1.0, 1e3, 1e-2, 1e-3), "acceleration": (1.0, G)}  # fmt: skip
+           "length": (1.0, 1e3, 1e-2, 1e-3), "acceleration": (1.0, STANDARD_GRAVITY)}  # fmt: skip
 LENGTHS = (0.05, 5.5)  # wheelbases of cars [m]
 
 Values = Mapping[str, "Signal"]

@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import jax
 
 from driftjax.core import from_dict, write_text
 from driftjax.core.config import to_dict
+from driftjax.core.progress import ProgressReport
 from driftjax.environment import FUSED_RESULTS, SERIAL_LOOPS, fuses_results, with_flag
 from driftjax.studies.bench.config import BenchConfig, Part
 from driftjax.studies.bench.figures import write_curves
@@ -27,7 +27,7 @@ from driftjax.studies.bench.table import bench_page
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def run_bench(cfg: BenchConfig, out: Path, report: Callable[[str, int, int], None]) -> dict[str, Any]:
+def run_bench(cfg: BenchConfig, out: Path, report: ProgressReport) -> dict[str, Any]:
     """Measure all parts of `cfg`; writes results.json, results.md and figures to `out`, and returns the results."""
     cfg = cfg.reduced() if cfg.quick else cfg
     results: dict[str, Any] = {"machine": machine(), "options": to_dict(cfg), "rows": [], "curves": []}

@@ -1,13 +1,13 @@
 """Drive every missing run of the comparison, and summarise the results."""
 
 import dataclasses
-from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from driftjax.core import BadInput, from_dict
 from driftjax.core.config import to_dict
+from driftjax.core.progress import ProgressReport
 from driftjax.learning.config import LearnConfig
 from driftjax.learning.run import run as learn
 from driftjax.report import write_report
@@ -26,7 +26,6 @@ from driftjax.studies.paper.table import paper_page
 from driftjax.vehicle import load_vehicle
 
 DIAGNOSIS = "diagnosis"  # folder below that of the car
-Report = Callable[[str, float, int], None]
 
 
 def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
@@ -38,7 +37,7 @@ def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
     return folder
 
 
-def run_comparison(cfg: PaperConfig, folder: RunFolder, report: Report, num_workers: int) -> dict[str, Any]:
+def run_comparison(cfg: PaperConfig, folder: RunFolder, report: ProgressReport, num_workers: int) -> dict[str, Any]:
     """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, results = arms(cfg), [], {}
@@ -68,7 +67,7 @@ def rebuild(cfg: PaperConfig, folder: RunFolder) -> dict[str, Any]:
     return results
 
 
-def drive_arm(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
+def drive_arm(arm: Arm, out: Path, report: ProgressReport, num_workers: int) -> None:
     """Drive the missing laps of one run."""
     path = out / arm.folder
     run = RunFolder.open(path) if (path / "config.yaml").exists() else start_run(arm, out, report)
@@ -76,7 +75,7 @@ def drive_arm(arm: Arm, out: Path, report: Report, num_workers: int) -> None:
         learn(from_dict(LearnConfig, run.config, str(path / "config.yaml")), run, report, num_workers)
 
 
-def start_run(arm: Arm, out: Path, report: Report) -> RunFolder:
+def start_run(arm: Arm, out: Path, report: ProgressReport) -> RunFolder:
     """Create a run folder, with the laps that another run has driven already."""
     config = arm.learn
     if arm.name == EXTENDED:
@@ -89,7 +88,7 @@ def start_run(arm: Arm, out: Path, report: Report) -> RunFolder:
     return run
 
 
-def extended_vehicle(arm: Arm, out: Path, report: Report) -> Path:
+def extended_vehicle(arm: Arm, out: Path, report: ProgressReport) -> Path:
     """Return the YAML of the car extended by a diagnosis, creating it if missing."""
     folder = out / arm.car / DIAGNOSIS
     if not (folder / CAR).exists():

@@ -80,7 +80,7 @@ class Effect:
     | station | `apply` | input and output |
     |---|---|---|
     | command | `(memory, u, V, dt, p) -> (memory, u)`, `start(dt) -> memory` | `Control` over one step |
-    | car | `(car, p) -> car` | `Car` |
+    | car | `(car, p) -> car` | `CarParameters` |
     | slip, load, friction, force | `(flow, p) -> flow` | `Flow` |
     | sensor | `(x, dx, p) -> x` | measured `State`, and its rate |
 

@@ -1,10 +1,10 @@
 """Shift of the centre of mass, forward positive: a - p, b + p (Milliken and Milliken 1995, Ch. 5)."""
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 
 
-def apply(car: Car, p) -> Car:
+def apply(car: CarParameters, p) -> CarParameters:
     """Move the centre of mass between the axles, and the static loads with it."""
     return car._replace(a=car.a - p[0], b=car.b + p[0])
 

@@ -6,10 +6,10 @@ e is the model's own square of the ellipse's share, 0 none and 1 a friction circ
 import jax.numpy as jnp
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 
 
-def apply(car: Car, p) -> Car:
+def apply(car: CarParameters, p) -> CarParameters:
     """Add p to the square of the ellipse's share; for p > 0 the derivative is not zero even if that share was 0."""
     ellipse = car.ellipse + p[0]
     return car._replace(ellipse=jnp.where(ellipse < 0, 0.0, ellipse))

@@ -13,7 +13,7 @@ ROLL_GRIP = 0.04  # grip lost to lateral load transfer at 1 g, which the nominal
 CREEP = 0.02  # width of the smooth sign of the forward speed, over sqrt(g L) [-]
 
 
-class Car(NamedTuple):
+class CarParameters(NamedTuple):
     """Parameters of the car after the effects of station `car`."""
 
     m: Array  # mass [kg]
@@ -87,7 +87,7 @@ class Aux(NamedTuple):
 class Flow(NamedTuple):
     """All quantities of one instant, filled in from station to station."""
 
-    car: Car
+    car: CarParameters
     x: State
     u: Control  # actuator outputs
     place: Place
@@ -137,7 +137,7 @@ def forward_sign(flow: Flow) -> Array:
     return along / jnp.sqrt(along**2 + (CREEP * flow.car.unit_speed) ** 2)
 
 
-def initial_flow(car: Car, x: State, u: Control, place: Place, aux: Aux) -> Flow:
+def initial_flow(car: CarParameters, x: State, u: Control, place: Place, aux: Aux) -> Flow:
     """Return slip angles, static loads and friction before the effects of the stations after `car`."""
     alpha_f, alpha_r = car.nominal.slip_angles(x, u)
     zero = jnp.zeros_like(x.V)

@@ -74,7 +74,7 @@ def at_rest(dt: float) -> Array:
     return jnp.zeros(())
 
 
-GRIP = ("friction", "friction_front", "friction_rear")  # gains of the fields muf and mur, which `Car` has too
+GRIP = ("friction", "friction_front", "friction_rear")  # gains of the fields muf and mur, which `CarParameters` has too
 FRICTION, STIFFNESS, LAG = (-14.0, 10.0), (-5.5, 12.0), (0.0, 12.0)  # bounds in typical sizes
 
 # fmt: off

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.vehicle.effect.base import Effect, Parameter
-from driftjax.vehicle.effect.flow import Car
+from driftjax.vehicle.effect.flow import CarParameters
 
 BOUNDS = (-10.0, 5.0)  # in typical sizes: from a level angle, a fiftieth of the rate, to seven times the rate
 
@@ -24,7 +24,7 @@ class FreeForm:
 
     field: str
 
-    def __call__(self, car: Car, p: tuple[Array, ...]) -> Car:
+    def __call__(self, car: CarParameters, p: tuple[Array, ...]) -> CarParameters:
         """Return the car with this curve."""
         return car._replace(**{self.field: tuple(jnp.expm1(one) for one in p)})
 
