@@ -109,7 +109,7 @@ def test_a_notebook_beside_the_wheel_runs_in_an_empty_environment(wheel, tmp_pat
 
 @pytest.mark.slow
 def test_an_empty_environment_learns_diagnoses_and_runs_the_examples(wheel, tmp_path):
-    """Needs a package registry: the run-time packages are installed anew."""
+    """Needs a package registry: the run-time packages are installed again."""
     python, here = tmp_path / "venv/bin/python", tmp_path / "empty"
     here.mkdir()
     run = lambda *command: run_in(here, *command)

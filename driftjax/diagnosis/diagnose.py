@@ -21,13 +21,13 @@ from driftjax.diagnosis.held_out import (
     refit_retuned,
     retuned_effects,
 )
-from driftjax.diagnosis.missing import Unidentifiable, find_unidentifiable
+from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
-from driftjax.diagnosis.unknown import Unexplained, find_unexplained
+from driftjax.diagnosis.unexplained_errors import Unexplained, find_unexplained
 from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
 from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64

@@ -3,9 +3,9 @@
 import numpy as np
 import xarray as xr
 
-from driftjax.diagnosis.binned import BINS
 from driftjax.diagnosis.findings import Findings
 from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.force_bins import BINS
 from driftjax.diagnosis.gain import root_mean_square
 from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.observer import samples_in_run

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.binned import ForceSummary, best_variable, describe_worst, summarise_forces
 from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.force_bins import ForceSummary, best_variable, describe_worst, summarise_forces
 from driftjax.diagnosis.gain import Errors, Predictions, open_loop_errors, root_mean_square
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path

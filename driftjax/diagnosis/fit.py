@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from numpy.lib.stride_tricks import sliding_window_view
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.assumed import force, has_force, sideslip
+from driftjax.diagnosis.channel_estimates import force, has_force, sideslip
 from driftjax.diagnosis.motion import (
     MotionNoise,
     estimate_motion_noise,

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from driftjax.core import State
-from driftjax.diagnosis.assumed import has_sideslip, sideslip
+from driftjax.diagnosis.channel_estimates import has_sideslip, sideslip
 from driftjax.diagnosis.noise_model import Decay, Noise
 from driftjax.diagnosis.observer import (
     Gains,

@@ -12,7 +12,7 @@ from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.score import Scores, covariance
-from driftjax.diagnosis.unknown import Unexplained
+from driftjax.diagnosis.unexplained_errors import Unexplained
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle import EffectParameterValue, EstimatedNoise, PerChannel, VehicleConfig
 from driftjax.vehicle.effect import EFFECTS

@@ -10,7 +10,7 @@ from driftjax.diagnosis.evidence import Cause
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.unknown import Term, Unexplained
+from driftjax.diagnosis.unexplained_errors import Term, Unexplained
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 SURE_PROBABILITY = 0.95  # probability from which one name stands alone

@@ -134,7 +134,7 @@ def read_progress(scenario: Scenario, folder: RunFolder, name: str) -> Progress:
         return eqx.tree_deserialise_leaves(io.BytesIO(folder.read_state(name)), first_progress(scenario))
     except (RuntimeError, ValueError, EOFError) as error:
         words = str(error).splitlines()[0]
-        raise BadInput(f"{folder.path}: the state of stage {name} cannot be read ({words}); start anew.") from None
+        raise BadInput(f"{folder.path}: the state of stage {name} cannot be read ({words}); start a new run.") from None
 
 
 def _resume(scenario: Scenario, folder: RunFolder) -> tuple[Progress, list[str]]:
@@ -143,5 +143,5 @@ def _resume(scenario: Scenario, folder: RunFolder) -> tuple[Progress, list[str]]
         return first_progress(scenario), done
     if "lateral_error_measured" not in folder.read_stage(done[-1]):
         raise BadInput(f"{folder.path}: its laps were judged by their true lateral error, which is no longer done; "
-                       "start anew.")  # fmt: skip
+                       "start a new run.")  # fmt: skip
     return read_progress(scenario, folder, done[-1]), done

@@ -14,7 +14,7 @@ from driftjax.logs.series import Series, similar_names
 
 KIND = "MDF file"
 UNFINISHED = b"UnFinMF "
-REMEDY = "write it again, or export the measurement anew"
+REMEDY = "write it again, or export the measurement again"
 
 
 def mdf_channels(path: Path) -> dict[str, str]:

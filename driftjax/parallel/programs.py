@@ -258,7 +258,7 @@ def _warn(path: Path, error: Exception) -> None:
     """Warn that a stored program cannot be used, once per process."""
     if not _warned.is_set():
         _warned.set()
-        words = f"{path}: a compiled program could not be loaded or stored ({error}); it is compiled anew instead"
+        words = f"{path}: a compiled program could not be loaded or stored ({error}); it is compiled again instead"
         warnings.warn(words, RuntimeWarning, stacklevel=2)
 
 

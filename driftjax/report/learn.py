@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from driftjax.core import write_text
 from driftjax.report.candidates import plot_candidates
-from driftjax.report.comparison import plot_comparison
 from driftjax.report.drives import lap_drives, shown_vehicle, stage_kind
 from driftjax.report.exploration import plot_gp_data, plot_speed_sets
 from driftjax.report.html import Cell, collapsible, document, figures, image, paragraph, section, stage_for, table
@@ -16,6 +15,7 @@ from driftjax.report.laps import drift_controllers
 from driftjax.report.plan import plot_states, plot_trajectory
 from driftjax.report.player import player_data
 from driftjax.report.posture import plot_posture
+from driftjax.report.stage_comparison import plot_comparison
 from driftjax.report.style import save, stage_label
 from driftjax.report.table import CONTROLLERS, HEAD, REDUCTIONS, format_interval, number, result_row, results_table
 from driftjax.report.tracking import plot_lateral_error, plot_velocity

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from driftjax.core import BadInput
-from driftjax.report.compared import write_comparison
 from driftjax.report.diagnosis_page import write_diagnosis
 from driftjax.report.learn import write_report
+from driftjax.report.log_comparison import write_comparison
 from driftjax.store import RunFolder
 
 WRITERS = {"learn": write_report, "diagnose": write_diagnosis, "compare": write_comparison}

@@ -1,6 +1,6 @@
 """Tyre models: forces from slip and load; tyre property files."""
 
-from driftjax.tyre.curved import CurvedPacejka as CurvedPacejka
+from driftjax.tyre.curved_pacejka import CurvedPacejka as CurvedPacejka
 from driftjax.tyre.magic_formula import MagicFormula as MagicFormula
 from driftjax.tyre.magic_formula_2012 import MagicFormula2012 as MagicFormula2012
 from driftjax.tyre.magic_formula_2012 import magic_formula as magic_formula

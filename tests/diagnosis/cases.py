@@ -8,7 +8,7 @@ from diagnosis.recorded import EFFECTS, nominal_car, recorded
 from driftjax.logs import Run
 from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.case import Case, Hidden
-from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle
+from driftjax.studies.hidden_effects.foreign_simulator import foreign_runs, foreign_vehicle
 from driftjax.studies.hidden_effects.trial import diagnose_case
 
 

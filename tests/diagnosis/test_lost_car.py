@@ -9,7 +9,7 @@ import pytest
 import driftjax as dj
 from driftjax.core import BadInput
 from driftjax.diagnosis import fit
-from driftjax.diagnosis.missing import Unidentifiable
+from driftjax.diagnosis.log_limits import Unidentifiable
 from driftjax.diagnosis.runs import Linearisation
 
 P, T, K = 5, 40, 3

@@ -27,12 +27,12 @@ from driftjax.diagnosis.select import Selection
 def test_what_is_found_round_about_is_what_was_hidden():
     truth = hidden(friction_rear=1.4, load_transfer_long=1.4)
     problem = build_problem(sedan(), EFFECTS, recorded(truth, 5, 6, disturbed=0.0))
-    anew, selection = search_from_far(problem, 0)
+    repeated, selection = search_from_far(problem, 0)
     assert sorted(ORDER[i] for i in selection.selected) == ["friction_rear", "load_transfer_long"]
     np.testing.assert_allclose(selection.fit.theta, truth, atol=0.05)
-    assert misfit(anew, selection.fit) < 1.1 and selection.nominal_scores.p_value < 0.05
+    assert misfit(repeated, selection.fit) < 1.1 and selection.nominal_scores.p_value < 0.05
     assert misfit(selection.base, selection.nominal) < 1.5  # that observer follows the car whatever acts on it
-    assert anew.noise.disturbance.max() < 0.1 * selection.base.noise.disturbance.max()
+    assert repeated.noise.disturbance.max() < 0.1 * selection.base.noise.disturbance.max()
 
 
 @pytest.mark.slow
@@ -44,9 +44,9 @@ def test_a_lost_observer_is_no_end():
     small = noise._replace(sigma=noise.sigma / 2, disturbance=1e-4 * noise.disturbance, slow=1e-4 * noise.slow)
     trusting = with_noise(problem, 0 * truth, small)
     assert misfit(trusting, nominal_fit(trusting)) > LOST_MISFIT
-    anew, selection = search_multistart(trusting)
-    assert [ORDER[i] for i in selection.selected] == ["friction_rear"] and anew is not trusting
-    assert selection.fit.cost < evaluate_fit(anew, truth).cost + 1.0
+    repeated, selection = search_multistart(trusting)
+    assert [ORDER[i] for i in selection.selected] == ["friction_rear"] and repeated is not trusting
+    assert selection.fit.cost < evaluate_fit(repeated, truth).cost + 1.0
 
 
 def test_too_much_noise_shows_at_the_fit_and_the_search_goes_on_with_the_right_one():
@@ -61,9 +61,9 @@ def test_too_much_noise_shows_at_the_fit_and_the_search_goes_on_with_the_right_o
         remaining = scores(one, at, fit.theta, member, 0)
         ratios.append(disturbance_ratio(one, Selection(member, fit, at, remaining, one, fit, remaining)))
     assert ratios[0].min() > 0.7 and ratios[0].max() < 1.3 and ratios[1].min() < LEAST_DISTURBANCE
-    anew, selection = search_multistart(loud)
+    repeated, selection = search_multistart(loud)
     assert [ORDER[i] for i in selection.selected] == ["friction_rear"] and selection.base is loud
-    assert anew.noise.disturbance[2] == pytest.approx(noise.disturbance[2], rel=0.2)
+    assert repeated.noise.disturbance[2] == pytest.approx(noise.disturbance[2], rel=0.2)
 
 
 def test_data_that_no_car_can_have_made_are_refused():

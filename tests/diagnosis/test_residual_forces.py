@@ -8,7 +8,7 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import Control, State
-from driftjax.diagnosis.binned import BINS, best_variable, bin_forces, describe_worst, summarise_forces
+from driftjax.diagnosis.force_bins import BINS, best_variable, bin_forces, describe_worst, summarise_forces
 from driftjax.diagnosis.noise_model import Noise, decay_of
 from driftjax.diagnosis.observer import Path, Steps, samples_in_run
 from driftjax.diagnosis.residual import (

@@ -118,7 +118,7 @@ def test_dependence_within_blocks_is_not_taken_for_an_effect():
     assert np.mean(np.array(p) < 0.05) < 0.10
 
 
-def test_an_effect_in_the_data_is_rejected_and_promises_its_worth():
+def test_an_effect_in_the_data_has_a_significant_score_and_its_true_gain():
     rng, problem = np.random.default_rng(10), made_up()
     at, size = noise(rng), 0.4
     e = np.asarray(at.e) + size * np.asarray(at.J)[..., 3]

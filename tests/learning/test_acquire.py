@@ -29,7 +29,7 @@ def scenario():
 
 
 @pytest.fixture(scope="module")
-def posed(scenario):
+def corner_plan(scenario):
     """Entry problem, MPC, arrival, plan and its aim, of the nominal car."""
     residual = scenario.over_batch(empty(RC.gp).residual)
     progress, first = first_progress(scenario), lambda tree: jax.tree.map(lambda a: a[0], tree)
@@ -46,8 +46,8 @@ def drift_rows(scenario, table):
 
 
 @pytest.mark.slow
-def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, posed):
-    entry, _, arrival, plan, still = posed
+def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, corner_plan):
+    entry, _, arrival, plan, still = corner_plan
     lead, tolerance = jnp.asarray(RC.switch.lead), jnp.asarray(1e-7)
     small = 0.02 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     V_b, point = scenario.corner.V_b, jnp.zeros((len(small), AIM_POINTS))
@@ -67,12 +67,12 @@ def test_plans_to_first_order_are_the_tangent_of_solved_ones(scenario, posed):
         assert np.linalg.norm(ours - theirs) < 0.3 * np.linalg.norm(theirs)
 
 
-def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, posed):
+def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, corner_plan):
     """Drive the nonlinear car with the linear feedback and a small rate error between two nodes.
 
     The reference is a lap of this car: about the plan, which it leaves by centimetres, the slopes are others.
     """
-    entry, mpc, _, plan, still = posed
+    entry, mpc, _, plan, still = corner_plan
     lead, num = jnp.asarray(RC.switch.lead), entry.horizon
     every, none = -(-num // NODES), jnp.zeros(2)
     units, one = state_units(mpc), jax.tree.map(lambda a: a[None], mpc)
@@ -118,10 +118,10 @@ def test_predicted_errors_are_those_of_the_car_under_the_feedback(scenario, pose
 
 
 @pytest.mark.slow
-def test_a_choice_is_made_for_every_entry_and_is_one_of_the_grid(scenario, posed):
+def test_a_choice_is_made_for_every_entry_and_is_one_of_the_grid(scenario, corner_plan):
     residual = scenario.over_batch(empty(RC.gp).residual)
     arrival, offset = first_progress(scenario).arrival, jnp.zeros((1, AIM_POINTS))
-    plan = jax.tree.map(lambda a: a[None], posed[3])
+    plan = jax.tree.map(lambda a: a[None], corner_plan[3])
     chosen = acquire(scenario, residual, arrival, plan, offset, jnp.array([0.05]), 2, 7)
     grid = candidate_grid(scenario)
     k = int(chosen.index[0])

@@ -220,7 +220,7 @@ def test_a_run_that_was_judged_by_true_errors_is_refused(scenario, pursued, tmp_
     data = dataset(stage_values(scenario, stage, "pursuit"), {"codes": CODES})
     folder = RunFolder.create(tmp_path / "old", to_dict(SHORT))
     folder.write_stage("pursuit", data.drop_vars("lateral_error_measured"), b"")
-    with pytest.raises(BadInput, match="true lateral error.*start anew"):
+    with pytest.raises(BadInput, match="true lateral error.*start a new run"):
         _resume(scenario, folder)
 
 

@@ -100,19 +100,19 @@ def stored(folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("content", [b"", b"no pickle", b"\x80\x04N."])
-def test_a_damaged_program_is_compiled_anew_with_one_warning(folder, monkeypatch, content):
+def test_a_damaged_program_is_compiled_again_with_one_warning(folder, monkeypatch, content):
     call(scaled, jnp.arange(3.0), 2)
     call(scaled, jnp.arange(4.0), 2)
     for path in stored(folder):
         path.write_bytes(content)
     forget(monkeypatch)
-    with pytest.warns(RuntimeWarning, match="compiled anew") as warned:
+    with pytest.warns(RuntimeWarning, match="compiled again") as warned:
         assert float(call(scaled, jnp.arange(3.0), 2)[1]) == 2.0
         assert float(call(scaled, jnp.arange(4.0), 2)[1]) == 2.0
     assert len(warned) == 1
     forget(monkeypatch)
     traced.clear()
-    call(scaled, jnp.arange(3.0), 2)  # it was stored anew
+    call(scaled, jnp.arange(3.0), 2)  # it was stored again
     assert not traced
 
 
@@ -128,7 +128,7 @@ def test_a_folder_that_cannot_be_written_costs_a_warning_only(folder, monkeypatc
 
 def test_a_file_in_the_way_of_the_folder_costs_a_warning_only(folder):
     (folder / "programs").write_text("")
-    with pytest.warns(RuntimeWarning, match="compiled anew"):
+    with pytest.warns(RuntimeWarning, match="compiled again"):
         assert float(call(scaled, jnp.arange(3.0), 2)[1]) == 2.0
 
 

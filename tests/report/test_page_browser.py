@@ -12,10 +12,10 @@ from diagnosed import diagnosed
 from playwright.sync_api import Browser, Page, sync_playwright
 from synthetic import synthetic_run
 
-from driftjax.report.compared import log_comparison_page
 from driftjax.report.diagnosis_page import diagnosis_page
 from driftjax.report.html import quantity
 from driftjax.report.learn import learn_page
+from driftjax.report.log_comparison import log_comparison_page
 from driftjax.store import DIAGNOSIS, RunFolder
 
 HOSTILE = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 2'>&amp;\u2028"

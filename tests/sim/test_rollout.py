@@ -98,7 +98,7 @@ def test_slip_settles_over_the_relaxation_length(dt):
     np.testing.assert_allclose(states[1:, 4], beta, atol=1e-11)
 
 
-def test_slip_that_moves_evenly_is_felt_late_by_the_time_of_the_relaxation():
+def test_slip_that_grows_evenly_lags_by_the_relaxation_time():
     sigma, V, r, dt, num = 0.4, 10.0, 0.02, 0.02, 40  # turning on the spot without grip: slip grows at about r
     model = without_grip(car_with(relaxation_length=sigma))
     start = begin(model, jnp.array([V, 0.0, r]), jnp.zeros(4), STILL)
@@ -120,7 +120,7 @@ def test_roll_follows_the_lateral_acceleration():
     np.testing.assert_allclose(first, side * np.cos(0.02), rtol=1e-6)
 
 
-def test_what_is_felt_forgets_where_it_began():
+def test_the_lagged_state_forgets_its_start():
     model, (z, u, place) = bent(), rich()
     at = jax.tree.map(lambda a: a[0], place)
     x, control = State(z[0, 0], z[0, 1], z[0, 2]), Control(u[0, 0], u[0, 1])

@@ -80,7 +80,7 @@ def by_component(q: Quadratic) -> tuple[NewtonSystem, NewtonTerms]:
 
 @jax.jit
 def direction(system: NewtonSystem, terms: NewtonTerms):
-    """Step of later states and inputs, costates, whether the minimum is strict, and the policy solved for anew."""
+    """Step of later states and inputs, costates, whether the minimum is strict, and the policy solved for again."""
     factors, policy = solve_backward(system, terms)
     none = [jnp.zeros(1)]
     steps = solve_forward(system, factors, policy, (NX * none, NU * none))

@@ -11,10 +11,10 @@ import tyro
 from driftjax.core import BadInput, write_text
 from driftjax.manoeuvres.library import RICH
 from driftjax.studies.hidden_effects.case import Case, read_case
+from driftjax.studies.hidden_effects.case_runner import run_all
 from driftjax.studies.hidden_effects.criteria import confusions
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.figures import write_figures
-from driftjax.studies.hidden_effects.running import run_all
 from driftjax.studies.hidden_effects.score import as_json, as_text, score_results
 from driftjax.studies.hidden_effects.trial import run_case
 

@@ -16,7 +16,7 @@ from driftjax.logs import Log, Run
 from driftjax.manoeuvres.campaign import LATER, Campaign, record_runs
 from driftjax.studies.hidden_effects.against_truth import costs_against
 from driftjax.studies.hidden_effects.case import FOREIGN, Case
-from driftjax.studies.hidden_effects.foreign import foreign_runs, foreign_vehicle, height
+from driftjax.studies.hidden_effects.foreign_simulator import foreign_runs, foreign_vehicle, height
 from driftjax.vehicle import VehicleConfig, load_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue
 

@@ -30,7 +30,7 @@ CASES = (
     Fixed(9, "sedan", {"friction_rear": 1.0}, ("friction_rear",)),
     Fixed(10, "rc", {"steer_lag": 1.0}, ("steer_lag",)),
 )
-# 5: the same lag in the same car as in tests/diagnosis/test_verb.py; 10: it goes round about, and proposes a manoeuvre
+# 5: the same lag and car as in diagnosis/test_diagnose_verb.py; 10: it goes round about, and proposes a manoeuvre
 SLOW = (5, 10)
 
 

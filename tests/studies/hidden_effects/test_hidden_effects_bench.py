@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.studies.hidden_effects import criteria, running
+from driftjax.studies.hidden_effects import case_runner, criteria
 from driftjax.studies.hidden_effects.bench import CASES, StudyConfig, run_study
 from driftjax.studies.hidden_effects.case import Case, Hidden, read_case
 from driftjax.studies.hidden_effects.draw import DEFAULT, CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.driving_variables import DRIVING_VARIABLES
 from driftjax.studies.hidden_effects.figures import write_figures
-from driftjax.studies.hidden_effects.foreign import follow_commands, foreign_vehicle
+from driftjax.studies.hidden_effects.foreign_simulator import follow_commands, foreign_vehicle
 from driftjax.studies.hidden_effects.score import rate_interval, score_results
 from driftjax.vehicle.effect import EFFECTS
 
@@ -41,7 +41,7 @@ MISSED = result([("mass", 1.0)], [("drive_gain", 1.0)])
 NOTHING = result(verdict="NOTHING")
 
 
-def test_a_plan_is_drawn_anew_and_can_be_repeated():
+def test_a_plan_is_drawn_again_and_can_be_repeated():
     cases = draw_cases(SOME, ("sedan", "rc"), 5)
     assert cases == draw_cases(SOME, ("sedan", "rc"), 5) != draw_cases(SOME, ("sedan", "rc"), 6)
     assert len(cases) == 2 * (25 + len(DEFAULT)) + 2 and len({case.seed for case in cases}) == len(cases)
@@ -138,7 +138,7 @@ def test_a_stopped_bench_goes_on_and_a_case_that_fails_is_kept(monkeypatch, tmp_
             raise ValueError("no such luck")
         return NOTHING | {"case": json.loads(case.line())}
 
-    monkeypatch.setattr(running, "run_case", fake)
+    monkeypatch.setattr(case_runner, "run_case", fake)
     numbers = CaseNumbers(none=4, none_noise=0, quiet=0, single=0, weak=0, pair=0, absent=1, poor=0, std=0, mb=0)
     scores = run_study(StudyConfig(numbers, seed=3, workers=1, out=tmp_path / "bench"))
     assert scores["failed"]["value"] == 1 and len(ran) == 5

@@ -40,7 +40,7 @@ def test_several_runs_keep_their_order_and_say_whether_files_had_changed(rows):
     assert ["with changes" in row for row in shown[2:]] == [False, False, True]
 
 
-def test_no_run_is_told(rows):
+def test_a_table_without_runs_says_so(rows):
     assert rows() == ["No run is recorded yet."]
 
 

@@ -16,7 +16,7 @@ from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
-from driftjax.diagnosis.unknown import best_term, find_unexplained, generic_terms, rates_of_forces
+from driftjax.diagnosis.unexplained_errors import best_term, find_unexplained, generic_terms, rates_of_forces
 from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
@@ -38,7 +38,7 @@ def nominal_only(name: str, size: float) -> tuple[Problem, Selection]:
     return problem, Selection((), fit, at, remaining, problem, fit, remaining)
 
 
-def test_a_missing_drive_gain_is_reported_as_a_force_that_goes_with_the_drive():
+def test_a_missing_drive_gain_is_reported_as_a_force_that_varies_with_the_drive():
     problem, selection = nominal_only("drive_gain", 2.5)
     remaining = find_unexplained(problem, selection, 0)
     gain = 2.5 * EFFECTS[ORDER.index("drive_gain")].parameters[0].typical

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
-from driftjax.diagnosis.assumed import force, sideslip
+from driftjax.diagnosis.channel_estimates import force, sideslip
 from driftjax.diagnosis.fit import depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.missing import find_unidentifiable, information_with_sideslip
+from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNOBSERVED
 from driftjax.diagnosis.runs import run_observer
@@ -69,7 +69,7 @@ def test_predictions_are_compared_in_the_channels_that_were_measured():
 def test_a_sideslip_sensor_would_add_information_and_the_sentence_says_what():
     problem, selection = named()
     without_it, with_it = information(selection.linearisation.J), information_with_sideslip(problem, selection)
-    assert (np.diag(with_it) > 0.99 * np.diag(without_it)).all()  # whitened anew, by another noise
+    assert (np.diag(with_it) > 0.99 * np.diag(without_it)).all()  # whitened again, by another noise
     front = ORDER.index("stiffness_front")
     assert with_it[front, front] > 1.5 * without_it[front, front]
     unidentifiable = find_unidentifiable(problem, selection, {i: () for i in selection.selected})

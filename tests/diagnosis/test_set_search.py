@@ -20,7 +20,7 @@ def imitated(theta: np.ndarray) -> np.ndarray:
     return b + c + d + 0.5 * noise - mine
 
 
-def test_a_search_leaves_a_local_optimum_at_a_bound_for_a_set_that_the_nominal_car_promises(monkeypatch):
+def test_a_search_leaves_a_local_optimum_at_a_bound_for_a_set_found_about_the_nominal_car(monkeypatch):
     problem, nominal = toy_problem(monkeypatch, imitated, np.full(4, -3.0), np.array([0.8, 3.0, 3.0, 3.0]))
     selection = search(problem, nominal)
     assert selection.selected == (1, 2, 3)
