@@ -43,7 +43,7 @@ def run(argv: list[str]) -> int:
     """Write the files and print what they lack."""
     flags = parse(ExportOptions, argv, "driftjax export")
     if flags.to not in FORMATS:
-        raise BadInput(f"--to {flags.to}: there is no such format; choose one of {', '.join(FORMATS)}.")
+        raise BadInput(f"there is no format '{flags.to}' (--to); choose one of {', '.join(FORMATS)}.")
     vehicle = load_vehicle(flags.car)
     log = read_log(flags.log, flags.columns, runs=flags.runs) if flags.log else None
     options = {key: str(value) if isinstance(value, Path) else value for key, value in vars(flags).items()}

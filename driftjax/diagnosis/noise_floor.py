@@ -71,6 +71,10 @@ def disturbed_rollouts(
 
 
 def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, num, noise, dt, seed):
+    """Return `disturbed_rollouts` (pieces, S, N, 3) of a batch of pieces.
+
+    `runs`, `z`, `P`, `ahead` and `number` have the leading axis of the pieces; all else is shared.
+    """
     axes = (None, None, 0, 0, 0, 0, 0, None, None, None, None, None)
     return eqx.filter_vmap(disturbed_rollouts, in_axes=axes)(
         model, theta, runs, z, P, ahead, number, starts, num, noise, dt, seed

@@ -79,7 +79,7 @@ def decide_verdict(
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Where the drive force was estimated, the verdict is UNKNOWN too:
-    the errors of such a force are not modelled, and were named as effects (experiments.missing_channels).
+    the errors of such a force are not modelled, and were named as effects (docs/results/hidden-effects.md).
     Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
     that effects and term explain together; else they may stand for a cause that the catalogue lacks.
     """

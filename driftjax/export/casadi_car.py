@@ -90,7 +90,7 @@ def write_casadi(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
         from driftjax.export.graph import to_casadi
     except ImportError:
         raise BadInput(
-            "--to casadi needs the extra 'casadi'; install it with pip install 'driftjax[casadi]'."
+            "the format 'casadi' needs the extra 'casadi'; install it with pip install 'driftjax[casadi]'."
         ) from None
 
     full, dt = reduced.full, reduced.options.dt

@@ -69,7 +69,7 @@ def export_car(
     unknown format and for a folder that cannot be written.
     """
     if to not in FORMATS:
-        raise BadInput(f"--to {to}: there is no such format; choose one of {', '.join(FORMATS)}.")
+        raise BadInput(f"there is no format '{to}'; choose one of {', '.join(FORMATS)}.")
     for name, value in (("top_speed", top_speed), ("dt", dt)):
         if value is not None and not 0 < value < float("inf"):
             raise BadInput(f"{name} is {value}; it must be positive.")
@@ -81,7 +81,7 @@ def export_car(
         folder.mkdir(parents=True, exist_ok=True)
         files = target.write(reduced, folder)
     except OSError as error:
-        raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another --out.") from None
+        raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another folder (--out).") from None
     return Export(
         to, target.title, tuple(folder / name for name in files), tuple(n for n in named if n not in lost), lost,
         target.notes, loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None,

@@ -39,13 +39,15 @@ class Point(NamedTuple):
 
 
 class FilterState(NamedTuple):
+    """Iterate of the solver with its filter; scalars where no shape is given."""
+
     w: Point
-    costates: Array
-    dual: tuple[Array, Array]
+    costates: Array  # (N, nx)
+    dual: tuple[Array, Array]  # (N, ng), (nt,) of the gaps
     barrier: Array
     shift: Array  # last Hessian shift that was needed
     floor: Array  # least shift to use, raised by failed searches
-    entries: Array  # filter: forbidden (violation, objective) corners
+    entries: Array  # (FILTER_SIZE, 2) filter: forbidden (violation, objective) corners
     failures: Array
     num_steps: Array
     kkt: Array
@@ -99,13 +101,15 @@ class _Problem(eqx.Module):
 
 
 class FilterDerivatives(NamedTuple):
-    cost_x: Array
-    cost_u: Array
-    grad_N: Array
-    A: Array
-    B: Array
-    dynamics: Array
-    misfit: tuple[Array, Array]
+    """First derivatives and residuals of a problem at a point."""
+
+    cost_x: Array  # (N, nx)
+    cost_u: Array  # (N, nu)
+    grad_N: Array  # (nx,) of the last state's cost
+    A: Array  # (N, nx, nx)
+    B: Array  # (N, nx, nu)
+    dynamics: Array  # (N, nx) defects
+    misfit: tuple[Array, Array]  # (N, ng), (nt,) gaps minus slacks
 
 
 def _over_stages(function: Callable, *args) -> Any:
@@ -169,8 +173,10 @@ def _violation(dynamics: Array, misfit: tuple[Array, Array]) -> Array:
 
 
 class NewtonStep(NamedTuple):
+    """Newton step of the primal variables, and the costates after it."""
+
     d: Point
-    costates: Array  # after the full step
+    costates: Array  # (N, nx) after the full step
 
 
 def _step(

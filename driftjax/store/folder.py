@@ -37,10 +37,12 @@ class RunFolder:
         path = Path(path)
         try:
             if (path / CONFIG).exists():
-                raise BadInput(f"{path}: already holds a run; continue it with --resume {path}, or give another --out.")
+                raise BadInput(
+                    f"{path}: already holds a run; continue it (--resume {path}) or give another folder (--out)."
+                )
             made = tuple(p for p in (path, *path.parents) if not p.exists())
         except OSError as error:
-            raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another --out.") from None
+            raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another folder (--out).") from None
         folder = cls(path, config, made)
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -49,7 +51,7 @@ class RunFolder:
             write_text(path / CONFIG, text)
         except OSError as error:
             folder.discard()
-            raise BadInput(f"{path}: cannot be written ({error.strerror}); give another --out.") from None
+            raise BadInput(f"{path}: cannot be written ({error.strerror}); give another folder (--out).") from None
         return folder
 
     @classmethod

@@ -118,7 +118,9 @@ def open_folder(out: Path, config: SweepConfig) -> RunFolder:
         return RunFolder.create(out, plain, "sweep")
     folder = RunFolder.open(out)
     if folder.verb != "sweep":
-        raise BadInput(f"{out}: a run of `driftjax {folder.verb}`, not of `driftjax sweep`; give another --out.")
+        raise BadInput(
+            f"{out}: a run of `driftjax {folder.verb}`, not of `driftjax sweep`; give another folder (--out)."
+        )
     if any(folder.config.get(key) != plain[key] for key in ("verb", "base", "fields")):
-        raise BadInput(f"{out}: holds a sweep over other fields or options; give another --out.")
+        raise BadInput(f"{out}: holds a sweep over other fields or options; give another folder (--out).")
     return folder

@@ -40,13 +40,13 @@ class Store:
         try:
             handle = (self.path / f"{LOCK}{process}").open("a")
         except OSError as error:
-            raise BadInput(f"{self.path}: cannot be written ({error.strerror}); give another --out.") from None
+            raise BadInput(f"{self.path}: cannot be written ({error.strerror}); give another folder (--out).") from None
         with handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise BadInput(
-                    f"{self.path}: another sweep is writing here; wait for it, or give another --out."
+                    f"{self.path}: another sweep is writing here; wait for it, or give another folder (--out)."
                 ) from None
             yield
 

@@ -103,9 +103,12 @@ BAD = {
     "missing config": (lambda: ["learn", "--config", "absent.yaml"], "absent.yaml: no such file"),
     "missing track": (lambda: ["plan", "--track", "absent.csv"], "absent.csv: no such file"),
     "missing plant": (lambda: ["learn", "--plant", "absent.yaml"], "absent.yaml: no such file"),
-    "unwritable output": (lambda: ["learn", "--out", written("file", "mine") + "/run"], "give another --out"),
-    "unwritable output, plan": (lambda: ["plan", "--out", written("file", "mine") + "/run"], "give another --out"),
-    "taken output": (lambda: ["learn", "--out", finished_run()], "already holds a run; continue it with --resume"),
+    "unwritable output": (lambda: ["learn", "--out", written("file", "mine") + "/run"], "give another folder (--out)"),
+    "unwritable output, plan": (
+        lambda: ["plan", "--out", written("file", "mine") + "/run"],
+        "give another folder (--out)",
+    ),
+    "taken output": (lambda: ["learn", "--out", finished_run()], "already holds a run; continue it (--resume "),
     "resume nothing": (lambda: ["learn", "--resume", "absent"], "absent: holds no run"),
     "resume with flags": (
         lambda: ["learn", "--resume", finished_run(), "--plants", "3"],

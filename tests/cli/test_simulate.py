@@ -213,7 +213,7 @@ BAD = {
     "--config absent.yaml": "absent.yaml: no such file",
     "--config bad.yaml": "unknown key 'lenght'",
     "--out taken": "exists already; give another --out.",
-    "--out file/run": "give another --out",
+    "--out file/run": "give another folder (--out)",
 }
 
 

@@ -191,12 +191,12 @@ def test_the_loss_on_a_log_is_that_of_the_lost_effect(tmp_path):
 
 def test_bad_input_is_one_sentence(tmp_path, capsys):
     assert main(["export", "sedan", "--to", "carmaker", "--out", str(tmp_path / "a")]) == 2
-    assert "there is no such format; choose one of race_stack, tum" in capsys.readouterr().err
+    assert "there is no format 'carmaker' (--to); choose one of race_stack, tum" in capsys.readouterr().err
     assert main(["export", "sedan", "--to", "autoware", "--top-speed", "-1", "--out", str(tmp_path / "b")]) == 2
     assert "top_speed is -1.0; it must be positive" in capsys.readouterr().err
     assert not (tmp_path / "b").exists()
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadInput, match="give another --out"):
+    with pytest.raises(BadInput, match=r"give another folder \(--out\)"):
         export_car(SEDAN, "autoware", tmp_path / "file")
     assert main(["export", "sedan", "--to", "autoware", "--out", str(tmp_path / "c")]) == 0
     assert json.loads((tmp_path / "c" / "export.json").read_text())["lost"] == {}

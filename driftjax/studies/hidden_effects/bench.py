@@ -60,7 +60,7 @@ def _cases(cfg: StudyConfig) -> list[Case]:
             raise BadInput(f"{path}: no such file; there is no bench to go on with.")
         return [read_case(line) for line in path.read_text(encoding="utf-8").splitlines()]
     if path.exists():
-        raise BadInput(f"{path}: exists already; give another --out, or --resume.")
+        raise BadInput(f"{path}: exists already; give another folder (--out), or continue with --resume.")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if cfg.seed is None else cfg.seed
     cases = draw_cases(cfg.numbers, cfg.cars, seed, manoeuvres=cfg.manoeuvres)
     print(f"{len(cases)} cases of seed {seed}", flush=True)

@@ -33,7 +33,7 @@ def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
     there, config = (path / "config.yaml").is_file(), to_dict(cfg)
     folder = RunFolder.open(path) if there else RunFolder.create(path, config, "paper")
     if folder.config != config:
-        raise BadInput(f"{path}: holds a comparison with other options; give another --out.")
+        raise BadInput(f"{path}: holds a comparison with other options; give another folder (--out).")
     return folder
 
 
