@@ -1,7 +1,11 @@
 """Importing the package sets up JAX or refuses: nothing computes in float32 silently, a chosen cache stays."""
 
+import os
 import subprocess
 import sys
+
+import driftjax as dj
+from driftjax.environment import BARRIERS, SERIAL_LOOPS, with_pass, without_pass
 
 CHILD = """
 import sys
@@ -38,6 +42,24 @@ def test_float64_is_set_up_or_its_absence_refused(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     done = subprocess.run([sys.executable, "-c", CHILD.format(cache=str(tmp_path))], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_passes_are_disabled_by_one_flag_beside_others():
+    flags = without_pass(without_pass("--a=1 --xla_disable_hlo_passes=b", BARRIERS), SERIAL_LOOPS)
+    assert flags == f"--a=1 --xla_disable_hlo_passes=b,{BARRIERS},{SERIAL_LOOPS}"
+    assert without_pass(flags, BARRIERS) == flags
+    assert with_pass(with_pass(flags, "b"), SERIAL_LOOPS) == f"--a=1 --xla_disable_hlo_passes={BARRIERS}"
+    assert with_pass("--a=1 --xla_disable_hlo_passes=b", "b") == "--a=1"
+
+
+def test_barriers_stay_on_a_machine_with_cpus_only(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    for plugins, expected in ((None, True), ("found", False)):
+        monkeypatch.setattr("importlib.util.find_spec", lambda name, found=plugins: found)
+        monkeypatch.setenv("XLA_FLAGS", "")
+        dj.setup()
+        assert (BARRIERS in os.environ["XLA_FLAGS"]) == expected
 
 
 def test_help_needs_no_jax():

@@ -11,6 +11,7 @@ from driftjax.gp import bound_mean
 from driftjax.gp.expansion import Expansion, expansions, pairs
 from driftjax.solve.batch_ocp import Components
 from driftjax.solve.component_derivatives import Matrix, hessian
+from driftjax.solve.compute_once import compute_once
 from driftjax.vehicle import Residual
 
 NUM_INPUTS = 5  # V, beta, r, delta, Fxr
@@ -30,7 +31,7 @@ def residual_derivatives(residual: Residual, z: Components, unit: Sequence[Array
 
     Derivatives are per that unit. Leaves of `residual` have a leading axis, of 1 where all entries share it.
     """
-    at = _expanded(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
+    at = compute_once(_expanded)(residual, [value * scale for value, scale in zip(z, unit, strict=True)])
     J: Matrix = [[at.gradient[i][k] * unit[i] for i in range(NUM_INPUTS)] for k in range(3)]
     entry = {(i, j): at.hessian[pair] * (unit[i] * unit[j]) for pair, (i, j) in enumerate(PAIRS)}
     H = [[[entry[min(i, j), max(i, j)][k] for j in range(NUM_INPUTS)] for i in range(NUM_INPUTS)] for k in range(3)]

@@ -83,13 +83,11 @@ def _once(jaxpr: Any, consts: Any, *args: Array) -> list:
     for v in [v for eqn in kept for v in eqn.invars] + list(jaxpr.outvars):
         if not isinstance(v, jex.Literal):
             users[same.get(v, v)] = users.get(same.get(v, v), 0) + 1
-    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+    store = lambda v, x: jax.lax.optimization_barrier(x) if users.get(v, 0) > 1 and jnp.ndim(x) else x
+    given = zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True)
+    known = {v: store(v, value) for v, value in given}
     read = lambda v: v.val if isinstance(v, jex.Literal) else known[same.get(v, v)]
     for eqn in kept:
-        out = bind(eqn, [read(v) for v in eqn.invars])
-        keep = eqn.primitive.name not in FREE
-        known.update(
-            (v, jax.lax.optimization_barrier(value) if keep and users.get(v, 0) > 1 and jnp.ndim(value) else value)
-            for v, value in zip(eqn.outvars, out, strict=True)
-        )
+        out = zip(eqn.outvars, bind(eqn, [read(v) for v in eqn.invars]), strict=True)
+        known.update((v, value if eqn.primitive.name in FREE else store(v, value)) for v, value in out)
     return [read(v) for v in jaxpr.outvars]

@@ -18,7 +18,7 @@ import jax
 from driftjax.core import from_dict, write_text
 from driftjax.core.config import to_dict
 from driftjax.core.progress import ProgressReport
-from driftjax.environment import FUSED_RESULTS, SERIAL_LOOPS, fuses_results, with_flag
+from driftjax.environment import FUSED_RESULTS, SERIAL_LOOPS, fuses_results, with_flag, with_pass
 from driftjax.studies.bench.config import BenchConfig, Part
 from driftjax.studies.bench.figures import write_curves
 from driftjax.studies.bench.machine import machine
@@ -83,7 +83,7 @@ def environment(part: Part, cfg: BenchConfig) -> dict[str, str]:
     if part in (*elementwise, "controller") and jax.default_backend() == "cpu":
         flags = os.environ.get("XLA_FLAGS", "")
         if part in elementwise:  # their loops may be shared by threads
-            flags = flags.replace(SERIAL_LOOPS, "")
+            flags = with_pass(flags, SERIAL_LOOPS)
         own["XLA_FLAGS"] = with_flag(flags, FUSED_RESULTS).strip() if fuses_results() else flags.strip()
     cache = jax.config.values["jax_compilation_cache_dir"]
     return {**os.environ, **own} | ({"JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else {})
