@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from driftjax.diagnosis.diagnose import diagnose as diagnose
     from driftjax.diagnosis.held_out import DiagnoseConfig as DiagnoseConfig
     from driftjax.equilibrium.branch import Branch as Branch
+    from driftjax.equilibrium.map import MapConfig as MapConfig
     from driftjax.equilibrium.map import equilibria as equilibria
+    from driftjax.equilibrium.map import write_map as write_map
     from driftjax.export import Export as Export
     from driftjax.export import export_car as export_car
     from driftjax.export import export_mpc as export_mpc
@@ -57,15 +59,26 @@ if TYPE_CHECKING:
     from driftjax.planner import PlanConfig as PlanConfig
     from driftjax.planner import load_plan_config as load_plan_config
     from driftjax.planner import plan as plan
+    from driftjax.report import save_film as save_film
     from driftjax.report import save_plan as save_plan
+    from driftjax.report import write_comparison as write_comparison
     from driftjax.report import write_diagnosis as write_diagnosis
+    from driftjax.report import write_page as write_page
+    from driftjax.report import write_report as write_report
     from driftjax.sim import LapCode as LapCode
     from driftjax.sim import LapConfig as LapConfig
     from driftjax.sim import drive_laps as drive_laps
     from driftjax.sim import simulate as simulate
     from driftjax.store import RunFolder as RunFolder
+    from driftjax.store import list_runs as list_runs
+    from driftjax.studies.sweepable_verbs import run_sweep as run_sweep
+    from driftjax.sweep import SweepConfig as SweepConfig
+    from driftjax.sweep import SweepResult as SweepResult
+    from driftjax.sweep.query import find_laps as find_laps
     from driftjax.track import Track as Track
     from driftjax.track import load_track as load_track
+    from driftjax.tune.config import TuneConfig as TuneConfig
+    from driftjax.tune.run import tune_mpc as tune_mpc
     from driftjax.tyre import MagicFormula2012 as MagicFormula2012
     from driftjax.tyre import TyreFile as TyreFile
     from driftjax.tyre import fit_tir as fit_tir
@@ -80,6 +93,7 @@ if TYPE_CHECKING:
     from driftjax.vehicle import effects_by_name as effects_by_name
     from driftjax.vehicle import load_plant as load_plant
     from driftjax.vehicle import load_vehicle as load_vehicle
+    from driftjax.vehicle import unmodelled_effects as unmodelled_effects
     from driftjax.vehicle import with_effects as with_effects
     from driftjax.vehicle import write_vehicle as write_vehicle
 
@@ -92,7 +106,7 @@ MODULES = {
     "diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "diagnosis.held_out": ("DiagnoseConfig",),
     "equilibrium.branch": ("Branch",),
-    "equilibrium.map": ("equilibria",),
+    "equilibrium.map": ("MapConfig", "equilibria", "write_map"),
     "export": ("Export", "export_car", "export_mpc"),
     "gp": ("GP", "KernelGP", "fit_gp", "fit_kernel"),
     "learning.config": ("LearnConfig", "load_learn_config"),
@@ -101,10 +115,15 @@ MODULES = {
     "manoeuvres.campaign": ("Campaign", "record_runs"),
     "manoeuvres.truth": ("effect_strengths", "write_truth"),
     "planner": ("PlanConfig", "load_plan_config", "plan"),
-    "report": ("save_plan", "write_diagnosis"),
+    "report": ("save_film", "save_plan", "write_comparison", "write_diagnosis", "write_page", "write_report"),
     "sim": ("LapCode", "LapConfig", "drive_laps", "simulate"),
-    "store": ("RunFolder",),
+    "store": ("RunFolder", "list_runs"),
+    "studies.sweepable_verbs": ("run_sweep",),
+    "sweep": ("SweepConfig", "SweepResult"),
+    "sweep.query": ("find_laps",),
     "track": ("Track", "load_track"),
+    "tune.config": ("TuneConfig",),
+    "tune.run": ("tune_mpc",),
     "tyre": ("MagicFormula2012", "TyreFile", "fit_tir", "magic_formula", "read_tir", "write_tir"),
     "vehicle": (
         "PlantConfig",
@@ -115,6 +134,7 @@ MODULES = {
         "effects_by_name",
         "load_plant",
         "load_vehicle",
+        "unmodelled_effects",
         "with_effects",
         "write_vehicle",
     ),

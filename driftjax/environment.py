@@ -11,10 +11,12 @@ from pathlib import Path
 
 __version__ = "0.1.0"
 
-SERIAL_LOOPS = "cpu-parallel-task-assigner"  # pass of XLA that cuts loops into parts for threads, which round otherwise
-# Pass of XLA that drops optimisation barriers before it merges loops on a CPU. Kept, they hold values that several loops
-# read (`solve.compute_once`): programs of the MPC compile in half the time and run in two thirds of it.
-BARRIERS = "cse_barrier_expander"
+# Passes of XLA. One cuts loops into parts for threads, which round otherwise than on one thread.
+SERIAL_LOOPS = "cpu-parallel-task-assigner"
+# One drops optimisation barriers before loops are merged on a CPU. Where they are kept, values that several loops read
+# are computed once (`solve.compute_once`): programs of the MPC compile and run in two thirds of the time. The other
+# makes one kernel of a short loop, which cannot hold barriers.
+BARRIERS = ("cse_barrier_expander", "small-while-loop-hoisting")
 DISABLE = "--xla_disable_hlo_passes="
 # XLA's flag for kernels with several results, with which laps compile and run twice as fast on a CPU. It is for our own
 # processes only: jaxlib 0.10.2 aborts on programs whose results differ in rank, L-BFGS-B of jaxopt among them.
@@ -84,9 +86,9 @@ def _set_threads(threads: int | None) -> None:
         )
         return
     if os.environ.setdefault("NPROC", "1") == "1":
-        os.environ["XLA_FLAGS"] = without_pass(os.environ.get("XLA_FLAGS", ""), SERIAL_LOOPS)
+        os.environ["XLA_FLAGS"] = without_passes(os.environ.get("XLA_FLAGS", ""), SERIAL_LOOPS)
     if _on_cpu_only():
-        os.environ["XLA_FLAGS"] = without_pass(os.environ.get("XLA_FLAGS", ""), BARRIERS)
+        os.environ["XLA_FLAGS"] = without_passes(os.environ.get("XLA_FLAGS", ""), *BARRIERS)
 
 
 def _on_cpu_only() -> bool:
@@ -95,9 +97,9 @@ def _on_cpu_only() -> bool:
     return os.environ.get("JAX_PLATFORMS") == "cpu" or not others
 
 
-def without_pass(flags: str, name: str) -> str:
-    """Return XLA's flags with one more compiler pass disabled."""
-    return _with_disabled(flags, [*_disabled(flags), *([] if name in _disabled(flags) else [name])])
+def without_passes(flags: str, *names: str) -> str:
+    """Return XLA's flags with more compiler passes disabled."""
+    return _with_disabled(flags, list(dict.fromkeys([*_disabled(flags), *names])))
 
 
 def with_pass(flags: str, name: str) -> str:
@@ -106,7 +108,9 @@ def with_pass(flags: str, name: str) -> str:
 
 
 def _disabled(flags: str) -> list[str]:
-    return [name for flag in flags.split() if flag.startswith(DISABLE) for name in flag.removeprefix(DISABLE).split(",")]
+    return [
+        name for flag in flags.split() if flag.startswith(DISABLE) for name in flag.removeprefix(DISABLE).split(",")
+    ]
 
 
 def _with_disabled(flags: str, names: list[str]) -> str:

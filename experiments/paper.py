@@ -8,7 +8,7 @@ import tyro
 
 import driftjax as dj
 from driftjax.studies.paper.config import PaperConfig
-from driftjax.studies.paper.run import open_or_create, run_comparison
+from driftjax.studies.paper.run import run_comparison
 from driftjax.studies.paper.table import paper_page
 
 
@@ -16,9 +16,8 @@ def compare(
     options: Annotated[PaperConfig, tyro.conf.arg(name="")], out: Path = Path("runs/paper"), workers: int = 0
 ) -> None:
     """Drive the runs that the folder `out` lacks, with `workers` processes, and print the tables."""
-    folder = open_or_create(options, out)
     report = lambda text, done, total: print(f"{done}/{total} {text}", flush=True)
-    print(paper_page(run_comparison(options, folder, report, workers)), end="")
+    print(paper_page(run_comparison(options, out, report, workers)), end="")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,13 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import by_steps, default_out, log_flags, parse, print_notes, progress, run_in
-from driftjax.diagnosis.calibrate import DEFAULT_EFFECTS, STAGED_EFFECTS, calibrate, effects_to_fit
+from driftjax.diagnosis.calibrate import (
+    DEFAULT_EFFECTS,
+    STAGED_EFFECTS,
+    calibrate,
+    calibrate_settings,
+    effects_to_fit,
+)
 from driftjax.diagnosis.held_out import check_held_out
 from driftjax.logs import read_log
 from driftjax.report import gain_table
@@ -60,9 +66,8 @@ def run(argv: list[str]) -> int:
     flags = parse(CalibrateOptions, argv, "driftjax calibrate")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
-    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
-    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut, "staged": flags.staged}
-    options |= {"effects": list(effects_to_fit(flags.effects, flags.staged)), "held_out": flags.held_out}
+    effects = effects_to_fit(flags.effects, flags.staged)
+    options = calibrate_settings(vehicle, log, effects, flags.staged, flags.held_out)
     folder = RunFolder.create(flags.out or default_out("calibrate", vehicle.name), options, "calibrate")
 
     def work() -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
-from driftjax.diagnosis.compare import CompareConfig, check_alike, compare
+from driftjax.diagnosis.compare import CompareConfig, check_alike, compare, compare_settings
 from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import read_log
 from driftjax.report import comparison_text, write_comparison
@@ -63,9 +63,7 @@ def run(argv: list[str]) -> int:
     log_a = read_log(flags.a, flags.columns_a, runs=flags.runs_a, cut=flags.cut)
     log_b = read_log(flags.b, flags.columns_b, runs=flags.runs_b, cut=flags.cut)
     check_alike(log_a, log_b)
-    options = {"vehicle": dataclasses.asdict(vehicle), "a": str(flags.a), "b": str(flags.b)}
-    options |= {"columns": [flags.columns_a, flags.columns_b], "runs": [list(flags.runs_a), list(flags.runs_b)]}
-    options |= {"cut": flags.cut, "options": dataclasses.asdict(flags.options)}
+    options = compare_settings(vehicle, (log_a, log_b), flags.options)
     folder = RunFolder.create(flags.out or default_out("compare", vehicle.name), options, "compare")
 
     def work() -> int:

@@ -9,7 +9,7 @@ import tyro
 
 from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
 from driftjax.core import require
-from driftjax.diagnosis.diagnose import Diagnosis, diagnose
+from driftjax.diagnosis.diagnose import Diagnosis, diagnose, diagnose_settings
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.report import closed_loop_table, error_share_table, gain_table, parity_statement, write_diagnosis
@@ -61,9 +61,7 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     case = load_case(flags.closed_loop, vehicle) if flags.closed_loop else None
     log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
-    options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(path) for path in flags.logs]}
-    options |= {"columns": flags.columns, "runs": list(flags.runs), "cut": flags.cut}
-    options |= {"options": dataclasses.asdict(flags.options), "closed_loop": case.name if case else None}
+    options = diagnose_settings(vehicle, log, flags.options) | {"closed_loop": case.name if case else None}
     folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
     workers = spare_workers() if flags.workers is None else flags.workers

@@ -10,7 +10,6 @@ from driftjax.core import BadInput
 from driftjax.export import FORMATS, export_car
 from driftjax.logs import read_log
 from driftjax.store import RunFolder
-from driftjax.store.files import write_json
 from driftjax.vehicle import load_vehicle
 
 
@@ -53,7 +52,6 @@ def run(argv: list[str]) -> int:
     def work() -> int:
         print_notes(log.notes if log else ())
         export = export_car(vehicle, flags.to, folder.path, log=log, top_speed=flags.top_speed, dt=flags.dt)
-        write_json(folder.path / "export.json", export.to_json())
         print(export)
         print(f"next: the files for the other tool are in {folder.path}, with export.json on what they lose.")
         return 0

@@ -7,9 +7,8 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import parse
-from driftjax.core import BadInput, require
-from driftjax.report import write_page
-from driftjax.report.drives import film_pairs, run_drives, shown_together, shown_vehicle
+from driftjax.core import require
+from driftjax.report import save_film, write_page
 from driftjax.store import RunFolder
 
 
@@ -33,27 +32,14 @@ def run(argv: list[str]) -> int:
     """Open or export."""
     flags = parse(PlayOptions, argv, "driftjax play")
     folder = RunFolder.open(flags.run)
-    films = [path for path in (flags.gif, flags.mp4) if path is not None]
-    if flags.mcap is None and not films:
+    files = {".mcap": flags.mcap, ".gif": flags.gif, ".mp4": flags.mp4}
+    if not any(files.values()):
         require(flags.show is None, "key 'show': it selects what goes into a file; add --mcap, --gif or --mp4.")
         return open_report(folder)
-    for path, suffix in ((flags.gif, ".gif"), (flags.mp4, ".mp4"), (flags.mcap, ".mcap")):
-        if path is not None and path.suffix != suffix:
-            raise BadInput(f"--{suffix[1:]} {path}: the name must end in {suffix}.")
-        if path is not None and not path.parent.is_dir():
-            raise BadInput(f"{path}: the folder {path.parent} does not exist; make it first.")
-    every, plan = run_drives(folder)
-    drives, vehicle = shown_together(every, flags.show), shown_vehicle(folder)
-    if flags.mcap is not None:
-        from driftjax.report.foxglove import write_mcap
-
-        counts = write_mcap(flags.mcap, vehicle, drives, plan)
-        print(f"{flags.mcap}: {drives[0].group}, {sum(counts.values())} messages on {len(counts)} topics")
-    for path in films:
-        from driftjax.report.animation import animate
-
-        num = animate(path, vehicle, film_pairs(drives), plan)
-        print(f"{path}: {drives[0].group}, {num} frames, {path.stat().st_size / 1e6:.2f} MB")
+    for suffix, path in files.items():
+        require(path is None or path.suffix == suffix, f"--{suffix[1:]} {path}: the name must end in {suffix}.")
+    for path in filter(None, files.values()):
+        print(f"{path}: {save_film(folder, path, flags.show)}")
     return 0
 
 

@@ -50,13 +50,11 @@ def run(argv: list[str]) -> int:
         vehicle = vehicle.with_combined_slip(flags.combined_slip)
     except BadInput as error:
         raise BadInput(f"flags: {error}") from None
-    own = tuple(f"{one.name}={one.value!r}" for one in vehicle.effects)
-    theta = effect_strengths(vehicle, own + flags.effects)
-    vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # theta holds them now: one program serves all
+    theta = effect_strengths(vehicle, flags.effects)
     out = flags.out or default_out("simulate", vehicle.name)
     for name in FILES:
         if (out / name).exists():
-            raise BadInput(f"{out / name}: exists already; give another --out.")
+            raise BadInput(f"{out / name}: exists already; give another folder (--out).")
     options = {key: to_dict(flags)[key] for key in OWN} | to_dict(flags.options)
     folder = RunFolder.create(out, options, "simulate")
     print(f"driving {len(flags.options.manoeuvres)} runs of {flags.options.duration:g} s on {vehicle.name}",

@@ -7,10 +7,10 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import default_out, parse, progress, run_in
-from driftjax.core import BadInput, require, require_at_least
+from driftjax.core import require, require_at_least
 from driftjax.report.table import aligned
-from driftjax.studies.sweepable_verbs import WORKS
-from driftjax.sweep import SweepResult, check, finish_sweep, load_sweep, open_sweep
+from driftjax.studies.sweepable_verbs import open_verb_sweep
+from driftjax.sweep import SweepResult, finish_sweep
 from driftjax.sweep.analysis import best_trials
 
 
@@ -39,13 +39,7 @@ class SweepOptions:
 def run(argv: list[str]) -> int:
     """Run the missing trials, then print the best ones and the shares of the variance."""
     options = parse(SweepOptions, argv, "driftjax sweep")
-    config = load_sweep(options.config)
-    work = WORKS[config.verb]
-    try:
-        check(config, work)
-    except BadInput as error:
-        raise BadInput(f"{options.config}: {error}") from None
-    opened = open_sweep(config, work, options.out or default_out("sweep", options.config.stem), options.hosts)
+    opened = open_verb_sweep(options.config, options.out or default_out("sweep", options.config.stem), options.hosts)
     path = opened.folder.path
     resume = f"driftjax sweep {shlex.quote(str(options.config))} --out {shlex.quote(str(path))}"
 

@@ -10,7 +10,6 @@ from driftjax.cli.console import default_out, early_flags, parse, progress, run_
 from driftjax.core import read_yaml, require_at_least
 from driftjax.core.config import to_dict
 from driftjax.learning.run import check_files
-from driftjax.parallel import num_workers
 from driftjax.store import RunFolder
 from driftjax.tune.config import QUICK, TuneConfig, complete_tune_config
 
@@ -55,12 +54,11 @@ def defaults(car: str | None, file: str | None, quick: bool) -> TuneConfig:
 def work(config: TuneConfig, folder: RunFolder, workers: int | None) -> int:
     """Run; then write and print the results."""
     from driftjax.report import tuning_summary, write_tuning
-    from driftjax.tune.run import run as tune
+    from driftjax.tune.run import tune_mpc
 
     print(f"run folder: {folder.path}", flush=True)
     with progress() as report:
-        num = num_workers(config.training * config.budget) if workers is None else workers
-        results = tune(config, folder, report, num if num > 1 else 0)
+        results = tune_mpc(config, folder.path, workers=workers, report=report).results
     print(tuning_summary(results))
     print(f"report: {write_tuning(folder)}")
     print(f"next: see {folder.path / 'figures'}; `driftjax learn` takes such values as --path.Q and --switch.lead.")

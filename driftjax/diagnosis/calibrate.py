@@ -1,7 +1,7 @@
 """Fit chosen effects of the nominal car to data, without testing whether they are present."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from driftjax.diagnosis.stages import STAGES, fit_staged, least_samples
 from driftjax.diagnosis.stretches import Stretch, durations, find_stretches
 from driftjax.environment import require_float64
 from driftjax.logs import Log
+from driftjax.store import RunFolder
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue, effects_by_name
@@ -80,6 +81,7 @@ class Calibration:
     """Car fitted to data, with its gain on held-out runs; `str` gives its table."""
 
     nominal: VehicleConfig
+    log: Log
     problem: Problem  # with noise and observer of the fitted car
     selected: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
     fit: Fit
@@ -89,6 +91,7 @@ class Calibration:
     moved: np.ndarray  # (k,) by later stages, in standard deviations
     stretch: np.ndarray  # (P, T) kind of stretch of each sample
     staged: bool
+    held_out: int  # every so many-th run was
     gain: PredictionGain | None  # on runs held out, of a car fitted without them; None where there are too few
     lost_s: float  # of the runs, in which the observer loses the car [s]
 
@@ -150,9 +153,10 @@ class Calibration:
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> Path:
-        """Write calibrated.yaml and calibration.json into `folder`."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        """Write calibrated.yaml and calibration.json into `folder`, a run folder of `driftjax calibrate`."""
+        names = [self.problem.effects[i].name for i in self.selected]
+        settings = calibrate_settings(self.nominal, self.log, names, self.staged, self.held_out)
+        folder = RunFolder.ensure(folder, settings, "calibrate").path
         write_vehicle(folder / "calibrated.yaml", self.vehicle)
         write_json(folder / "calibration.json", self.content())
         return folder
@@ -168,6 +172,14 @@ class Calibration:
             number = f"{one.value:12.4g} ± {one.ci95_half:9.2g} {unit:10}"
             lines.append(f"{one.parameter:28}{number}{by or 'nothing':40}{one.remarks}".rstrip())
         return "\n".join(lines) + "\n"
+
+
+def calibrate_settings(
+    vehicle: VehicleConfig, log: Log, effects: Sequence[str], staged: bool, held_out: int
+) -> dict[str, Any]:
+    """Return the content of config.yaml of a calibration."""
+    own = {"staged": staged, "effects": list(effects), "held_out": held_out}
+    return {"vehicle": asdict(vehicle)} | log.reading | own
 
 
 def calibrate(
@@ -212,8 +224,9 @@ def calibrate(
     report("gain: fit once more without the runs held out")
     gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
     return Calibration(
-        vehicle, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, gain, lost_s
-    )
+        vehicle, log, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, held_out,
+        gain, lost_s,
+    )  # fmt: skip
 
 
 def effects_to_fit(effects: Sequence[str] | None = None, staged: bool = False) -> tuple[str, ...]:

@@ -41,6 +41,7 @@ from driftjax.diagnosis.verdict import (
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.logs.checks import check_rates
+from driftjax.store import RunFolder
 from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS, Effect, default_catalogue
@@ -122,11 +123,18 @@ class LogComparison:
         }  # fmt: skip
 
     def save(self, folder: str | Path) -> Path:
-        """Write compare.json into `folder`."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        """Write compare.json into `folder`, a run folder of `driftjax compare`; `write_comparison` adds the report."""
+        folder = RunFolder.ensure(folder, compare_settings(self.vehicle, self.logs, self.config), "compare").path
         write_json(folder / "compare.json", self.content())
         return folder
+
+
+def compare_settings(vehicle: VehicleConfig, logs: tuple[Log, Log], config: CompareConfig) -> dict[str, Any]:
+    """Return the content of config.yaml of a comparison."""
+    read = [log.reading for log in logs]
+    both = {key: [one.get(key) for one in read] for key in ("columns", "runs", "cut")}
+    named = {name: one.get("logs") for name, one in zip("ab", read, strict=True)}
+    return {"vehicle": dataclasses.asdict(vehicle)} | named | both | {"options": dataclasses.asdict(config)}
 
 
 def compare(

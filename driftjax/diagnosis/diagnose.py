@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +34,7 @@ from driftjax.environment import require_float64
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
 from driftjax.parallel import process_executor
+from driftjax.store import RunFolder
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import Effect, default_catalogue
@@ -143,9 +144,11 @@ class Diagnosis:
         return diagnosis_json(self, findings)
 
     def save(self, folder: str | Path) -> Path:
-        """Write diagnosis.json and, of a log that was long enough, extended.yaml and diagnosis.nc into `folder`."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        """Write diagnosis.json and, of a log that was long enough, extended.yaml and diagnosis.nc into `folder`.
+
+        It becomes a run folder of `driftjax diagnose` if it is none yet: `write_diagnosis(folder)` adds the report.
+        """
+        folder = RunFolder.ensure(folder, diagnose_settings(self.vehicle, self.log, self.config), "diagnose").path
         findings = self.describe_errors()
         if self.evidence is not None and findings is not None:
             write_vehicle(folder / "extended.yaml", self.extended)
@@ -153,6 +156,11 @@ class Diagnosis:
             write_netcdf(folder / "diagnosis.nc", data)
         write_json(folder / "diagnosis.json", self.content(findings))
         return folder
+
+
+def diagnose_settings(vehicle: VehicleConfig, log: Log, config: DiagnoseConfig) -> dict[str, Any]:
+    """Return the content of config.yaml of a diagnosis."""
+    return {"vehicle": asdict(vehicle)} | log.reading | {"options": asdict(config)}
 
 
 def diagnose(

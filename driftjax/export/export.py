@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from driftjax.core import BadInput
+from driftjax.environment import require_float64
 from driftjax.export.casadi_car import CASADI
 from driftjax.export.loss import Loss, loss
 from driftjax.export.racing import GYM, RACE_STACK, TUM
 from driftjax.export.simulators import AUTOWARE, COMMONROAD, OPEN_CAR_DYNAMICS
 from driftjax.export.target import Format, TargetOptions, restrict_effects
 from driftjax.logs import Log
+from driftjax.store.files import write_json
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
 
@@ -61,13 +63,14 @@ def export_car(
     vehicle: VehicleConfig, to: str, folder: str | Path, *, log: Log | None = None, top_speed: float | None = None,
     dt: float = 0.02,
 ) -> Export:  # fmt: skip
-    """Write `vehicle` with its effects into `folder` in the format `to`, and measure the loss of that format.
+    """Write `vehicle` with its effects into `folder` in the format `to`, and the loss of that format in export.json.
 
     `to` is race_stack, tum, f1tenth_gym, commonroad, autoware, open_car_dynamics or casadi. The loss is how much worse
     the car predicts without the lost effects: on `log`, or else in a standard manoeuvre. `top_speed` [m/s] bounds
     tables and limits (left out: 9 sqrt(g L)), `dt` [s] is the sample time of the CasADi step. Raises `BadInput` for an
     unknown format and for a folder that cannot be written.
     """
+    require_float64()
     if to not in FORMATS:
         raise BadInput(f"there is no format '{to}'; choose one of {', '.join(FORMATS)}.")
     for name, value in (("top_speed", top_speed), ("dt", dt)):
@@ -82,10 +85,12 @@ def export_car(
         files = target.write(reduced, folder)
     except OSError as error:
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another folder (--out).") from None
-    return Export(
+    export = Export(
         to, target.title, tuple(folder / name for name in files), tuple(n for n in named if n not in lost), lost,
         target.notes, loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None,
     )  # fmt: skip
+    write_json(folder / "export.json", export.to_json())
+    return export
 
 
 def _sentence(loss: Loss) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int, PyTree
 
 from driftjax.core import RESULTS
 from driftjax.core.bounded import minimise_within
+from driftjax.environment import require_float64
 
 Kernel = Callable[[PyTree, Float[Array, " nf"], Float[Array, " nf"]], Float[Array, ""]]
 
@@ -81,6 +82,7 @@ def fit_kernel(
     `tolerance`. `result` is that of the best start: `not_positive_definite` where the covariance has no Cholesky factor
     at any, `non_finite` where data or kernel are not finite, or the result of `minimise_within`.
     """
+    require_float64()
     Z, y = jnp.asarray(Z), jnp.asarray(y)
     low, unravel = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (lower, noise[0])))
     high, _ = ravel_pytree(jax.tree.map(lambda a: jnp.log(jnp.asarray(a, Z.dtype)), (upper, noise[1])))

@@ -224,10 +224,26 @@ def _shipped(car: str) -> LearnConfig:
 
 
 def files_of(config: LearnConfig) -> dict[str, Path]:
-    """Return the files that the options name, and the distribution of the car's plants unless plants are given."""
+    """Return the files that the options name, and those that these name: CSV of a track, tyre file, base of a plant.
+
+    The distribution of the car's plants is among them unless plants are given.
+    """
     named = {"vehicle": config.vehicle, "track": config.track, "plan": config.plan, "sensors": config.sensors}
     files = {kind: find_config(kind, name) for kind, name in named.items()}
     given = {f"plant.{i}": name for i, name in enumerate(config.plant)} or {
         "plant": f"{config.distribution}_distribution"
     }
-    return files | {key: find_config("plant", name) for key, name in given.items()}
+    files |= {key: find_config("plant", name) for key, name in given.items()}
+    return {f"{kind}, {path.name}" if i else kind: path
+            for kind, first in files.items() for i, path in enumerate(_with_named(first))}  # fmt: skip
+
+
+def _with_named(path: Path) -> list[Path]:
+    """Return a file and, of a YAML, the files that its keys name."""
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return [path]
+    values = read_yaml(path)
+    inner = values["nominal"] if isinstance(values.get("nominal"), dict) else {}
+    named = [path.parent / name for name in (values.get("path"), values.get("tyre"), inner.get("tyre")) if name]
+    base = [find_config("plant", path.parent / f"{values['base']}.yaml")] if values.get("base") else []
+    return [path, *(one for below in (*named, *base) for one in _with_named(below))]

@@ -8,13 +8,12 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
-from scipy.special import stdtrit
 
 from driftjax.control.table import ReferenceTable
+from driftjax.core.intervals import FEWEST, half_width
 from driftjax.sim import LapCode, Trace
 
 DRIFT_BETA = np.deg2rad(20.0)  # sideslip from which a car counts as drifting
-FEWEST = 3  # values that make an interval: that of two is 12.7 standard errors wide to either side and tells nothing
 
 
 class LapFigures(NamedTuple):
@@ -92,7 +91,7 @@ def interval(values: np.ndarray) -> dict[str, Any]:
     mean = float(kept.mean()) if len(kept) else None
     if mean is None or len(kept) < FEWEST:
         return {"mean": mean, "ci95": [None, None]} | count
-    half = _half_width(kept)
+    half = half_width(kept)
     return {"mean": mean, "ci95": [mean - half, mean + half]} | count
 
 
@@ -116,7 +115,7 @@ def reduction(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
         return {"value": float(value), "ci95": [None, None]} | count
     num = len(before)
     pseudo = -(num - 1) * np.log(without(after) / without(before))  # up to a constant, which has no spread
-    middle, half = np.log(after.mean() / before.mean()), _half_width(pseudo)
+    middle, half = np.log(after.mean() / before.mean()), half_width(pseudo)
     ends = [float(100 * (1 - np.exp(end))) for end in (middle + half, middle - half)]
     return {"value": float(value), "ci95": ends} | count
 
@@ -125,9 +124,3 @@ def difference(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     """Return the mean of `after` - `before` over pairs with its 95 % interval, as `interval` makes it."""
     change = interval(np.asarray(after, float) - np.asarray(before, float))
     return {"mean": change["mean"], "ci95": change["ci95"], "pairs": change["plants"]}
-
-
-def _half_width(values: np.ndarray) -> float:
-    """Return the half-width of the 95 % interval of the mean of `values`, by Student's t."""
-    num = len(values)
-    return float(stdtrit(num - 1, 0.975) * values.std(ddof=1) / np.sqrt(num))

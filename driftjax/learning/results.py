@@ -9,7 +9,7 @@ from driftjax.learning.metrics import interval, reduction
 from driftjax.learning.scenario import Scenario
 from driftjax.store.variables import code_names
 
-# Wu et al. 2025: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
+# Wu et al. 2025, Sec. V: lateral error by GPR, further by exploration, velocity RMSE by exploration [%]
 PUBLISHED_REDUCTIONS = {
     "sedan": (52.8, 27.1, 10.6),
     "rc": (36.7, 29.0, 7.2),

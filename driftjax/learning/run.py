@@ -46,11 +46,9 @@ def learn(
     done, total)` is called at every stage. Returns the run folder, with `.results` and `.laps`. Raises `BadInput` for
     files that do not fit, and where `out` holds a run with another config.
     """
-    require_float64()
     config = load_learn_config(config) if isinstance(config, str) else config
     check_files(config)
-    there = (Path(out) / "config.yaml").is_file()
-    folder = RunFolder.open(out) if there else RunFolder.create(out, to_dict(config))
+    folder = RunFolder.ensure(out, to_dict(config), "learn")
     if from_dict(LearnConfig, folder.config, str(folder.path / "config.yaml")) != config:
         raise BadInput(f"{out}: holds a run with another config; give another folder.")
     num = useful_workers(config.batch_size) if workers is None else workers
@@ -74,6 +72,7 @@ def run(config: LearnConfig, folder: RunFolder, report: ProgressReport, num_work
 
     Deterministic on one machine: a config gives the same laps, resumed or not, with any number of worker processes.
     """
+    require_float64()
     names = stage_names(config)
     share = _share_done(len(names), report)
     share("plan: compile, solve", len(folder.finished()))

@@ -7,10 +7,12 @@ from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from driftjax.core import BadInput, write_atomically
+from driftjax.core.config import to_dict
 from driftjax.logs.checks import check_rates
 from driftjax.logs.columns import CHANNELS, EXTRA, OPTIONAL, RUN, ColumnMap, load_columns
 from driftjax.logs.parse import parse_table
@@ -55,6 +57,8 @@ class Log:
     paths: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     """Sentences about what was repaired or left out."""
+    reading: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False)
+    """How `read_log` read it: keys logs, columns, runs, cut."""
 
     @property
     def rows(self) -> int:
@@ -103,6 +107,8 @@ def read_log(
     paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:
         raise BadInput("No log was given; name one file or bag at least.")
+    named = to_dict(columns) if isinstance(columns, ColumnMap) else columns
+    reading = {"logs": [str(path) for path in paths], "columns": named, "runs": list(runs), "cut": cut}
     columns = load_columns(columns) if isinstance(columns, str) else columns
     digest, seen = hashlib.sha256(), dict[bytes, Path]()
     read: dict[str, Run] = {}
@@ -124,7 +130,8 @@ def read_log(
     if not read:
         raise BadInput(f"{', '.join(map(str, paths))}: no run has two samples in a row; give a longer log.")
     check_rates({name: run.dt for name, run in read.items()})
-    return Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes)).split_runs(cut).select_runs(runs)
+    log = Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes), reading)
+    return log.split_runs(cut).select_runs(runs)
 
 
 def _cut(run: Run, num: int) -> list[Run]:

@@ -10,10 +10,11 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import BadInput, require
+from driftjax.environment import require_float64
 from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, RICH, vehicle_units
 from driftjax.parallel import call
-from driftjax.sim.logged import Flaws, logged
+from driftjax.sim.log_flaws import Flaws, logged
 from driftjax.sim.record import Conditions, Manoeuvre, Recording, record
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
@@ -122,12 +123,14 @@ def drive_manoeuvre(
 def record_runs(vehicle: VehicleConfig, theta: np.ndarray, campaign: Campaign) -> tuple[tuple[Run, ...], Truth]:
     """Drive a campaign on `vehicle` with effects `theta` (K,) (`effect_strengths`); return logged runs and the truth.
 
-    A run that spins is drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program
-    serves any number of them; another run length or car compiles anew.
+    `theta` holds all effects that act, those of an extended `vehicle` among them, in typical sizes. A run that spins is
+    drawn again `REDRAWS` times, then left out. Runs are driven one by one, so that one program serves any number of
+    them; another run length or car compiles again.
     """
+    require_float64()
     t, dt = np.arange(round(campaign.duration * campaign.rate)) / campaign.rate, 1 / campaign.rate
     conditions = campaign_conditions(vehicle, campaign)
-    vehicle = dataclasses.replace(vehicle, noise=None)  # which is no part of the program
+    vehicle = dataclasses.replace(vehicle, noise=None, effects=(), covariance=())  # no part of the program
     flaws, runs, states, left_out = log_flaws(vehicle, campaign), [], {}, []
     for i, kind in enumerate(campaign.manoeuvres):
         name, rng = f"{kind}-{i + 1}", np.random.default_rng((campaign.seed, i))

@@ -19,14 +19,15 @@ from driftjax.vehicle.effect import EFFECTS, effects_by_name
 
 
 def effect_strengths(vehicle: VehicleConfig, words: Sequence[str] = ()) -> Float[np.ndarray, "K"]:
-    """Parse `name.parameter=value` (SI) and `name=sizes`, such as `yaw_inertia=2`, into strengths.
+    """Return the strengths of all K parameters of the catalogue, in typical sizes, for `record_runs`.
 
-    Returns all K parameters of the catalogue, in typical sizes; neutral without words.
+    They are those of the effects of `vehicle` itself, changed by `words`: `name.parameter=value` (SI) and `name=sizes`,
+    such as `yaw_inertia=2`; the last one counts.
     Raises `BadInput` for an unknown effect or parameter, and for a value outside its bounds.
     """
     parameters = [(effect.name, parameter) for effect in EFFECTS.values() for parameter in effect.parameters]
     theta = np.zeros(len(parameters))
-    for word in words:
+    for word in (*(f"{one.name}={one.value!r}" for one in vehicle.effects), *words):
         target, _, number = word.partition("=")
         name, _, which = target.partition(".")
         (effect,) = effects_by_name((name,))

@@ -1,20 +1,21 @@
 """Convert a minimum-time plan to a dataset, and to a CSV table."""
 
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
 
 from driftjax.core import write_atomically
+from driftjax.planner.planner import Plan
 from driftjax.store.variables import PLAN, dataset
+from driftjax.track import Track
 
 NODES = ("s", "t", "V", "beta", "r", "e", "theta", "delta", "Fxr", "x", "y", "psi", "S", "drift")
 
 
-def plan_dataset(plan: Any, track: Any, car: str) -> xr.Dataset:
-    """Build plan.nc from a `driftjax.planner.Plan` along a `driftjax.track.Track` of the car named `car`."""
+def plan_dataset(plan: Plan, track: Track, car: str) -> xr.Dataset:
+    """Build plan.nc from a plan along a track of the car named `car`."""
     left, right = (jax.vmap(track.position)(track.s, side) for side in (track.w_left, -track.w_right))
     values = {name: getattr(plan, name) for name in NODES}
     values |= {"track_x": track.x, "track_y": track.y}

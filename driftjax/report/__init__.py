@@ -6,6 +6,7 @@ from driftjax.report.diagnosis import gain_table as gain_table
 from driftjax.report.diagnosis import parity_statement as parity_statement
 from driftjax.report.diagnosis_page import write_diagnosis as write_diagnosis
 from driftjax.report.error_share import error_share_table as error_share_table
+from driftjax.report.film import save_film as save_film
 from driftjax.report.inspection import write_inspection as write_inspection
 from driftjax.report.learn import write_report as write_report
 from driftjax.report.log_comparison import comparison_text as comparison_text

@@ -59,8 +59,9 @@ MODELS = {
 }  # in the words of the legends
 
 
-def write_diagnosis(run: RunFolder) -> Path:
+def write_diagnosis(folder: RunFolder | str | Path) -> Path:
     """Write figures/*.png and .pdf and report.html of a diagnosis from its folder alone; return the page's path."""
+    run = RunFolder.open(folder)
     pictures = [save(figure, run.path / "figures", name) for name, figure in diagnosis_figures(run)]
     page, text = run.path / "report.html", diagnosis_page(run, pictures)
     write_text(page, text)

@@ -17,6 +17,7 @@ class Lap:
     code: str  # how it ended
     completed: bool
     lateral_error: float  # mean over the drift section [m]
+    measured_error: float  # the same by the car's own sensors: what laps are judged by [m]
     velocity_rmse: float  # over the drift section, NaN where that was not reached [m/s]
     values: dict[str, np.ndarray]  # (steps driven,), by variable
 
@@ -40,8 +41,9 @@ def read_laps(data: xr.Dataset, controller: str) -> list[Lap]:
         alive = one["alive"].values.astype(bool)
         values = {name: one[name].values[alive] for name in series}
         code = names.get(int(one["code"]), "UNKNOWN")
-        numbers = bool(one["completed"]), float(one["lateral_error"]), float(one["velocity_rmse"])
-        laps.append(Lap(str(one["plant"].values), int(one["seed"]), code, *numbers, values))
+        measured = one.get("lateral_error_measured", one["lateral_error"])  # older runs lack it
+        numbers = float(one["lateral_error"]), float(measured), float(one["velocity_rmse"])
+        laps.append(Lap(str(one["plant"].values), int(one["seed"]), code, bool(one["completed"]), *numbers, values))
     return laps
 
 
@@ -61,16 +63,21 @@ def stages_by_kind(run: RunFolder) -> dict[str, list[str]]:
 
 
 def _badness(lap: Lap) -> tuple[bool, float]:
-    return not lap.completed, lap.lateral_error if np.isfinite(lap.lateral_error) else np.inf
+    return not lap.completed, lap.measured_error if np.isfinite(lap.measured_error) else np.inf
 
 
 def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
-    """Return the best lap of every plant and seed per kind of stage: the completed one with the least lateral error.
+    """Return the best lap of every plant and seed per kind of stage, chosen by what the car has measured.
 
-    If none was completed: the failed one with the least error.
+    That is the lap driven with the best setting, stage gpr-best or explore-best: chosen before it was driven. Where a
+    run lacks that stage, it is the completed lap with the least measured error, or else a failed one.
     """
     best: dict[str, list[Lap]] = {}
-    for kind, names in stages_by_kind(run).items():
+    for kind, every in stages_by_kind(run).items():
+        driven_again = [
+            name for name in every if name.endswith("-best") and read_laps(run.read_stage(name), controller)
+        ]
+        names = driven_again or every
         chosen: dict[tuple[str, int], Lap] = {}
         for lap in (lap for name in names for lap in read_laps(run.read_stage(name), controller) if lap["s"].size):
             other = chosen.setdefault((lap.plant, lap.seed), lap)

@@ -119,8 +119,9 @@ def _or_nan(value: float | None) -> float:
     return np.nan if value is None else value
 
 
-def write_comparison(run: RunFolder) -> Path:
-    """Write figures/gap.png and .pdf and report.html from the folder alone; returns the page's path."""
+def write_comparison(folder: RunFolder | str | Path) -> Path:
+    """Write figures/gap.png, .pdf and report.html of a comparison of logs from its folder; return the page's path."""
+    run = RunFolder.open(folder)
     content, page = run.read_json("compare"), run.path / "report.html"
     pictures = [save(plot_gap(content), run.path / "figures", "gap")] if content["gap"] else []
     text = log_comparison_page(run, content, pictures)

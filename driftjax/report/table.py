@@ -101,19 +101,20 @@ def _reductions(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def best_errors(results: dict[str, Any]) -> dict[str, float]:
-    """Return the smallest mean lateral error of each controller over the stages [m]."""
-    best: dict[str, float] = {}
-    for stage in results.get("stages") or []:
+def last_errors(results: dict[str, Any]) -> dict[str, float]:
+    """Return each controller's mean lateral error [m] in its last stage, one that drives the best setting if any."""
+    last: dict[str, float] = {}
+    stages = results.get("stages") or []
+    for stage in sorted(stages, key=lambda one: one["name"].endswith("-best")):  # stable: those come last
         for controller, cell in stage["controllers"].items():
             mean = (cell.get("lateral_error") or {}).get("mean")
             if mean is not None:
-                best[controller] = min(mean, best.get(controller, math.inf))
-    return best
+                last[controller] = mean
+    return last
 
 
 def run_line(run: RunFolder) -> str:
-    """Format one line about a run: time, verb, car, state, best errors, folder."""
+    """Format one line about a run: time, verb, car, state, errors of its last laps, folder."""
     stages = run.finished()
     car = str(run.config.get("car", run.config.get("vehicle", "")))
     if run.verb != "learn":
@@ -121,7 +122,7 @@ def run_line(run: RunFolder) -> str:
         state = "done" if any(map(run.has, results)) else "unfinished"
     else:
         state = f"{len(stages)} stages" if run.has("results.json") else f"stopped after {(stages or ['nothing'])[-1]}"
-    best = best_errors(run.read_json("results")) if run.verb == "learn" and run.has("results.json") else {}
-    best = {name: error for name, error in best.items() if name in ("path", "paper")} or best
-    words = ", ".join(f"{controller} {error:.2f} m" for controller, error in best.items())
+    last = last_errors(run.read_json("results")) if run.verb == "learn" and run.has("results.json") else {}
+    last = {name: error for name, error in last.items() if name in ("path", "paper")} or last
+    words = ", ".join(f"{controller} {error:.2f} m" for controller, error in last.items())
     return f"{run.created[:16].replace('T', ' ')}  {run.verb:10s}  {car:8s}  {state:21s}  {words or '-'}  {run.path}"

@@ -11,11 +11,12 @@ from driftjax.store import RunFolder
 WRITERS = {"learn": write_report, "diagnose": write_diagnosis, "compare": write_comparison}
 
 
-def write_page(run: RunFolder) -> Path:
+def write_page(folder: RunFolder | str | Path) -> Path:
     """Write the figures and report.html of a run of learn, diagnose or compare; returns the page's path.
 
     Raises `BadInput` for a run of another verb.
     """
+    run = RunFolder.open(folder)
     if run.verb not in WRITERS:
         raise BadInput(
             f"{run.path}: a run of `driftjax {run.verb}` has no report.html; take one of learn, diagnose or compare."

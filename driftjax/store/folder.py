@@ -55,8 +55,23 @@ class RunFolder:
         return folder
 
     @classmethod
-    def open(cls, path: str | Path) -> "RunFolder":
-        """Open the run at `path`; raises `BadInput` if there is none."""
+    def ensure(cls, path: str | Path, config: dict[str, Any], verb: str) -> "RunFolder":
+        """Open the run at `path`, or create it with `config` if there is none."""
+        return cls.open(path) if (Path(path) / CONFIG).is_file() else cls.create(path, config, verb)
+
+    @classmethod
+    def resume(cls, path: str | Path, config: dict[str, Any], verb: str) -> "RunFolder":
+        """Open the run at `path`, or create it; raises `BadInput` if it has another config."""
+        folder = cls.ensure(path, config, verb)
+        if folder.config != config:
+            raise BadInput(f"{path}: holds a run with other options; give another folder (--out).")
+        return folder
+
+    @classmethod
+    def open(cls, path: "str | Path | RunFolder") -> "RunFolder":
+        """Open the run at `path`; raises `BadInput` if there is none. An open one is returned as it is."""
+        if isinstance(path, RunFolder):
+            return path
         path = Path(path)
         if not (path / CONFIG).is_file():
             raise BadInput(f"{path}: holds no run (there is no {CONFIG}); `driftjax runs` lists those there are.")

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from driftjax.core import find_config, from_dict, require
+from driftjax.core import BadInput, find_config, from_dict, require
 from driftjax.core.config import to_dict
+from driftjax.core.progress import ProgressReport
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.learning.config import LearnConfig, complete_learn_config, files_of, load_learn_config
@@ -16,11 +17,12 @@ from driftjax.learning.run import drive_stages
 from driftjax.learning.scenario import Route, build_scenario, route_of
 from driftjax.learning.stages import first_progress
 from driftjax.logs import read_log
+from driftjax.logs.recording import recording_files
 from driftjax.parallel import BatchExecutor
 from driftjax.store import RunFolder
 from driftjax.store.lap_rows import LAP_COLUMNS, lap_rows
 from driftjax.studies.paper.config import PaperConfig
-from driftjax.sweep import Work
+from driftjax.sweep import OpenSweep, SweepConfig, SweepResult, Work, check, finish_sweep, load_sweep, open_sweep
 from driftjax.sweep.trial import TrialRow
 from driftjax.vehicle import load_vehicle
 
@@ -73,7 +75,8 @@ def complete_diagnose(options: VerbOptions) -> VerbOptions:
 def diagnose_files(config: VerbOptions) -> list[Path]:
     """Return the logs, the vehicle's YAML and, where one is given, the column map's; shipped ones among them."""
     columns = [find_config("columns", config["columns"])] if config["columns"] else []
-    return [*map(Path, config["logs"]), find_config("vehicle", config["vehicle"]), *columns]
+    logs = [file for path in map(Path, config["logs"]) for file in ([path] if path.is_dir() else recording_files(path))]
+    return [*logs, find_config("vehicle", config["vehicle"]), *columns]
 
 
 def diagnose_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
@@ -105,8 +108,7 @@ def paper_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> It
     """Yield the means of every method of the comparison, whose runs are in `folder` until it is finished."""
     from driftjax.studies.paper.run import run_comparison
 
-    there = (folder / "config.yaml").exists()
-    run = RunFolder.open(folder) if there else RunFolder.create(folder, config, "paper")
+    run = RunFolder.ensure(folder, config, "paper")
     results = run_comparison(from_dict(PaperConfig, config, "a trial"), run, lambda *_: None, 0)
     rows: list[TrialRow] = []
     for car, result in results["cars"].items():
@@ -116,6 +118,38 @@ def paper_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> It
                 rows.append({"car": car, "controller": controller, "stage": stage} | means)
     shutil.rmtree(folder)
     yield rows
+
+
+def run_sweep(
+    config: SweepConfig | str | Path,
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    ray: str | None = None,
+    hosts: bool = False,
+    report: ProgressReport = lambda text, done, total: None,
+) -> SweepResult:
+    """Run the trials of a sweep that the folder `out` lacks, and analyse all of them.
+
+    `config` may be the path of a YAML. `workers` processes run side by side, one per core if omitted; `ray` is the
+    address of a cluster instead; with `hosts` this is one of several processes of a job, each with a share of the
+    trials. `report(text, done, total)` is called at every trial. Raises `BadInput` for options that the verb cannot
+    take, and where `out` holds another sweep.
+    """
+    opened = open_verb_sweep(config, out, hosts)
+    return finish_sweep(opened, workers=workers, ray=ray, report=report)
+
+
+def open_verb_sweep(config: SweepConfig | str | Path, out: str | Path, hosts: bool = False) -> OpenSweep:
+    """Check a sweep over a verb's options and create or open its folder; nothing runs yet."""
+    where = "" if isinstance(config, SweepConfig) else f"{config}: "
+    config = config if isinstance(config, SweepConfig) else load_sweep(Path(config))
+    work = WORKS[config.verb]
+    try:
+        check(config, work)
+    except BadInput as error:
+        raise BadInput(f"{where}{error}") from None
+    return open_sweep(config, work, Path(out), hosts)
 
 
 PAPER_FIGURES = ("lateral_error", "lateral_error_max", "velocity_rmse", "lap_time", "completed", "drifted")

@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from driftjax.core.intervals import half_width
 from driftjax.report.style import EXPLORED, GPR, NOMINAL, new_figure, panel_grid, save
 from driftjax.sweep.analysis import Analysis, Shares, groups_of
 from driftjax.sweep.config import Range
@@ -49,7 +50,7 @@ def plot_main_effects(analysis: Analysis, folder: Path) -> Path:
         groups = [place == k for k in np.unique(place)]
         middle = [np.median(x[group]) for group in groups]
         mean = [analysis.objective[group].mean() for group in groups]
-        half = [1.96 * analysis.objective[g].std(ddof=1) / g.sum() ** 0.5 if g.sum() > 1 else 0.0 for g in groups]
+        half = [half_width(analysis.objective[group]) for group in groups]
         axis.errorbar(middle, mean, half, color=EXPLORED, marker="o", ms=4, capsize=2, zorder=2)
         axis.set_ylabel(analysis.config.objective)
         _label(analysis, name, axis)

@@ -3,16 +3,21 @@
 import dataclasses
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from driftjax.core.config import to_dict
 from driftjax.core.progress import ProgressReport
+from driftjax.environment import require_float64
 from driftjax.learning.metrics import interval
+from driftjax.learning.run import check_files
 from driftjax.learning.scenario import build_scenario
+from driftjax.parallel import num_workers as useful_workers
 from driftjax.parallel import process_executor
 from driftjax.store.folder import RunFolder
-from driftjax.tune.config import TuneConfig
+from driftjax.tune.config import TuneConfig, complete_tune_config
 from driftjax.tune.laps import LapEvaluator, LapResults, lap_outcome
 from driftjax.tune.parameters import NAMES, parameter_values
 from driftjax.tune.search import Search, descend, random_search
@@ -21,7 +26,31 @@ KINDS = ("default", "tuned", "random")
 PAIRS = (("default", "tuned"), ("default", "random"), ("random", "tuned"))
 
 
-def run(config: TuneConfig, folder: RunFolder, report: ProgressReport, num_workers: int = 0) -> dict[str, Any]:
+def tune_mpc(
+    config: TuneConfig | str = "sedan",
+    out: str | Path = "runs/tune",
+    *,
+    workers: int | None = None,
+    report: ProgressReport = lambda text, done, total: None,
+) -> RunFolder:
+    """Search weights and lead of the drift MPC by gradients through laps, and at random; judge on other plants.
+
+    `config` may be the name of a shipped car (sedan, rc); `workers` processes drive in parallel, one per core if
+    omitted, none on a GPU. `report(text, done, total)` is called at every step. Returns the run folder with `.results`.
+    Raises `BadInput` for files that do not fit, and where `out` holds a run with other options.
+    """
+    require_float64()
+    config = complete_tune_config({}, "defaults", config) if isinstance(config, str) else config
+    check_files(config.learn)
+    folder = RunFolder.resume(out, to_dict(config), "tune")
+    num = useful_workers(config.training * config.budget) if workers is None else workers
+    search_and_judge(config, folder, report, num if num > 1 else 0)
+    return folder
+
+
+def search_and_judge(
+    config: TuneConfig, folder: RunFolder, report: ProgressReport, num_workers: int = 0
+) -> dict[str, Any]:
     """Search, evaluate, write `results.json`; return it. Deterministic except for the seconds."""
     report("plan", 0, 4)
     num = config.training + config.held_out

@@ -9,6 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from driftjax.core import BadInput
+from driftjax.environment import require_float64
 from driftjax.tyre.tir import TyreFile
 
 TINY = 1e-6  # keeps quotients of vanishing forces finite [N]
@@ -213,6 +214,7 @@ def magic_formula(file: TyreFile, values: Mapping[str, float] | None = None) -> 
 
     `values` replace those of the file, for instance by arrays to differentiate by.
     """
+    require_float64()
     written = file.values if values is None else values
     filled = {name: written.get(name, 1.0) for name in SCALES} | {name: written.get(name, 0.0) for name in COEFFICIENTS}
     filled |= {"FNOMIN": written["FNOMIN"], "NOMPRES": written.get("NOMPRES", 1e5) or 1e5}

@@ -10,6 +10,7 @@ from jax import Array
 from scipy.optimize import least_squares
 
 from driftjax.core import BadInput, require
+from driftjax.environment import require_float64
 from driftjax.parallel import call
 from driftjax.tyre.magic_formula_2012 import COEFFICIENTS, SCALES, MagicFormula2012, magic_formula
 from driftjax.tyre.tir import TyreFile
@@ -26,6 +27,7 @@ def fit_tir(file: TyreFile, data: Mapping[str, np.ndarray], names: Sequence[str]
     (nominal), and of the measured Fx [N], Fy [N] and Mz [N m], NaN where there is none. Each of these counts in its own
     root mean square. The fit is local: with many coefficients begin with a few, such as PCY1, PDY1, PEY1, PKY1.
     """
+    require_float64()
     known = (*COEFFICIENTS, *SCALES, "PKY4")
     if unknown := [name for name in names if name not in known]:
         raise BadInput(f"fit: '{unknown[0]}' is no coefficient that can be fitted, such as PDY1.")

@@ -7,6 +7,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
+from driftjax.environment import require_float64
 from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
 from driftjax.vehicle.effect.base import Effect
@@ -106,6 +107,7 @@ def build_car(vehicle: VehicleConfig) -> AnyCar:
     `car(x, u)` returns the rates of a `State` x under a `Control` u, SI per second, differentiable by both and by the
     car's own parameters. Effects of sensors, delays and the road are left out (see `unmodelled_effects`).
     """
+    require_float64()
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
     names = tuple(name for name in EFFECTS if name in _named(vehicle) and not exclusion_reason(EFFECTS[name]))
     if not names:

@@ -75,7 +75,9 @@ def test_options_that_do_not_exist(branch, word, value):
 def test_sweeps_over_nonsense(name, value, word):
     fields = {name: [value]} if not isinstance(value, list | dict) else {word: [1.0]}
     sweep = {"base": {"car": "rc"}, "fields": fields}
-    refused(["sweep", "s.yaml"], {"s.yaml": yaml.safe_dump(sweep)}, "s.yaml")
+    refused(
+        ["sweep", "s.yaml"], {"s.yaml": yaml.safe_dump(sweep)}, *(f"'{part}" for part in next(iter(fields)).split("."))
+    )
 
 
 @SOME

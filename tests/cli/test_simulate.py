@@ -16,8 +16,8 @@ from driftjax.manoeuvres import campaign
 from driftjax.manoeuvres.campaign import Campaign, drive_manoeuvre, record_runs, typical_conditions
 from driftjax.manoeuvres.library import MANOEUVRES
 from driftjax.manoeuvres.truth import effect_strengths
-from driftjax.sim.logged import dropouts
-from driftjax.vehicle import EstimatedNoise, PerChannel, load_vehicle
+from driftjax.sim.log_flaws import dropouts
+from driftjax.vehicle import EstimatedNoise, PerChannel, load_vehicle, with_effects
 from driftjax.vehicle.effect import EFFECTS
 
 SEDAN = dataclasses.replace(load_vehicle("sedan"), combined_slip=1.0)
@@ -45,6 +45,17 @@ def test_noise_is_as_asked_and_beside_the_truth():
     np.testing.assert_allclose(error.std((0, 1)), list(truth.noise.values()), rtol=0.08)
     turned = np.stack([run.extra["psi"][-1] - np.sum(truth.states[run.name][:-1, 2]) / 100 for run in runs])
     assert np.abs(turned).max() < 0.05
+
+
+def test_an_extended_car_keeps_its_effects():
+    own = with_effects(SEDAN, {"friction_rear": {"p": -0.1}, "steer_lag": {"tau": 0.05}})
+    theta = effect_strengths(own, ["steer_lag.tau=0.1"])
+    np.testing.assert_allclose(theta, effect_strengths(SEDAN, ["friction_rear.p=-0.1", "steer_lag.tau=0.1"]))
+    short = dataclasses.replace(SHORT, manoeuvres=SHORT.manoeuvres[:1])
+    (run,), truth = record_runs(own, theta, short)
+    (plain,), _ = record_runs(SEDAN, theta, short)
+    assert truth.effects == {"friction_rear": {"p": -0.1}, "steer_lag": {"tau": 0.1}}
+    np.testing.assert_array_equal(run.beta, plain.beta)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +223,7 @@ BAD = {
     "--combined-slip 2": "key 'combined_slip' is 2.0",
     "--config absent.yaml": "absent.yaml: no such file",
     "--config bad.yaml": "unknown key 'lenght'",
-    "--out taken": "exists already; give another --out.",
+    "--out taken": "exists already; give another folder (--out).",
     "--out file/run": "give another folder (--out)",
 }
 

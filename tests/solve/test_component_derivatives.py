@@ -76,7 +76,7 @@ def test_what_is_used_twice_is_computed_once_and_means_the_same():
     program = jax.make_jaxpr(compute_once(function))(x, y)
     names = [eqn.primitive.name for eqn in program.jaxpr.eqns]
     assert names.count("sin") == 1
-    assert names.count("optimization_barrier") == 1
+    assert names.count("optimization_barrier") == 3, "x, y and the sine"
     once, plain = compute_once(function)(x, y), function(x, y)
     np.testing.assert_array_equal(once["a"], plain["a"])
     np.testing.assert_array_equal(once["b"], plain["b"])

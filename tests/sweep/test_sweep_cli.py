@@ -102,12 +102,11 @@ def test_a_folder_that_cannot_be_written_is_reported(here, capsys):
 
 FULL = """
 import resource, sys
-import driftjax.cli.sweep
 from driftjax.cli import main
-from driftjax.studies.sweepable_verbs import diagnose_files
+from driftjax.studies.sweepable_verbs import WORKS, diagnose_files
 from driftjax.core import find_config
 from tests.sweep.toy import TOY
-driftjax.cli.sweep.WORKS["learn"] = TOY  # what a verb computes does not matter here
+WORKS["learn"] = TOY  # what a verb computes does not matter here
 codes = [main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"])]
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))  # no byte more
 codes.append(main(["sweep", "more.yaml", "--out", "s", "--workers", "1"]))
@@ -133,12 +132,11 @@ def test_a_disk_without_room_ends_with_a_sentence_and_loses_nothing(here):
 
 SLOW = """
 import sys
-import driftjax.cli.sweep
 from driftjax.cli import main
-from driftjax.studies.sweepable_verbs import diagnose_files
+from driftjax.studies.sweepable_verbs import WORKS, diagnose_files
 from driftjax.core import find_config
 from tests.sweep.toy import TOY
-driftjax.cli.sweep.WORKS["learn"] = TOY
+WORKS["learn"] = TOY
 sys.exit(main(["sweep", "sweep.yaml", "--out", "s", "--workers", "1"]))
 """
 

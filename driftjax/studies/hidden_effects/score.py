@@ -8,11 +8,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from driftjax.core import from_dict
+from driftjax.core.intervals import half_width
 from driftjax.studies.hidden_effects import criteria
 from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.criteria import Result
-
-Z = 1.96  # of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -40,11 +39,11 @@ def rate(flags: Iterable[bool], target: str = "") -> Measure:
 
 
 def mean(values: Iterable[float], target: str = "") -> Measure:
-    """Return the mean with its 95 % interval."""
+    """Return the mean with its 95 % interval by Student's t; NaN for fewer than three values."""
     data = np.array(list(values), float)
     if len(data) == 0:
         return Measure(float("nan"), 0, target=target)
-    half = Z * data.std(ddof=1) / np.sqrt(len(data)) if len(data) > 1 else float("nan")
+    half = half_width(data)
     return Measure(float(data.mean()), len(data), float(data.mean() - half), float(data.mean() + half), target)
 
 

@@ -28,17 +28,11 @@ from driftjax.vehicle import load_vehicle
 DIAGNOSIS = "diagnosis"  # folder below that of the car
 
 
-def open_or_create(cfg: PaperConfig, path: Path) -> RunFolder:
-    """Open the run folder `path` of a comparison, or create it; raises `BadInput` where it has other options."""
-    there, config = (path / "config.yaml").is_file(), to_dict(cfg)
-    folder = RunFolder.open(path) if there else RunFolder.create(path, config, "paper")
-    if folder.config != config:
-        raise BadInput(f"{path}: holds a comparison with other options; give another folder (--out).")
-    return folder
-
-
-def run_comparison(cfg: PaperConfig, folder: RunFolder, report: ProgressReport, num_workers: int) -> dict[str, Any]:
-    """Run the comparison and return its results; each run has its own folder and resumes where it stopped."""
+def run_comparison(
+    cfg: PaperConfig, folder: RunFolder | Path, report: ProgressReport, num_workers: int
+) -> dict[str, Any]:
+    """Run the comparison in `folder` and return its results; each run in it resumes where it stopped."""
+    folder = folder if isinstance(folder, RunFolder) else RunFolder.resume(folder, to_dict(cfg), "paper")
     cfg = cfg.reduced() if cfg.quick else cfg
     todo, done, results = arms(cfg), [], {}
     for number, arm in enumerate(todo):
