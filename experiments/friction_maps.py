@@ -84,7 +84,7 @@ def fitted(log: dj.Log) -> dict[str, Any]:
 def diagnosed(log: dj.Log, folder: Path) -> dict[str, Any]:
     """Return the verdict on the log."""
     diagnosis = dj.diagnose(nominal_car(), log, dj.DiagnoseConfig(gp=False))
-    diagnosis.save(dj.RunFolder.create(folder, {"log": [str(path) for path in log.paths]}, "diagnose").path)
+    diagnosis.save(folder)
     return {
         "verdict": str(diagnosis.verdict),
         "sentence": diagnosis.sentence,

@@ -72,7 +72,7 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
     if not (folder / "compare.json").is_file():
         real, simulated = (log.split_runs(cfg.cut) for log in logs)
         comparison = dj.compare(CAR, real, simulated)
-        comparison.save(dj.RunFolder.create(folder, {"path": name}, "compare").path)
+        comparison.save(folder)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import tyro
 
 import driftjax as dj
-from driftjax.studies.closed_loop import add_closed_loop, load_case, spare_workers
+from driftjax.studies.closed_loop import add_closed_loop, load_case
 from driftjax.studies.model_errors import plot_model_errors
 
 TYRES = ("friction", "stiffness_front", "stiffness_rear")
@@ -131,16 +131,12 @@ def write_question(question: Question, cfg: Config, out: Path, plant: Path | Non
     path, course = cfg.data / question.log, load_case(plant, car) if plant else None
     log, config = dj.read_log(path, question.columns, runs=question.runs, cut=question.cut), dj.DiagnoseConfig()
     print(f"\ndiagnosing {question.name}: {path}", flush=True)
-    diagnosis = dj.diagnose(car, log, config, workers=spare_workers())
-    options = {"vehicle": dataclasses.asdict(car), "logs": [str(path)], "columns": question.columns,
-               "runs": list(question.runs), "cut": question.cut, "options": dataclasses.asdict(config),
-               "closed_loop": course.name if course else None}  # fmt: skip
-    folder = dj.RunFolder.create(out, options, "diagnose")
+    diagnosis = dj.diagnose(car, log, config, workers=None)
     diagnosis.save(out)
     print(diagnosis.sentence, flush=True)
     if course and diagnosis.evidence:
-        add_closed_loop(folder, course, diagnosis)
-    print(f"report: {dj.write_diagnosis(folder)}", flush=True)
+        add_closed_loop(dj.RunFolder.open(out), course, diagnosis)
+    print(f"report: {dj.write_diagnosis(out)}", flush=True)
 
 
 def plant_file(question: Question, cfg: Config) -> Path | None:
@@ -164,9 +160,7 @@ def nominal_car(question: Question, cfg: Config) -> dj.VehicleConfig:
     if not (folder / "calibrated.yaml").is_file():
         print(f"\ncalibrating {question.vehicle}: {cfg.data / log}", flush=True)
         calibration = dj.calibrate(vehicle, dj.read_log(cfg.data / log, columns, runs=runs, cut=cut), effects)
-        options = {"vehicle": dataclasses.asdict(vehicle), "logs": [str(cfg.data / log)], "columns": columns,
-                   "runs": list(runs), "cut": cut, "effects": list(effects), "held_out": 3}  # fmt: skip
-        calibration.save(dj.RunFolder.create(folder, options, "calibrate").path)
+        calibration.save(folder)
         print(calibration)
     car = dj.load_vehicle(folder / "calibrated.yaml")
     if not question.forgotten:

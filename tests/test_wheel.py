@@ -77,6 +77,8 @@ def test_what_the_wheel_holds_runs_outside_the_checkout(wheel, tmp_path):
         return done.stdout
 
     assert run("-c", "import driftjax; print(driftjax.__file__)").startswith(str(tmp_path / "site"))
+    run("-c", "import driftjax as dj; assert all(getattr(dj, name).__doc__ for name in dj.__all__)")
+    assert "nan" not in run(str(ROOT / "experiments" / "examples" / "simulate.py"))
     drive = ("simulate", "--manoeuvres", "slalom", "--duration", "4", "--out", "car")
     assert "log: car/log.csv" in run("-m", "driftjax.cli", *drive)
     assert "1 runs, 4.0 s" in run("-m", "driftjax.cli", "inspect", "car/log.csv")

@@ -14,7 +14,7 @@ from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.logs import Log, read_log
 from driftjax.report import closed_loop_table, error_share_table, gain_table, parity_statement, write_diagnosis
 from driftjax.store import RunFolder
-from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case, spare_workers
+from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
 STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done": 0}
@@ -64,14 +64,12 @@ def run(argv: list[str]) -> int:
     options = diagnose_settings(vehicle, log, flags.options) | {"closed_loop": case.name if case else None}
     folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
 
-    workers = spare_workers() if flags.workers is None else flags.workers
-
     def task() -> int:
-        diagnosis, last = work(vehicle, log, flags.options, folder, case, workers), folder
+        diagnosis, last = work(vehicle, log, flags.options, folder, case, flags.workers), folder
         if flags.drive and diagnosis.proposal:
             longer = diagnosis.drive_proposal(flags.drive, folder.path / "next.csv", cut=flags.cut)
             last = RunFolder.create(folder.path / "next", options | {"logs": [*map(str, longer.paths)]}, "diagnose")
-            diagnosis = work(vehicle, longer, flags.options, last, case, workers)
+            diagnosis = work(vehicle, longer, flags.options, last, case, flags.workers)
         print(f"next: {next_step(diagnosis, last.path)}")
         return 0
 
@@ -96,7 +94,7 @@ def work(
     config: DiagnoseConfig,
     folder: RunFolder,
     case: ClosedLoopCase | None,
-    workers: int,
+    workers: int | None,
 ) -> Diagnosis:
     """Diagnose into `folder` and print the result, with closed-loop laps on `case`."""
     print_notes(log.notes)

@@ -33,7 +33,7 @@ from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
 from driftjax.logs import Log, read_log
 from driftjax.manoeuvres.truth import drive_again
-from driftjax.parallel import process_executor
+from driftjax.parallel import process_executor, spare_workers
 from driftjax.store import RunFolder
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
@@ -168,7 +168,7 @@ def diagnose(
     log: Log,
     config: DiagnoseConfig | None = None,
     *,
-    workers: int = 0,
+    workers: int | None = 0,
     report: Callable[[str], None] = lambda text: None,
     effects: tuple[Effect, ...] | None = None,
 ) -> Diagnosis:
@@ -178,10 +178,11 @@ def diagnose(
     no part in the noise and the observer either. `effects` is the catalogue to choose from: all but those on
     request, and those of `config.beside`, if omitted. Another one is another model to compile. The gain is measured
     meanwhile: with `workers` = 1 in a process of its own, which halves the time where two cores are free (a script then
-    needs `if __name__ == "__main__"`), with 0 in a thread. `report` is called at every step. Raises `BadInput` for runs
-    whose sample times differ.
+    needs `if __name__ == "__main__"`), with 0 in a thread, with None as suits the machine. `report` is called at every
+    step. Raises `BadInput` for runs whose sample times differ.
     """
     require_float64()
+    workers = spare_workers() if workers is None else workers
     config = DiagnoseConfig() if config is None else config
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < MIN_DURATION:

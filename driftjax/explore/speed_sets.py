@@ -1,17 +1,18 @@
 """Compute candidate speed profiles for a corner: nested bounds on a step that reduces the lateral error."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from driftjax.core import RESULTS
+from driftjax.core.bounded_newton import minimise_batch
 
 TOLERANCE = 1e-8  # on the projected gradient, relative to its size at the start
 MAX_STEPS = 100
-LENGTHS = 0.5 ** np.arange(12)  # trial step lengths, evaluated together
 
 
 class SpeedSets(eqx.Module):
@@ -38,40 +39,10 @@ def residuals(gamma: Array, V: Array, s: Array, target: Array, w1: Array, w2: Ar
     return jnp.concatenate([jnp.sqrt(w1) * jnp.diff(slope) / step[1:], jnp.sqrt(w2) * (gamma - target)])
 
 
-def _bounded_least_squares(f, start: Array, lower: Array, upper: Array):
-    """Minimise |f|^2 / 2 in a box by projected Gauss-Newton (Bertsekas 1982, Eq. 12-20); J of f has full rank."""
-
-    def gradient(x):
-        value, pullback = jax.vjp(f, x)
-        return 0.5 * jnp.sum(value**2), pullback(value)[0]
-
-    def projected(x, g):
-        return jnp.max(jnp.abs(x - jnp.clip(x - g, lower, upper)))
-
-    def step(carry):
-        x, _, count, _ = carry
-        value, g = gradient(x)
-        J = jax.jacfwd(f)(x)
-        H = J.T @ J
-        held = ((x <= lower) & (g > 0)) | ((x >= upper) & (g < 0))
-        H = jnp.where(held[:, None] | held[None, :], jnp.diag(jnp.diagonal(H)), H)
-        p = -jnp.linalg.solve(H, g)
-        trials = jnp.clip(x + LENGTHS[:, None] * p, lower, upper)
-        promised = LENGTHS * jnp.sum(jnp.where(held, 0.0, g * p)) + (trials - x) @ jnp.where(held, g, 0.0)
-        values = jax.vmap(lambda y: gradient(y)[0])(trials)
-        good = values <= value + 1e-4 * promised
-        moved = jnp.any(good)
-        x = jnp.where(moved, trials[jnp.argmax(good)], x)
-        return x, projected(x, gradient(x)[1]), count + 1, ~moved
-
-    first = jnp.clip(start, lower, upper)
-    error = projected(first, gradient(first)[1])
-    tolerance = TOLERANCE * jnp.maximum(1.0, jnp.max(jnp.abs(gradient(first)[1])))
-    running = lambda c: (c[1] > tolerance) & (c[2] < MAX_STEPS) & ~c[3]
-    x, error, count, stuck = jax.lax.while_loop(running, step, (first, error, jnp.asarray(0), jnp.asarray(False)))
-    result = RESULTS.where(stuck, RESULTS.stalled, RESULTS.not_converged)  # pyright: ignore
-    result = RESULTS.where(error <= tolerance, RESULTS.successful, result)  # pyright: ignore
-    return x, error, count, RESULTS.where(jnp.isfinite(error), result, RESULTS.non_finite)  # pyright: ignore
+def _expansion(residuals: Callable[[Array], Array], unit: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Return half the sum of squares over `unit`, its gradient and its Gauss-Newton curvature."""
+    f, J = residuals(x), jax.jacfwd(residuals)(x)
+    return 0.5 * f @ f / unit, J.T @ f / unit, J.T @ J / unit
 
 
 def v_sets(
@@ -100,11 +71,13 @@ def v_sets(
     def candidate(bounds: Array):
         lower, upper = (jnp.clip(bound, V_min - V_origin, V_max - V_origin) for bound in bounds)
         possible = jnp.all((V_min <= V_max) & (lower <= upper))
-        f = lambda gamma: residuals(gamma, V_origin, s, r_b * e, w1, w2)
-        gamma, error, count, result = _bounded_least_squares(f, r_b * e, lower, upper)
-        result = RESULTS.where(possible, result, RESULTS.infeasible)  # pyright: ignore[reportArgumentType]
-        V = V_origin + gamma
-        return gamma, V, jnp.sum(weight * V) / jnp.sum(weight), error, count, result
+        f, start = lambda gamma: residuals(gamma, V_origin, s, r_b * e, w1, w2), jnp.clip(r_b * e, lower, upper)
+        unit = jnp.maximum(1.0, jnp.max(jnp.abs(jax.vjp(f, start)[1](f(start))[0])))
+        evaluate = lambda x: _expansion(f, unit, x)
+        end = minimise_batch(evaluate, start, lower, upper, max_iterations=MAX_STEPS, tolerance=TOLERANCE)
+        result = RESULTS.where(possible, end.result, RESULTS.infeasible)  # pyright: ignore[reportArgumentType]
+        V = V_origin + end.x
+        return end.x, V, jnp.sum(weight * V) / jnp.sum(weight), unit * end.error, end.num_steps, result
 
     gamma, V, V_ep, error, count, result = jax.vmap(candidate)(jnp.asarray(gamma_bounds))
     same = jnp.abs(V_ep[:, None] - V_ep[None, :]) < 1e-3

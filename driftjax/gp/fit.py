@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from driftjax.core import RESULTS, require
 from driftjax.core.bounded import Minimum
+from driftjax.core.bounded_newton import minimise_batch
 from driftjax.environment import require_float64
 from driftjax.gp.kernel import KERNELS
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import GP, Hyper, condition, data_scales, squared_differences
-from driftjax.gp.optimise import minimise_batch
 from driftjax.gp.orthogonal import orthonormal_basis, project_out
 
 # Bounds in scaled inputs and outputs: (length scale, amplitude, noise), all standard deviations.

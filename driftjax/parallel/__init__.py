@@ -11,6 +11,7 @@ from driftjax.parallel.executors import num_workers as num_workers
 from driftjax.parallel.executors import process_executor as process_executor
 from driftjax.parallel.executors import process_pool as process_pool
 from driftjax.parallel.executors import settings as settings
+from driftjax.parallel.executors import spare_workers as spare_workers
 from driftjax.parallel.executors import thread_executor as thread_executor
 from driftjax.parallel.programs import call as call
 from driftjax.parallel.programs import clear_program_cache as clear_program_cache

@@ -154,6 +154,11 @@ def num_workers(entries: int) -> int:
     return useful if jax.default_backend() == "cpu" and useful > 1 else 0
 
 
+def spare_workers() -> int:
+    """Return the `workers` of `diagnose` on this machine: 1 where two cores are free and no GPU computes, else 0."""
+    return min(num_workers(2), 1)
+
+
 @contextmanager
 def process_executor(num: int, fused: bool = False) -> Iterator[BatchExecutor]:
     """Compute batches in `num` worker processes, which end with the context; with 0, in this process.

@@ -56,8 +56,11 @@ class RunFolder:
 
     @classmethod
     def ensure(cls, path: str | Path, config: dict[str, Any], verb: str) -> "RunFolder":
-        """Open the run at `path`, or create it with `config` if there is none."""
-        return cls.open(path) if (Path(path) / CONFIG).is_file() else cls.create(path, config, verb)
+        """Open the run at `path`, or create it with `config` if there is none; raises `BadInput` for another verb's."""
+        folder = cls.open(path) if (Path(path) / CONFIG).is_file() else cls.create(path, config, verb)
+        if folder.verb != verb:
+            raise BadInput(f"{path}: holds a run of `driftjax {folder.verb}`; give another folder (--out).")
+        return folder
 
     @classmethod
     def resume(cls, path: str | Path, config: dict[str, Any], verb: str) -> "RunFolder":

@@ -51,11 +51,6 @@ def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
     )
 
 
-def spare_workers() -> int:
-    """Return the `workers` of `diagnose` on this machine: 1 where two cores are free and no GPU computes, else 0."""
-    return min(num_workers(2), 1)
-
-
 def without_estimates(vehicle: VehicleConfig, extended: VehicleConfig) -> VehicleConfig:
     """Return `extended` with its effects at their initial values: the car `vehicle` in the same compiled program."""
     start = {one.name: one.value for one in vehicle.effects}

@@ -11,4 +11,4 @@ diagnosis = dj.diagnose(car, dj.Log(runs), dj.DiagnoseConfig(gp=False))
 print(diagnosis.verdict, diagnosis.sentence, "hidden:", truth.effects)
 print([(cause.effect, cause.probability, cause.parameters) for cause in diagnosis.causes])
 print(diagnosis.extended.effects)  # the car with what was found, ready for plan, equilibria, DriftMPC and learn
-diagnosis.save(out)  # diagnosis.json, extended.yaml, diagnosis.nc
+diagnosis.save(out)  # diagnosis.json, extended.yaml; dj.write_diagnosis(out) would add the page report.html

@@ -13,10 +13,10 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from driftjax.core import RESULTS
+from driftjax.core.bounded_newton import minimise_batch
 from driftjax.gp import Hyper, data_scales, fit_kernel
 from driftjax.gp.likelihood import derivatives
 from driftjax.gp.model import condition, squared_differences
-from driftjax.gp.optimise import minimise_batch
 
 KEY, N = jax.random.key(0), 40
 BOUNDS = {"amplitude": (0.05, 20.0), "length": (0.1, 20.0)}  # as `gp.fit`

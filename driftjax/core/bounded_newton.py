@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.scipy.linalg import cho_solve
 
-from driftjax.core import RESULTS
 from driftjax.core.bounded import Minimum
+from driftjax.core.results import RESULTS
 
 REACH = 1.0  # longest step of any variable
 DAMPING, FEEBLEST, STRONGEST = 0.05, 1e-6, 1e6  # the first, the least, and the one beyond which no step helps

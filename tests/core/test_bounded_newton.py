@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import RESULTS
-from driftjax.gp.optimise import minimise_batch
+from driftjax.core.bounded_newton import minimise_batch
 
 WIDE = jnp.array([-5.0, -5.0]), jnp.array([5.0, 5.0])
 
