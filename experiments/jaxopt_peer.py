@@ -1,4 +1,4 @@
-"""Why two loops are our own: speed sets and the fit of a GP beside L-BFGS-B of jaxopt, with automatic gradients.
+"""Why one loop is our own: the bounded Newton method, for speed sets and the fit of a GP, beside L-BFGS-B of jaxopt, with automatic gradients.
 
 `python -m experiments.jaxopt_peer` prints medians of 5 runs of each side, made in turn after compilation.
 """
