@@ -16,7 +16,6 @@ ROWS = (
 RANK = {name: rank for rank, row in enumerate(ROWS.split("|")) for name in row.split()}
 FILES = sorted(PACKAGE.rglob("*.py"))
 SCRIPTS = sorted((ROOT / "experiments").rglob("*.py"))
-COMPARES_INTERNALS = ("jaxopt_peer.py",)  # solver by solver with those of another library
 
 
 def folder_of(path: Path) -> str:
@@ -74,8 +73,7 @@ def not_public(source: str) -> list[str]:
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_experiments_use_public_functions_only(path):
-    if path.name not in COMPARES_INTERNALS:
-        assert not_public(path.read_text(encoding="utf-8")) == []
+    assert not_public(path.read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize(
