@@ -18,6 +18,8 @@ HEADINGS = {
     "control": "Drift MPC",
     "gp": "Gaussian processes",
     "learning": "Learning to drift",
+    "tune": "Tuning",
+    "sweep": "Sweeps",
     "logs": "Measured logs",
     "manoeuvres": "Simulated logs",
     "diagnosis": "Diagnosis",
@@ -46,6 +48,7 @@ def api_page() -> str:
     """Return every public name by topic; a public name without a topic is an error."""
     lines = ["```{py:currentmodule} driftjax\n```\n"]
     topics = {name: driftjax.PUBLIC.get(name, "driftjax.environment").split(".")[1] for name in driftjax.__all__}
+    topics |= {name: "sweep" for name, folder in topics.items() if folder == "studies"}
     for topic, heading in HEADINGS.items():
         lines.append(f"## {heading}\n")
         lines += [_entry(name) for name in driftjax.__all__ if topics[name] == topic]

@@ -20,7 +20,9 @@ def several(x: jax.Array, y: jax.Array) -> list[jax.Array]:
 def counted(function) -> int:
     """Count the multiplications of the program in which the argument `y` is a long expression too."""
     whole = lambda x: function(x, functools.reduce(lambda a, b: a * b + x, [x] * 40))
-    return jax.jit(whole).lower(X).compile().as_text().count(" multiply(")
+    text = jax.jit(whole).lower(X).compile().as_text()
+    assert text is not None
+    return text.count(" multiply(")
 
 
 def test_the_compiled_program_holds_no_copies():

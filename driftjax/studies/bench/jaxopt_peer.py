@@ -23,7 +23,7 @@ V_MIN, V_MAX = 9.0, 13.2
 WEIGHTS = ((1.0, 1.0), (0.01, 2.0), (100.0, 5.0), (500.0, 0.5))  # w1, w2; the third is the default of `learn`
 
 
-def corner(num: int) -> list[Array]:
+def sample_corner(num: int) -> list[Array]:
     """Return V, s, r_b, e at `num` points of a corner of 25 m, with a lateral error that comes and goes."""
     rng = np.random.default_rng(0)
     s = np.cumsum(rng.uniform(0.6, 1.6, num)) * 25 / num
@@ -54,7 +54,7 @@ def speed_sets_jaxopt(V: Array, s: Array, r_b: Array, e: Array, w1: Array, w2: A
     return jax.vmap(candidate)(BOUNDS)
 
 
-def squared_exponential(p: dict[str, Array], a: Array, b: Array) -> Array:
+def scaled_exponential(p: dict[str, Array], a: Array, b: Array) -> Array:
     """Return the covariance of two inputs."""
     return p["amplitude"] ** 2 * jnp.exp(-0.5 * jnp.sum(((a - b) / p["length"]) ** 2))
 
@@ -76,7 +76,7 @@ def compare_speed_sets() -> None:
     """Print both solvers of the speed sets."""
     for num in (AIM_POINTS, 60, 120):
         for weights in WEIGHTS:
-            problem = (*corner(num), *map(jnp.asarray, weights))
+            problem = (*sample_corner(num), *map(jnp.asarray, weights))
             (gamma, result), (other, ended) = speed_sets(*problem), speed_sets_jaxopt(*problem)
             ours, theirs = side_by_side(lambda: speed_sets(*problem), lambda: speed_sets_jaxopt(*problem))  # noqa: B023
             right = [int(jnp.sum(one == RESULTS.successful)) for one in (result, ended)]
@@ -94,6 +94,6 @@ def compare_fits() -> None:
         Z = jnp.asarray(rng.normal(size=(num, 3)))
         y = jnp.sin(Z[:, 0]) + 0.5 * Z[:, 1] * Z[:, 2] + 0.1 * rng.normal(size=num)
         ours = lambda: fit_gp(Z, y)  # noqa: B023
-        other = lambda: fit_kernel(squared_exponential, Z, y, low, high, tolerance=2e-3, key=jax.random.key(0))  # noqa: B023
+        other = lambda: fit_kernel(scaled_exponential, Z, y, low, high, tolerance=2e-3, key=jax.random.key(0))  # noqa: B023
         first, second = side_by_side(ours, other)
         print(f"GP, {num} rows: {first:.3g} ms, jaxopt {second:.3g} ms, ratio {second / first:.3g}", flush=True)
