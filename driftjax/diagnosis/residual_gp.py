@@ -10,7 +10,7 @@ from driftjax.core import Control, State, features
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import predict_pieces
 from driftjax.diagnosis.runs import fixed_gain, run_observer
-from driftjax.gp import GP, fit, select_dictionary
+from driftjax.gp import GP, fit_masked, select_dictionary
 
 WINDOW = 0.2  # time over which a residual rate is measured: shorter drowns in noise, longer blurs [s]
 DICTIONARY_SIZE = 300  # rows that the GP is conditioned on
@@ -42,4 +42,4 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
 def fit_residual_gp(problem: Problem, theta: np.ndarray, seed: int) -> GP:
     """Fit a GP to the rates [SI] that the model `theta` lacks in these data."""
     kept = eqx.filter_jit(select_dictionary)(*residual_rates(problem, theta), DICTIONARY_SIZE)
-    return fit(*kept, key=jax.random.key(seed)).gp
+    return fit_masked(*kept, key=jax.random.key(seed)).gp

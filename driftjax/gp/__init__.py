@@ -4,8 +4,8 @@ from driftjax.gp.any_kernel import KernelGP as KernelGP
 from driftjax.gp.any_kernel import fit_kernel as fit_kernel
 from driftjax.gp.dictionary import select_dictionary as select_dictionary
 from driftjax.gp.fit import FitResult as FitResult
-from driftjax.gp.fit import fit as fit
 from driftjax.gp.fit import fit_gp as fit_gp
+from driftjax.gp.fit import fit_masked as fit_masked
 from driftjax.gp.model import GP as GP
 from driftjax.gp.model import Hyper as Hyper
 from driftjax.gp.model import bound_mean as bound_mean

@@ -1,6 +1,6 @@
 """Exact Gaussian process of one output with any kernel, given as a function k(parameters, z1, z2) of two points.
 
-Gradients are automatic. For the kernels of `KERNELS` the fit with closed-form derivatives (`fit`) is faster.
+Gradients are automatic. For the kernels of `KERNELS` the fit with closed-form derivatives (`fit_masked`) is faster.
 """
 
 from collections.abc import Callable

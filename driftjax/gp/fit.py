@@ -109,11 +109,13 @@ def fit_gp(Z: ArrayLike, Y: ArrayLike, *, kernel: str = "se", num_restarts: int 
     require(bool(np.isfinite(Z).all() and np.isfinite(Y).all()), "Z or Y holds values that are not finite; drop them.")
     require(kernel in KERNELS, f"kernel is '{kernel}'; choose one of {', '.join(KERNELS)}.")
     rows, key = jnp.ones(len(Z), bool), jax.random.key(seed)
-    return fit(jnp.asarray(Z), jnp.asarray(Y), rows, num_restarts=num_restarts, num_fit=len(Z), kernel=kernel, key=key)
+    return fit_masked(
+        jnp.asarray(Z), jnp.asarray(Y), rows, num_restarts=num_restarts, num_fit=len(Z), kernel=kernel, key=key
+    )
 
 
 @eqx.filter_jit
-def fit(
+def fit_masked(
     Z: Array,
     Y: Array,
     mask: Array,

@@ -7,7 +7,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from driftjax.gp import GP, condition, data_scales, fit, predict_known_effects, project_out, select_dictionary, zero_gp
+from driftjax.gp import (
+    GP,
+    condition,
+    data_scales,
+    fit_masked,
+    predict_known_effects,
+    project_out,
+    select_dictionary,
+    zero_gp,
+)
 from driftjax.learning.config import GPConfig
 from driftjax.vehicle import Residual, no_residual
 
@@ -60,7 +69,7 @@ def update_model(
     # an extra column that the selection of rows ignores
     inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
     kept = inputs, columns[:, :-1], valid
-    fitted = fit(
+    fitted = fit_masked(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
         basis=None if known_basis is None else known_basis(kept[0]), key=key,

@@ -12,7 +12,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from driftjax.core import RESULTS
-from driftjax.gp import fit
+from driftjax.gp import fit_masked
 from driftjax.gp.fit import LOWER, UPPER
 
 KEY = jax.random.key(0)
@@ -31,7 +31,7 @@ at = eqx.filter_jit(lambda f, points: jax.vmap(f)(points))
 @pytest.mark.parametrize(("seed", "noise"), [(0, 0.05), (1, 0.3), (2, 0.01)])
 def test_likelihood_is_at_least_scikit_learns(seed, noise):
     Z, Y, mask = padded(N, seed, noise)
-    ours = fit(Z, Y, mask, max_iterations=60, key=KEY)
+    ours = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
     box = [(low**power, high**power) for low, high, power in zip(LOWER, UPPER, (1, 2, 2), strict=True)]
     for d in range(2):
         lengths: Any = np.ones(3)
@@ -44,8 +44,8 @@ def test_likelihood_is_at_least_scikit_learns(seed, noise):
 
 def test_padding_changes_nothing():
     Z, Y, mask = padded(25, 4)
-    with_padding = fit(Z, Y, mask, max_iterations=60, key=KEY)
-    without = fit(Z[:25], Y[:25], mask[:25], max_iterations=60, key=KEY)
+    with_padding = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
+    without = fit_masked(Z[:25], Y[:25], mask[:25], max_iterations=60, key=KEY)
     np.testing.assert_allclose(with_padding.log_marginal_likelihood, without.log_marginal_likelihood, rtol=1e-6)
     np.testing.assert_allclose(at(with_padding.gp.mean, Z[3:4]), at(without.gp.mean, Z[3:4]), rtol=1e-4)
 
@@ -56,7 +56,9 @@ def test_a_batch_equals_single_fits_and_shares_one_compile():
     @eqx.filter_jit
     def fit_batch(Z, Y, mask, keys):
         traces.append(1)
-        return eqx.filter_vmap(lambda Z, Y, mask, key: fit(Z, Y, mask, max_iterations=60, key=key))(Z, Y, mask, keys)
+        return eqx.filter_vmap(lambda Z, Y, mask, key: fit_masked(Z, Y, mask, max_iterations=60, key=key))(
+            Z, Y, mask, keys
+        )
 
     for n in (30, 38):
         data = [padded(n, seed) for seed in (5, 6)]
@@ -65,13 +67,13 @@ def test_a_batch_equals_single_fits_and_shares_one_compile():
         assert jnp.all(batch.result == RESULTS.successful)
     assert len(traces) == 1
     for entry, (Z, Y, mask) in enumerate(data):
-        single = fit(Z, Y, mask, max_iterations=60, key=KEY)
+        single = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
         np.testing.assert_allclose(batch.log_marginal_likelihood[entry], single.log_marginal_likelihood, rtol=1e-6)
 
 
 def test_held_out_targets_are_predicted_with_honest_variance():
     Z, Y, mask = padded(N, 7)
-    gp = fit(Z, Y, mask, max_iterations=60, key=KEY).gp
+    gp = fit_masked(Z, Y, mask, max_iterations=60, key=KEY).gp
     points, truth = smooth(200, seed=70, noise=0.0)
     error = np.asarray(at(gp.mean, points)) - truth
     sigma = np.sqrt(at(gp.variance, points))
@@ -82,17 +84,17 @@ def test_held_out_targets_are_predicted_with_honest_variance():
 
 def test_no_data_and_bad_data_are_distinguished():
     Z, Y, mask = padded(0, 0)
-    empty = fit(Z, Y, mask, max_iterations=60, key=KEY)
+    empty = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
     assert np.all(np.asarray(at(empty.gp.mean, Z[:1])) == 0) and jnp.all(empty.result == RESULTS.successful)
     Y[0, 0], mask[:5] = np.nan, True
-    broken = fit(Z, Y, mask, max_iterations=60, key=KEY)
+    broken = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
     assert bool((broken.result == RESULTS.non_finite)[0])
 
 
 def test_a_subset_fits_the_hyper_parameters_and_all_rows_condition():
     Z, Y, mask = padded(N, 9)
-    result = fit(Z, Y, mask, max_iterations=60, num_fit=30, key=KEY)
-    full = fit(Z, Y, mask, max_iterations=60, key=KEY)
+    result = fit_masked(Z, Y, mask, max_iterations=60, num_fit=30, key=KEY)
+    full = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
     assert np.all(np.abs(result.gp.alpha) > 0)
     assert np.all(np.isfinite(result.log_marginal_likelihood))
     difference = np.asarray(at(result.gp.mean, Z)) - at(full.gp.mean, Z)
@@ -101,6 +103,6 @@ def test_a_subset_fits_the_hyper_parameters_and_all_rows_condition():
 
 def test_a_previous_fit_saves_iterations():
     Z, Y, mask = padded(N, 10)
-    cold = fit(Z, Y, mask, max_iterations=60, key=KEY)
-    warm = fit(Z, Y, mask, max_iterations=60, previous=cold.gp, key=KEY)
+    cold = fit_masked(Z, Y, mask, max_iterations=60, key=KEY)
+    warm = fit_masked(Z, Y, mask, max_iterations=60, previous=cold.gp, key=KEY)
     assert np.all(np.asarray(warm.num_steps) < cold.num_steps)

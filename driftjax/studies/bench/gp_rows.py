@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.gp import FitResult, Hyper, KernelGP, data_scales, fit, fit_kernel
+from driftjax.gp import FitResult, Hyper, KernelGP, data_scales, fit_kernel, fit_masked
 from driftjax.gp.fit import FINE, LOWER, UPPER
 from driftjax.gp.likelihood import likelihood
 from driftjax.gp.model import squared_differences
@@ -43,7 +43,7 @@ def noisy_rows(num: int) -> Data:
 def gp_fit(rows: Data) -> Callable[[], FitResult]:
     """Return the fit on all `rows` from one start, ready to run."""
     num = len(rows.X)
-    return lambda: fit(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
+    return lambda: fit_masked(rows.Z, rows.Y, jnp.ones(num, bool), num_restarts=1, num_fit=num, key=jax.random.key(0))
 
 
 def measure_rows(cfg: BenchConfig) -> PartResult:
