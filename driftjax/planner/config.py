@@ -70,7 +70,7 @@ class PlanConfig:
     """Least run-up and run-out together around the lap of a closed track, as a share of the lap [-]."""
     tolerance: float = 1e-6
     """On the solver's scaled KKT residual and constraint violation [-]."""
-    max_steps: int = 300
+    max_steps: int = 1000
     """Solver iterations allowed."""
 
     def __post_init__(self) -> None:

@@ -51,11 +51,18 @@ class Plan(eqx.Module):
     result: RESULTS
 
     def drift_intervals(self) -> list[tuple[float, float]]:
-        """Return `(start, end)` of every drift along the path's s [m], in order; for concrete plans, not under jit."""
-        drift = np.concatenate([[False], np.asarray(self.drift), [False]])
+        """Return `(start, end)` of every drift along the path's s [m], in order; for concrete plans, not under jit.
+
+        Where only the yaw rate swings through zero while the car slides on, the drift goes on too.
+        """
+        drift, beta = np.concatenate([[False], np.asarray(self.drift), [False]]), np.asarray(self.beta)
         edges = np.flatnonzero(drift[1:] != drift[:-1])
-        S = np.asarray(self.S)
-        return [(float(S[a]), float(S[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        parts: list[tuple[int, int]] = []
+        for start, end in zip(edges[::2], edges[1::2] - 1, strict=True):
+            if parts and _slides_on(beta[parts[-1][1] : start + 1]):
+                start, _ = parts.pop()
+            parts.append((start, end))
+        return [(float(self.S[a]), float(self.S[b])) for a, b in parts]
 
     def drift_interval(self) -> tuple[float, float]:
         """Return `(start, end)` of the longest drift along the path's s [m]; raises `ValueError` if there is none."""
@@ -63,6 +70,12 @@ class Plan(eqx.Module):
         if not intervals:
             raise ValueError("The plan has no drift; plan with the drift device, or lower label_beta.")
         return max(intervals, key=lambda ab: ab[1] - ab[0])
+
+
+def _slides_on(beta: np.ndarray) -> bool:
+    """Return whether sideslip (n,) keeps its sign and is nowhere less than at the smaller end."""
+    size = np.sign(beta[0]) * beta
+    return bool(np.all(size >= min(size[0], size[-1])) and size[-1] > 0)
 
 
 def problem(vehicle: VehicleConfig, config: PlanConfig, stage: Stage, ds: float, model=None) -> MinimumTime:

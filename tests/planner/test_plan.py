@@ -139,7 +139,7 @@ def test_labels_follow_the_signs_of_sideslip_and_yaw_rate():
     opposite = (solution.beta * solution.r < 0) & (np.abs(solution.beta) > config.label_beta)
     np.testing.assert_array_equal(solution.drift, opposite)
     drift = np.isin(np.arange(solution.drift.size), [3, 4, 5, 9, 300])
-    runs = eqx.tree_at(lambda p: p.drift, solution, drift)
+    runs = eqx.tree_at(lambda p: (p.drift, p.beta), solution, (drift, np.where(drift, -0.2, 0.0)))
     S = np.asarray(solution.S)
     assert runs.drift_intervals() == [(S[3], S[5]), (S[9], S[9]), (S[300], S[300])]
 
@@ -242,6 +242,19 @@ def test_nodes_of_a_closed_lap_are_a_whole_number_of_steps_between_straights():
     for k in (0, at.first, at.last):
         assert abs(float(track.pose(at.s[k])[3])) < 1e-9
     assert at.first > 20 and len(at.s) - at.last > 20
+
+
+@pytest.mark.parametrize(("between", "num"), [(-0.3, 1), (-0.1, 2), (0.3, 2)], ids=["slides on", "grips", "turns over"])
+def test_a_drift_ends_where_the_car_slides_no_more(between, num):
+    """Two parts with the yaw rate of a drift, and three nodes between them without."""
+    solution = solved("sedan", True)
+    nodes = np.arange(len(solution.S))
+    drift = ((nodes >= 100) & (nodes < 120)) | ((nodes >= 123) & (nodes < 130))
+    beta = np.where(drift, -0.2, 0.0) + np.where((nodes >= 120) & (nodes < 123), between, 0.0)
+    made = dataclasses.replace(solution, beta=jnp.asarray(beta), drift=jnp.asarray(drift))
+    assert len(made.drift_intervals()) == num
+    assert made.drift_intervals()[0][0] == float(solution.S[100])
+    assert made.drift_intervals()[-1][1] == float(solution.S[129])
 
 
 @pytest.mark.slow

@@ -53,9 +53,9 @@ def rich():
 
 
 @functools.cache
-def bent() -> Universal:
+def bent(substeps: int = 1) -> Universal:
     """The sedan with many effects at once, lags included, at sizes met in practice."""
-    model = universal_car(load_vehicle("sedan"), effects_by_name(tuple(BENT)))
+    model = universal_car(load_vehicle("sedan"), effects_by_name(tuple(BENT)), substeps)
     lower = np.array([parameter.lower for effect in model.effects for parameter in effect.parameters])
     rng = np.random.default_rng(6)
     sign = np.where(lower == 0, 1.0, rng.choice([-1.0, 1.0], len(lower)))
@@ -201,7 +201,7 @@ def test_what_is_late_is_reported_as_it_was(steps):
 @pytest.mark.slow  # each compiles for 25 s; tests/diagnosis/test_observer.py compares with differences
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_derivatives_of_a_step_are_those_of_forward_mode(substeps):
-    model, (z, u, place) = replace(bent(), substeps=substeps), rich()
+    model, (z, u, place) = bent(substeps), rich()
     u = u.at[:, 2:].set(u[:, :2] / 5)
     assert float(model.car.relaxation) > 0.1 and float(model.car.roll_lag) > 0.05
 
