@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import driftjax as dj
 from driftjax.cli import main
 from driftjax.core import find_config
 from driftjax.studies.sweepable_verbs import diagnose_files
@@ -47,6 +48,9 @@ def test_laps_are_swept_once_and_found_again(swept, monkeypatch, capsys):
     monkeypatch.chdir(swept)
     assert main(["sweep", "sweep.yaml", "--out", "runs/s", "--workers", "1"]) == 0
     assert "2 trials were kept from before, 0 ran" in capsys.readouterr().out
+    again = dj.run_sweep("sweep.yaml", "runs/s", workers=1)
+    assert again.num_known == 2 and again.counts.total() == 0 and again.analysis.status["done"] == 2
+    assert dj.find_laps(Path("runs"), "stage = 'nominal'", 5)[2] == 2
     assert main(["runs", "--where", "stage = 'nominal' and completed and \"path.Q_path.0\" > 50"]) == 0
     out = capsys.readouterr().out
     assert "1 laps" in out and "sedan" in out
