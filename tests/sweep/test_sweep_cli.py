@@ -170,6 +170,9 @@ def test_a_diagnosis_in_a_sweep_is_known_by_all_its_files(tmp_path):
     (tmp_path / "map.yaml").write_text("columns: {}")
     (tmp_path / "bag").mkdir()
     known = lambda **options: diagnose_files({"columns": None, "vehicle": "sedan", "logs": ["a.csv"]} | options)
+    for name in ("drive.erg", "drive.erg.info"):
+        (tmp_path / name).touch()
+    assert tmp_path / "drive.erg.info" in known(logs=[str(tmp_path / "drive.erg")])
     assert known() == [Path("a.csv"), find_config("vehicle", "sedan")]
     own = known(columns=str(tmp_path / "map.yaml"), logs=[str(tmp_path / "bag")])
     assert own == [tmp_path / "bag", find_config("vehicle", "sedan"), tmp_path / "map.yaml"]

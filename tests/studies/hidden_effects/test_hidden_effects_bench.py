@@ -13,7 +13,7 @@ from driftjax.studies.hidden_effects.draw import DEFAULT, CaseNumbers, draw_case
 from driftjax.studies.hidden_effects.driving_variables import DRIVING_VARIABLES
 from driftjax.studies.hidden_effects.figures import write_figures
 from driftjax.studies.hidden_effects.foreign_simulator import follow_commands, foreign_vehicle
-from driftjax.studies.hidden_effects.score import rate_interval, score_results
+from driftjax.studies.hidden_effects.score import mean, rate_interval, score_results
 from driftjax.vehicle.effect import EFFECTS
 
 SOME = CaseNumbers(none=3, none_noise=2, quiet=4, single=len(DEFAULT), weak=5, pair=6, absent=3, poor=2, std=1, mb=1)
@@ -174,3 +174,9 @@ def test_the_foreign_simulator_drives_as_its_own_parameters_say(car):
     assert x[-1, 0] - x[0, 0] == pytest.approx(2.0 * 0.49, rel=0.15)
     assert steered[-1] == pytest.approx(2.0 * (nominal.a + nominal.b) / x[-1, 0] ** 2, rel=0.03)
     assert 1.0 < x[-1, 0] * x[-1, 2] < 3.0
+
+
+def test_means_of_few_values_have_the_interval_of_student():
+    three = mean([1.0, 2.0, 3.0])
+    assert three.high - three.value == pytest.approx(4.3027 / 3**0.5, rel=1e-4)
+    assert mean([1.0, 2.0]).value == 1.5 and np.isnan([mean([1.0, 2.0]).low, mean([5.0]).high]).all()
