@@ -38,8 +38,7 @@ def run(argv: list[str]) -> int:
         return open_report(folder)
     for suffix, path in files.items():
         require(path is None or path.suffix == suffix, f"--{suffix[1:]} {path}: the name must end in {suffix}.")
-    for path in filter(None, files.values()):
-        print(f"{path}: {save_film(folder, path, flags.show)}")
+    print("\n".join(save_film(folder, *filter(None, files.values()), show=flags.show)))
     return 0
 
 
