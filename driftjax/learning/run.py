@@ -46,6 +46,7 @@ def learn(
     done, total)` is called at every stage. Returns the run folder, with `.results` and `.laps`. Raises `BadInput` for
     files that do not fit, and where `out` holds a run with another config.
     """
+    require_float64()  # before a folder is made
     config = load_learn_config(config) if isinstance(config, str) else config
     check_files(config)
     folder = RunFolder.ensure(out, to_dict(config), "learn")
