@@ -41,7 +41,7 @@ def setup(*, cache: str | Path | None = None, threads: int | None = None) -> Non
         "jax_persistent_cache_min_compile_time_secs": 0.0,  # hundreds of small programs add up
         "jax_compilation_cache_dir": _cache_folder(cache),
     }
-    _set_threads(threads)
+    _set_threads_and_passes(threads)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads inside each small batched factorisation cost 10x
     os.environ |= {name.upper(): str(value) for name, value in values.items()}  # for this JAX and those of workers
     if "jax" in sys.modules:  # it has read its environment already
@@ -71,7 +71,7 @@ def _cache_folder(cache: str | Path | None) -> str:
     return os.path.expanduser(str(cache or chosen or os.environ.get("JAX_COMPILATION_CACHE_DIR") or CACHE))
 
 
-def _set_threads(threads: int | None) -> None:
+def _set_threads_and_passes(threads: int | None) -> None:
     started = _client_started()
     if threads is not None:
         if started and os.environ.get("NPROC") != str(threads):
@@ -85,16 +85,16 @@ def _set_threads(threads: int | None) -> None:
             stacklevel=3,
         )
         return
-    if os.environ.setdefault("NPROC", "1") == "1":
-        os.environ["XLA_FLAGS"] = without_passes(os.environ.get("XLA_FLAGS", ""), SERIAL_LOOPS)
-    if _on_cpu_only():
-        os.environ["XLA_FLAGS"] = without_passes(os.environ.get("XLA_FLAGS", ""), *BARRIERS)
+    serial = os.environ.setdefault("NPROC", "1") == "1"
+    passes = [*([SERIAL_LOOPS] if serial else []), *(BARRIERS if _on_cpu_only() else [])]
+    if passes:
+        os.environ["XLA_FLAGS"] = without_passes(os.environ.get("XLA_FLAGS", ""), *passes)
 
 
 def _on_cpu_only() -> bool:
     """Return whether JAX has no other device than CPUs, without importing it: other backends may need the pass."""
-    others = any(importlib.util.find_spec(name) for name in ("jax_plugins", "libtpu"))
-    return os.environ.get("JAX_PLATFORMS") == "cpu" or not others
+    others = ("jax_plugins", "libtpu")
+    return os.environ.get("JAX_PLATFORMS") == "cpu" or not any(map(importlib.util.find_spec, others))
 
 
 def without_passes(flags: str, *names: str) -> str:

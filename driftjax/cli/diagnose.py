@@ -61,14 +61,14 @@ def run(argv: list[str]) -> int:
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
     case = load_case(flags.closed_loop, vehicle) if flags.closed_loop else None
     log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
-    options = diagnose_settings(vehicle, log, flags.options) | {"closed_loop": case.name if case else None}
-    folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), options, "diagnose")
+    settings = lambda log: diagnose_settings(vehicle, log, flags.options) | {"closed_loop": case.name if case else None}
+    folder = RunFolder.create(flags.out or default_out("diagnose", vehicle.name), settings(log), "diagnose")
 
     def task() -> int:
         diagnosis, last = work(vehicle, log, flags.options, folder, case, flags.workers), folder
         if flags.drive and diagnosis.proposal:
             longer = diagnosis.drive_proposal(flags.drive, folder.path / "next.csv", cut=flags.cut)
-            last = RunFolder.create(folder.path / "next", options | {"logs": [*map(str, longer.paths)]}, "diagnose")
+            last = RunFolder.create(folder.path / "next", settings(longer), "diagnose")
             diagnosis = work(vehicle, longer, flags.options, last, case, flags.workers)
         print(f"next: {next_step(diagnosis, last.path)}")
         return 0

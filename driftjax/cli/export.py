@@ -6,8 +6,7 @@ from pathlib import Path
 import tyro
 
 from driftjax.cli.console import default_out, parse, print_notes, run_in
-from driftjax.core import BadInput
-from driftjax.export import FORMATS, export_car
+from driftjax.export import export_car, require_format
 from driftjax.logs import read_log
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
@@ -41,8 +40,7 @@ class ExportOptions:
 def run(argv: list[str]) -> int:
     """Write the files and print what they lack."""
     flags = parse(ExportOptions, argv, "driftjax export")
-    if flags.to not in FORMATS:
-        raise BadInput(f"there is no format '{flags.to}' (--to); choose one of {', '.join(FORMATS)}.")
+    require_format(flags.to)
     vehicle = load_vehicle(flags.car)
     log = read_log(flags.log, flags.columns, runs=flags.runs) if flags.log else None
     options = {key: str(value) if isinstance(value, Path) else value for key, value in vars(flags).items()}

@@ -118,8 +118,8 @@ class DriftMPC(eqx.Module):
     def prepare(self, expected: MPCState, reference: Reference, warm_start: WarmStart = None) -> Preparation:
         """Prepare a real-time iteration about the warm start, from the state `expected` when it will be applied.
 
-        Arguments as for `solve`. This half needs no measurement: it linearises car and
-        residual. The last `command` in `expected` is the one that acts until then.
+        Arguments as for `solve`. This half needs no measurement: it linearises car and residual. The last `command` in
+        `expected` is the one that acts until then.
         """
         return self._prepare(*self._problem(expected, reference, warm_start))
 

@@ -59,6 +59,12 @@ class Export:
         return "\n".join([*lines, *([_sentence(self.loss)] if self.loss else [])])
 
 
+def require_format(to: str) -> None:
+    """Raise `BadInput` for an unknown format."""
+    if to not in FORMATS:
+        raise BadInput(f"there is no format '{to}' (--to); choose one of {', '.join(FORMATS)}.")
+
+
 def export_car(
     vehicle: VehicleConfig, to: str, folder: str | Path, *, log: Log | None = None, top_speed: float | None = None,
     dt: float = 0.02,
@@ -71,8 +77,7 @@ def export_car(
     unknown format and for a folder that cannot be written.
     """
     require_float64()
-    if to not in FORMATS:
-        raise BadInput(f"there is no format '{to}'; choose one of {', '.join(FORMATS)}.")
+    require_format(to)
     for name, value in (("top_speed", top_speed), ("dt", dt)):
         if value is not None and not 0 < value < float("inf"):
             raise BadInput(f"{name} is {value}; it must be positive.")

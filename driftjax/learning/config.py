@@ -238,9 +238,14 @@ def files_of(config: LearnConfig) -> dict[str, Path]:
             for kind, first in files.items() for i, path in enumerate(_with_named(first))}  # fmt: skip
 
 
+def is_yaml(path: Path) -> bool:
+    """Return whether the name of a file says that it is YAML."""
+    return path.suffix.lower() in (".yaml", ".yml")
+
+
 def _with_named(path: Path) -> list[Path]:
     """Return a file and, of a YAML, the files that its keys name."""
-    if path.suffix.lower() not in (".yaml", ".yml"):
+    if not is_yaml(path):
         return [path]
     values = read_yaml(path)
     inner = values["nominal"] if isinstance(values.get("nominal"), dict) else {}

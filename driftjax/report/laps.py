@@ -74,12 +74,10 @@ def best_laps(run: RunFolder, controller: str) -> dict[str, list[Lap]]:
     """
     best: dict[str, list[Lap]] = {}
     for kind, every in stages_by_kind(run).items():
-        driven_again = [
-            name for name in every if name.endswith("-best") and read_laps(run.read_stage(name), controller)
-        ]
-        names = driven_again or every
+        laps = {name: [lap for lap in read_laps(run.read_stage(name), controller) if lap["s"].size] for name in every}
+        driven_again = [lap for name in every if name.endswith("-best") for lap in laps[name]]
         chosen: dict[tuple[str, int], Lap] = {}
-        for lap in (lap for name in names for lap in read_laps(run.read_stage(name), controller) if lap["s"].size):
+        for lap in driven_again or [lap for some in laps.values() for lap in some]:
             other = chosen.setdefault((lap.plant, lap.seed), lap)
             chosen[lap.plant, lap.seed] = min(other, lap, key=_badness)
         if chosen:

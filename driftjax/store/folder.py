@@ -59,7 +59,9 @@ class RunFolder:
         """Open the run at `path`, or create it with `config` if there is none; raises `BadInput` for another verb's."""
         folder = cls.open(path) if (Path(path) / CONFIG).is_file() else cls.create(path, config, verb)
         if folder.verb != verb:
-            raise BadInput(f"{path}: holds a run of `driftjax {folder.verb}`; give another folder (--out).")
+            raise BadInput(
+                f"{path}: a run of `driftjax {folder.verb}`, not of `driftjax {verb}`; give another folder (--out)."
+            )
         return folder
 
     @classmethod

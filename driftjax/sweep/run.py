@@ -114,13 +114,7 @@ def wait_for_folder(out: Path) -> RunFolder:
 def open_folder(out: Path, config: SweepConfig) -> RunFolder:
     """Create the folder, or open that of an earlier sweep over the same verb and fields."""
     plain = to_dict(config)
-    if not (out / "config.yaml").exists():
-        return RunFolder.create(out, plain, "sweep")
-    folder = RunFolder.open(out)
-    if folder.verb != "sweep":
-        raise BadInput(
-            f"{out}: a run of `driftjax {folder.verb}`, not of `driftjax sweep`; give another folder (--out)."
-        )
+    folder = RunFolder.ensure(out, plain, "sweep")
     if any(folder.config.get(key) != plain[key] for key in ("verb", "base", "fields")):
         raise BadInput(f"{out}: holds a sweep over other fields or options; give another folder (--out).")
     return folder

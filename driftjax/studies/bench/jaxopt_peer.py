@@ -1,9 +1,8 @@
 """Compare the bounded Newton method, which fits speed sets and GPs, with L-BFGS-B of jaxopt and automatic gradients.
 
-Medians of 5 runs of each side, made in turn after compilation.
+Medians of up to 5 runs of each side, made in turn after compilation.
 """
 
-import time
 from collections.abc import Callable
 
 import jax
@@ -17,6 +16,7 @@ from driftjax.explore import v_sets
 from driftjax.explore.speed_sets import TOLERANCE, residuals
 from driftjax.gp import fit_gp, fit_kernel
 from driftjax.learning.reference import AIM_POINTS
+from driftjax.studies.bench.rows import alternate, timed
 
 BOUNDS = jnp.array([[-0.2, 0.2], [-0.5, 0.5], [-1.0, 1.0], [-3.0, 3.0]])  # of the speed increments [m/s]
 V_MIN, V_MAX = 9.0, 13.2
@@ -35,7 +35,7 @@ def sample_corner(num: int) -> list[Array]:
 
 @jax.jit
 def speed_sets(V: Array, s: Array, r_b: Array, e: Array, w1: Array, w2: Array):
-    """Return the increments by projected Gauss-Newton, and how each ended."""
+    """Return the increments by the bounded Newton method, and how each ended."""
     sets = v_sets(V, s, r_b, e, w1=w1, w2=w2, gamma_bounds=BOUNDS, V_min=V_MIN, V_max=V_MAX)
     return sets.gamma, sets.result
 
@@ -61,15 +61,8 @@ def scaled_exponential(p: dict[str, Array], a: Array, b: Array) -> Array:
 
 def side_by_side(ours: Callable[[], object], other: Callable[[], object]) -> tuple[float, float]:
     """Return the median times [ms] of two functions that are called in turn."""
-    times: list[list[float]] = []
-    for _ in range(6):
-        times.append([])
-        for function in (ours, other):
-            begin = time.perf_counter()
-            jax.block_until_ready(function())
-            times[-1].append(1e3 * (time.perf_counter() - begin))
-    first, second = np.median(times[1:], axis=0)  # the first round compiles
-    return float(first), float(second)
+    times = alternate(5, {"ours": timed(ours, 1), "other": timed(other, 1)})
+    return 1e3 * times["ours"].median, 1e3 * times["other"].median
 
 
 def compare_speed_sets() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from driftjax.core import read_yaml
 from driftjax.core.config import to_dict
-from driftjax.learning.config import ExploreConfig, LearnConfig, files_of, load_learn_config
+from driftjax.learning.config import ExploreConfig, LearnConfig, files_of, is_yaml, load_learn_config
 from driftjax.studies.paper.ablations import ABLATIONS
 from driftjax.studies.paper.config import CarName, PaperConfig
 
@@ -92,7 +92,7 @@ def changed(base: LearnConfig, change: dict) -> LearnConfig:
 def settings_hash(arm: Arm) -> str:
     """Return the SHA-256 of the settings of a run: its options, and the content of the files that they name."""
     learn = arm.learn
-    held = {kind: read_yaml(path) if path.suffix == ".yaml" else hashlib.sha256(path.read_bytes()).hexdigest()
+    held = {kind: read_yaml(path) if is_yaml(path) else hashlib.sha256(path.read_bytes()).hexdigest()
             for kind, path in files_of(learn).items()}  # fmt: skip
     options = {key: value for key, value in to_dict(learn).items() if key not in ("plants", "first_plant", "seed")}
     return hashlib.sha256(json.dumps([options, held], sort_keys=True, default=str).encode()).hexdigest()
