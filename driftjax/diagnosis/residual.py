@@ -69,7 +69,8 @@ def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
 
     The slow errors of the sensors are the same for every car: they must not absorb errors of the nominal one.
     """
-    bare = steps._replace(C=jnp.zeros_like(steps.C), F=jnp.zeros_like(steps.F), first=jnp.zeros_like(steps.first))
+    one = lambda derivatives: jnp.zeros_like(derivatives[..., :1])  # a column for no parameter: a smaller program
+    bare = steps._replace(C=one(steps.C), F=one(steps.F), first=one(steps.first))
     data = problem.data
     return estimate_noise(bare, path.e, problem.gains, problem.noise, data.dt, data.informative, slow_known=True)
 
