@@ -101,8 +101,8 @@ def read_log(
 
     A log is a CSV, Parquet, MATLAB or VBO file or, with `columns`, a ROS bag (the folder of one of ROS 2), a folder of
     CSV files, or an MCAP, MDF, MoTeC, AiM or CarMaker file.
-    A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and where
-    a command is missing for longer than that; the parts are called name, name+1, ...
+    A run is what its `run` column says, else a log. It is cut where t jumps by more than 3 sample times and 0.1 s,
+    and where a command is missing for longer than that; the parts are called name, name+1, ...
     """
     paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:

@@ -156,6 +156,6 @@ def _at(times: np.ndarray, series: Series, role: str, turning: float | None) -> 
         return sampling.sample_and_hold(times, series.t, series.y, sampling.sample_time(times))
     dt = sampling.spacing(series.t)
     if role == "command":
-        return sampling.sample_and_hold(times, series.t, series.y, dt, lost=sampling.HOLD)
+        return sampling.sample_and_hold(times, series.t, series.y, dt, lost=sampling.held_samples(dt))
     y = series.y if turning is None else sampling.unwrap(turning * series.y) / turning
     return sampling.interpolate(times, series.t, y, dt)

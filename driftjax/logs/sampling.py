@@ -7,6 +7,7 @@ from driftjax.core import BadInput
 Channels = dict[str, np.ndarray]
 
 HOLD = 3  # samples for which a missing command is held, and sample times that t may jump within a run
+HOLD_TIME = 0.1  # and time for which it is, however many samples: loggers of high rates lose several at once [s]
 UNIFORM = 0.01  # deviation of the steps from the sample time up to which nothing is resampled
 JITTER = 0.20  # deviation up to which linear resampling is fair
 REGULAR = 0.95  # share of uneven steps that are no gap
@@ -46,13 +47,18 @@ def proposed_rate(rate: float) -> float:
 
 
 def hold_commands(t: np.ndarray, command: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return `command` held over up to 3 missing samples in a row, and the mask of rows with a value."""
+    """Return `command` held over short gaps, as `held_samples` has them, and the mask of rows with a value."""
     there = np.isfinite(command)
     last, following = surrounding(there)
     since = np.append(t, -np.inf)[last]  # -1, none before, reads the end
     until = np.append(t, np.inf)[following]
-    held = ~there & (until - since <= (HOLD + 1 + SLACK) * dt)
+    held = ~there & (until - since <= (held_samples(dt) + 1 + SLACK) * dt)
     return np.where(held, command[last], command), there | held
+
+
+def held_samples(dt: float) -> int:
+    """Return the samples of sample time `dt` [s] for which a missing command is held: 3, or as many as 0.1 s has."""
+    return max(HOLD, int(HOLD_TIME / dt + UNIFORM))
 
 
 def surrounding(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -63,8 +69,8 @@ def surrounding(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def split_at_gaps(t: np.ndarray, dt: float) -> list[slice]:
-    """Return the slices of rows between which t jumps by more than 3 sample times."""
-    cuts = np.flatnonzero(np.diff(t) > (HOLD + SLACK) * dt) + 1
+    """Return the slices of rows between which t jumps by more than 3 sample times and 0.1 s."""
+    cuts = np.flatnonzero(np.diff(t) > (held_samples(dt) + SLACK) * dt) + 1
     edges = [0, *cuts.tolist(), len(t)]
     return [slice(start, stop) for start, stop in zip(edges, edges[1:], strict=False)]
 

@@ -87,7 +87,7 @@ def test_comments_blank_lines_other_delimiters_and_unknown_columns(tmp_path):
 
 def test_a_jump_of_the_time_cuts_the_run(tmp_path):
     values = columns()
-    values["t"] = [t + (5.0 if i >= 100 else 0) + (0.03 if i >= 200 else 0) for i, t in enumerate(values["t"])]
+    values["t"] = [t + (5.0 if i >= 100 else 0) + (0.12 if i >= 200 else 0) for i, t in enumerate(values["t"])]
     values["t"][299] += 1.0
     log = read_log([write(tmp_path / "lap.csv", values)])
     assert [(run.name, len(run.t)) for run in log.runs] == [("lap", 100), ("lap+1", 100), ("lap+2", 99)]
@@ -149,13 +149,26 @@ def test_short_gaps_of_the_commands_are_held_and_long_ones_cut_the_run(tmp_path)
     values = columns()
     values["delta"][0] = ""
     values["delta"][50:53] = values["Fxr"][52:55] = ["", "", ""]
-    values["Fxr"][150:154] = [""] * 4
+    values["r"][100:110] = values["delta"][100:110] = [""] * 10
+    values["Fxr"][150:161] = [""] * 11
     log = read_log([write(tmp_path / "log.csv", values)])
-    assert [(len(run.t), run.t[0]) for run in log.runs] == [(149, 0.01), (N - 154, 1.54)]
+    assert [(len(run.t), run.t[0]) for run in log.runs] == [(149, 0.01), (N - 161, 1.61)]
     first = log.runs[0]
     np.testing.assert_array_equal(first.delta[49:52], 3 * [values["delta"][49]])
     np.testing.assert_array_equal(first.Fxr[50:54], 4 * [values["Fxr"][51]])
-    assert any("sample before: 6." in note for note in log.notes) and any("left out: 5." in note for note in log.notes)
+    assert any("sample before: 16." in note for note in log.notes)
+    assert any("left out: 12." in note for note in log.notes)
+
+
+def test_gaps_of_a_slow_log_are_bridged_by_samples_and_of_a_fast_one_by_time(tmp_path):
+    """Of a log at 100 Hz that loses 5 samples every second nothing is cut, and one at 10 Hz bridges 3 of its steps."""
+    fast = {name: np.delete(y, np.arange(50, 55)).tolist() for name, y in columns().items()}
+    (run,) = read_log([write(tmp_path / "fast.csv", fast)]).runs
+    assert len(run.t) == N and np.isnan(run.V[50:55]).all() and (run.delta[50:55] == run.delta[49]).all()
+    slow = columns() | {"t": (0.1 * np.arange(N)).tolist()}
+    for lost, parts in ((2, 1), (3, 2)):
+        kept = {name: np.delete(y, np.arange(50, 50 + lost)).tolist() for name, y in slow.items()}
+        assert len(read_log([write(tmp_path / f"slow{lost}.csv", kept)]).runs) == parts
 
 
 def test_sideslip_at_standstill_counts_as_missing(tmp_path):

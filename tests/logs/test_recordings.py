@@ -81,7 +81,7 @@ def csv_twin(path: Path, ns: np.ndarray, lost: dict[str, np.ndarray]) -> Path:
 @pytest.mark.parametrize("name", bags.WRITERS)
 def test_the_same_drive_as_csv_gives_the_same_log(tmp_path, name):
     ns = np.delete(every(0.01, 8.0, jitter=0.08), [333, 334, *range(600, 650)])
-    lost = {"odom": np.array([50, *range(100, 120)]), "command": np.array([150, 151, *range(200, 210)])}
+    lost = {"odom": np.array([50, *range(100, 120)]), "command": np.array([150, 151, *range(200, 220)])}
     kept = {source: np.delete(ns, rows) for source, rows in lost.items()}
     expected = read_log([csv_twin(tmp_path / "csv.csv", ns, lost)])
     log = logged(tmp_path, name, bags.drive(kept["odom"], ns, kept["command"]), base="r")
