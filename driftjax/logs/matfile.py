@@ -1,7 +1,7 @@
 """Read MATLAB files (version 5 with SciPy, 7.3 with h5py): vectors of nested structs and cells by their dotted path."""
 
 import io
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,38 +15,67 @@ from driftjax.logs.extras import library_errors
 KIND = "MATLAB file"
 REMEDY = "save it again, with `save(name, '-v7')` or '-v7.3'"
 MOST_COLUMNS = 64  # of a matrix; a wider one is no table of channels
+RUN = "run"  # name of the column with the number of the entry that a row is from
+
+Place = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
 
 
 def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.ndarray]:
     """Return the numeric vectors of a MATLAB file, all of one length, by their path: `car.imu.r`, `runs.0.t`.
 
-    Column k of a matrix is `name.k`, entry k of a cell or of an array of structs too, counted from 0. The length is
-    that of the vector called `time`, or where there is none the one that most vectors have.
+    Column k of a matrix is `name.k`, entry k of a cell or of an array of structs too, counted from 0. Where entries are
+    runs, `name` holds all of them and `run` the number of the entry (see `_stacked`). The length is that of the vector
+    called `time`, or where there is none the one that most vectors have.
     """
     columns: dict[str, np.ndarray] = {}
+    entries: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
     with library_errors(path, KIND, REMEDY):
-        for name, value in _version_5(content) if _is_version_5(content) else _version_7_3(content):
-            columns |= _columns(name, value)
+        for place, value in _version_5(content) if _is_version_5(content) else _version_7_3(content):
+            found = _columns(".".join(map(str, place)), value)
+            columns |= found
+            numbers = [key for key in place if isinstance(key, int)]
+            if len(numbers) == 1 and len(found) == 1:
+                entries[".".join(str(key) for key in place if isinstance(key, str))][numbers[0]] = value
+    columns = _stacked(entries) | columns
     if not columns:
         raise BadInput(f"{path}: holds no numeric vector; save structs and arrays, not objects such as timetables.")
     size = len(columns[time]) if time in columns else Counter(map(len, columns.values())).most_common(1)[0][0]
     return {name: values for name, values in columns.items() if len(values) == size}
 
 
+def _stacked(entries: dict[str, dict[int, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return the entries of cells and arrays of structs one after the other, with the column `run`.
+
+    They are runs where at least two names have entries 0.. of the same lengths, the most names where there are
+    several such groups; else nothing is returned.
+    """
+    groups: dict[tuple[int, ...], list[str]] = defaultdict(list)
+    for name, values in entries.items():
+        if len(values) > 1 and set(values) == set(range(len(values))):
+            groups[tuple(values[k].size for k in range(len(values)))].append(name)
+    sizes = max(groups, key=lambda one: len(groups[one]), default=())
+    if len(groups[sizes]) < 2:
+        return {}
+    one = {name: np.concatenate([np.ravel(entries[name][k]) for k in range(len(sizes))]) for name in groups[sizes]}
+    return {name: values.astype(float) for name, values in one.items()} | {
+        RUN: np.repeat(np.arange(float(len(sizes))), sizes)
+    }
+
+
 def _is_version_5(content: bytes) -> bool:
     return content.startswith(b"MATLAB 5.0")
 
 
-def _version_5(content: bytes) -> Iterator[tuple[str, np.ndarray]]:
+def _version_5(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
     import scipy.io
 
     variables = scipy.io.loadmat(io.BytesIO(content), simplify_cells=True)
     for name, value in variables.items():
         if not name.startswith("__"):
-            yield from _leaves(name, value, lambda value: value)
+            yield from _leaves((name,), value, lambda value: value)
 
 
-def _version_7_3(content: bytes) -> Iterator[tuple[str, np.ndarray]]:
+def _version_7_3(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
     with h5py.File(io.BytesIO(content)) as file:
 
         def opened(value: Any) -> Any:
@@ -62,21 +91,21 @@ def _version_7_3(content: bytes) -> Iterator[tuple[str, np.ndarray]]:
 
         for name, value in file.items():
             if not name.startswith("#"):  # where cells are stored
-                yield from _leaves(name, value, opened)
+                yield from _leaves((name,), value, opened)
 
 
-def _leaves(name: str, value: Any, opened: Callable[[Any], Any]) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the numeric arrays below `value` with their paths."""
+def _leaves(place: Place, value: Any, opened: Callable[[Any], Any]) -> Iterator[tuple[Place, np.ndarray]]:
+    """Yield the numeric arrays below `value`, which is at `place`, with their paths."""
     while (inner := opened(value)) is not value:
         value = inner
     if isinstance(value, dict):
         for key, entry in value.items():
-            yield from _leaves(f"{name}.{key}", entry, opened)
+            yield from _leaves((*place, key), entry, opened)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim):
         for number, entry in enumerate(np.ravel(np.asarray(value, object))):
-            yield from _leaves(f"{name}.{number}", entry, opened)
+            yield from _leaves((*place, number), entry, opened)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        yield name, value
+        yield place, value
 
 
 def _columns(name: str, value: np.ndarray) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ import scipy.io
 
 from driftjax.core import BadInput
 from driftjax.logs import read_log
+from driftjax.logs.guess import guess_columns
 
 N = 50
 T = np.arange(N) * 0.02
@@ -43,8 +44,7 @@ def version_7_3(path, car):
 
 
 def nested() -> dict:
-    runs = np.empty(2, object)
-    runs[:] = [{"beta": np.zeros(7)}, {"beta": CHANNELS["beta"] / 2}]
+    runs = two({"beta": np.zeros(7)}, {"beta": CHANNELS["beta"] / 2})
     matrix = np.stack([CHANNELS["r"], CHANNELS["delta"]], axis=1)
     return {"clock": {"t": T}, "imu": {"V": CHANNELS["V"]}, "F": CHANNELS["Fxr"], "matrix": matrix, "runs": runs}
 
@@ -57,6 +57,38 @@ def test_vectors_of_nested_structs_and_cells_are_columns(tmp_path, write):
     assert run.dt == pytest.approx(0.02)
     for name, values in CHANNELS.items():
         np.testing.assert_allclose(getattr(run, name), values, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["cells", "structs"])
+def test_entries_of_cells_and_of_arrays_of_structs_are_runs(tmp_path, form):
+    """Two runs of 20 and 30 samples; matrices with two columns and a cell that stands alone are none."""
+    parts = {name: (values[:20], values[20:]) for name, values in CHANNELS.items()} | {"t": (T[:20], T[:30])}
+    data = {"alone": two(np.ones(20), np.ones(20)), "left": np.ones((N, 2)), "right": np.ones((N, 2))}
+    if form == "structs":
+        runs = two(*({name: both[k] for name, both in parts.items()} for k in range(2)))
+        named, data = {name: f"drives.{name}" for name in parts}, data | {"drives": runs}
+    else:
+        named, data = (
+            {name: f"{name}_" for name in parts},
+            data | {f"{name}_": two(*both) for name, both in parts.items()},
+        )
+    scipy.io.savemat(tmp_path / "log.mat", data)
+    (tmp_path / "map.yaml").write_text(f"columns: {named}\nrun: run\n")
+    log = read_log(tmp_path / "log.mat", str(tmp_path / "map.yaml"))
+    assert [run.name for run in log.runs] == ["0", "1"]
+    for k, run in enumerate(log.runs):
+        for name in CHANNELS:
+            np.testing.assert_allclose(getattr(run, name), parts[name][k], atol=1e-12, err_msg=name)
+    guess = guess_columns(tmp_path / "log.mat")
+    columns = {one.channel: one.column for one in guess.channels}
+    assert (guess.run, columns["t"]) == ("run", named["t"])
+
+
+def two(first, second) -> np.ndarray:
+    """A cell with two entries."""
+    cell = np.empty(2, object)
+    cell[:] = [first, second]
+    return cell
 
 
 def test_a_file_in_the_log_format_needs_no_map(tmp_path):

@@ -121,7 +121,8 @@ def meaning(name: str, unit: str = "") -> Meaning:
             name_score[role] = 0.0
             continue
         derived = role in OF_GPS and "gps" in words
-        alone = _pattern_score(last, role) if len("".join(last)) > 1 else 0.0  # not the x of a vector
+        of_vector = len("".join(last)) < 2 and role != "t"  # the x of a vector says little, but none has a t
+        alone = 0.0 if of_vector else _pattern_score(last, role)
         named = max(_pattern_score(words, role), alone)
         named **= 1.0 if known is None else 0.5  # a unit that fits makes up for much
         name_score[role] = 0.0 if derived else max(named, UNKNOWN)
