@@ -28,7 +28,15 @@ from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unexplained_errors import Unexplained, find_unexplained
-from driftjax.diagnosis.verdict import MIN_DURATION, Explained, Judgement, Verdict, decide_verdict, explained_by
+from driftjax.diagnosis.verdict import (
+    MIN_DURATION,
+    Explained,
+    Judgement,
+    Verdict,
+    decide_verdict,
+    describe_answer,
+    explained_by,
+)
 from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
 from driftjax.logs import Log, read_log
@@ -38,14 +46,6 @@ from driftjax.store import RunFolder
 from driftjax.store.files import write_json, write_netcdf
 from driftjax.vehicle import VehicleConfig, write_vehicle
 from driftjax.vehicle.effect import Effect, default_catalogue
-
-ANSWERS = {
-    "extended": "",
-    "retuned": "On held-out runs the car with friction and stiffness re-tuned predicts better than the one with the "
-    "named effects: it is the answer. ",
-    "nominal": "On held-out runs the nominal car predicts better than the one with the named effects: it stays the "
-    "answer. ",
-}  # what the sentence begins with
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,8 @@ def _conclude(
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
-    judgement = judgement._replace(sentence=f"{ANSWERS[answer]}{judgement.sentence} {unidentifiable.sentence}".strip())
+    other = describe_answer(answer, problem, retuned, retuned_effects(problem), shares)
+    judgement = judgement._replace(sentence=f"{other}{judgement.sentence} {unidentifiable.sentence}".strip())
     proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
         problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable

@@ -7,7 +7,7 @@ import numpy as np
 
 from driftjax.diagnosis.curves import describe_curve
 from driftjax.diagnosis.evidence import Cause
-from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.fit import Fit, Problem
 from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unexplained_errors import Term, Unexplained
@@ -154,6 +154,33 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     return text
 
 
+def describe_answer(
+    answer: str, problem: Problem, retuned: Fit | None, effects: tuple[int, ...], shares: dict[str, Share]
+) -> str:
+    """Describe the car that predicts held-out runs best, where it is not the one with the named effects.
+
+    `effects`, of one parameter each, are those of the `retuned` car; `shares` say how much of the error a car explains.
+    """
+    better = "predicts better than the one with the named effects"
+    if answer == "nominal":
+        return f"On held-out runs the nominal car {better}: it stays the answer. "
+    if retuned is None:
+        return ""
+    values, share = retuned.theta * np.asarray(problem.model.scale), shares.get("retuned")
+    sizes = [f"{problem.effects[i].name} {values[problem.columns((i,))].item():+.2g}" for i in effects]
+    explains = ""
+    if share and np.isfinite(share.value):
+        explains = f", which explains {_percent(share.value, share.ci95)} of the excess error"
+    text = (
+        f"On held-out runs the car with friction and stiffness re-tuned ({', '.join(sizes)}) {better}: it is the answer"
+    )
+    return f"{text}{explains}. "
+
+
+def _percent(share: float, ci95: tuple[float, float]) -> str:
+    return f"{100 * share:.0f} % [{100 * ci95[0]:.0f}, {100 * ci95[1]:.0f}]"
+
+
 def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     """Return, in words, what the named effects explain, and which variable the rest depends on."""
     rest = f"rest goes most with {' and '.join(list(remaining.variables)[:2])}." if remaining.significant else ""
@@ -162,11 +189,9 @@ def _size(explained: Explained | None, remaining: Unexplained) -> list[str]:
     if not np.isfinite(explained.share):
         doubt = f"Whether the nominal car errs by more than noise {explained.horizon:.2g} s ahead is in doubt"
         return [f"{doubt}; the {rest}" if rest else f"{doubt}."]
-    share, (low, high) = 100 * explained.share, (100 * bound for bound in explained.ci95)
     where = "on held-out runs" if explained.held_out else "on these runs"
-    text = (
-        f"Explained: {share:.0f} % [{low:.0f}, {high:.0f}] of the excess error {explained.horizon:.2g} s ahead {where}"
-    )
+    share = _percent(explained.share, explained.ci95)
+    text = f"Explained: {share} of the excess error {explained.horizon:.2g} s ahead {where}"
     return [f"{text}; the {rest}" if rest else f"{text}."]
 
 

@@ -10,14 +10,15 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
-from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
 from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
 from driftjax.diagnosis.unexplained_errors import best_term, find_unexplained, generic_terms, rates_of_forces
-from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict
+from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict, describe_answer
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
@@ -110,6 +111,20 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         assumed = problem._replace(data=problem.data._replace(force_known=False))
         hint = decide_verdict(assumed, selection, [cause], remaining, 36.0, explained, 0.1)
         assert hint.verdict == Verdict.UNKNOWN and "friction_rear" in hint.sentence and "force" in hint.sentence
+
+
+def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answer():
+    problem, selection = nominal_only("drive_gain", 2.5)
+    effect = ORDER.index("friction_rear")
+    retuned = Fit(np.where(np.arange(len(ORDER)) == effect, -2.0, 0.0), 0.0, selection.fit.e)
+    words = functools.partial(describe_answer, problem=problem, effects=(effect,))
+    share = Share(0.97, (0.9, 0.99), 0.1, (0.0, 0.2))
+    said = words("retuned", retuned=retuned, shares={"retuned": share})
+    assert f"(friction_rear {-2 * EFFECTS[effect].parameters[0].typical:+.2g})" in said
+    assert said.endswith("it is the answer, which explains 97 % [90, 99] of the excess error. ")
+    assert words("retuned", retuned=retuned, shares={"retuned": share._replace(value=np.nan)}).endswith("answer. ")
+    assert "nominal car predicts better" in words("nominal", retuned=None, shares={})
+    assert words("extended", retuned=None, shares={}) == ""
 
 
 def test_what_remains_beside_a_name_keeps_it_from_being_certain_by_its_share():
