@@ -1,9 +1,7 @@
-"""Estimate sideslip and drive force for logs without them, from the nominal car and the other channels."""
+"""Estimate sideslip and acceleration for logs without sideslip or drive force, from the other channels."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from driftjax.core import Control, State
 from driftjax.logs import Run
 from driftjax.logs.agreement import WINDOW, smooth_with_rate
 from driftjax.logs.sampling import fill_gaps
@@ -12,7 +10,6 @@ from driftjax.vehicle.single_track import G
 
 SLOWEST = 0.1  # speed below which yaw rate over speed means nothing [sqrt(gL)]
 SLOW = 1.0  # time over which accelerometers are believed [s]
-ITERATIONS = 4  # of the force, which moves the lateral forces that it is computed beside
 
 
 def has_sideslip(run: Run) -> bool:
@@ -33,21 +30,14 @@ def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
     return np.arctan(vehicle.b * fill_gaps(run.r) / np.maximum(fill_gaps(run.V), slowest))
 
 
-def force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
-    """Return the longitudinal force (n,) [N]; if not measured, the estimate from the measured speed.
+def inertial_force(vehicle: VehicleConfig, run: Run, beta: np.ndarray) -> np.ndarray:
+    """Return mass times the rate (n,) of the speed [N], at most friction times weight, for a car `by_acceleration`.
 
-    It is that with which the nominal `vehicle` at the sideslip `beta` (n,) accelerates as measured, at most friction
-    times weight.
+    `beta` (n,) is the sideslip for accelerometers.
     """
-    if has_force(run):
-        return run.Fxr
-    nominal, dV = vehicle.build(), acceleration(run, beta)
-    x = State(*map(jnp.asarray, (fill_gaps(run.V), beta, fill_gaps(run.r))))
-    most, Fxr = vehicle.mu * vehicle.m * G, np.zeros_like(dV)
-    for _ in range(ITERATIONS):
-        lacking = dV - np.asarray(nominal(x, Control(jnp.asarray(run.delta), jnp.asarray(Fxr))).V)
-        Fxr = np.clip(Fxr + vehicle.m * np.cos(beta) * lacking, -most, most)
-    return Fxr
+    most, rate = vehicle.mu * vehicle.m * G, acceleration(run, beta)
+    over_step = (rate + np.append(rate[1:], rate[-1])) / 2  # commands are held from sample to sample
+    return np.clip(vehicle.m * over_step, -most, most)
 
 
 def acceleration(run: Run, beta: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from numpy.lib.stride_tricks import sliding_window_view
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.channel_estimates import force, has_force, sideslip
+from driftjax.diagnosis.channel_estimates import has_force, inertial_force, sideslip
 from driftjax.diagnosis.motion import (
     MotionNoise,
     estimate_motion_noise,
@@ -128,9 +128,10 @@ def initial_problem(
     Effects `without` which the search is done keep their start values, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
-    known, model = all(map(has_force, runs)), universal_car(vehicle, effects, stable_substeps(vehicle, runs))
+    known = all(map(has_force, runs))
+    model = universal_car(vehicle, effects, stable_substeps(vehicle, runs), by_acceleration=not known)
     start = initial_theta(vehicle, model)
-    data = pieces(vehicle, runs) if known else pieces_with_assumed_force(vehicle, model, start, runs)
+    data = pieces(vehicle, runs) if known else pieces_by_acceleration(vehicle, model, start, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
@@ -146,12 +147,12 @@ def depends_on_force(effect: Effect) -> bool:
     return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
 
 
-def pieces_with_assumed_force(
+def pieces_by_acceleration(
     vehicle: VehicleConfig, model: Universal, start: np.ndarray, runs: tuple[Run, ...]
 ) -> Pieces:
-    """Return the pieces of runs whose drive force is estimated from their speed, at the observer's sideslip."""
+    """Return the pieces of runs whose acceleration stands for a drive force, at the observer's sideslip."""
     slip = [sideslip(vehicle, run) for run in runs]
-    assume = lambda run, beta: dataclasses.replace(run, Fxr=force(vehicle, run, beta))
+    assume = lambda run, beta: dataclasses.replace(run, Fxr=inertial_force(vehicle, run, beta))
     data = pieces(vehicle, tuple(map(assume, runs, slip)))
     for _ in range(SIDESLIPS if data.skip else 0):
         beta = run_observer(model, data, start, fixed_gain(data)).z[..., 1]

@@ -20,7 +20,9 @@ from driftjax.vehicle.effect.flow import (
     rates,
 )
 from driftjax.vehicle.parameters import VehicleConfig
-from driftjax.vehicle.single_track import SingleTrack
+from driftjax.vehicle.single_track import G, SingleTrack
+
+ITERATIONS = 4  # of the drive force, which moves the lateral forces that it is computed beside
 
 
 class Universal(eqx.Module):
@@ -31,6 +33,7 @@ class Universal(eqx.Module):
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
     substeps: int = eqx.field(static=True)  # in which a step of the log is integrated
+    by_acceleration: bool = eqx.field(static=True)  # see `drive_force`
     car: CarParameters  # `base` after the effects of station `car`; follows from the others, set by `with_parameters`
 
     def __init__(
@@ -40,8 +43,10 @@ class Universal(eqx.Module):
         scale: Float[Array, " K"],
         theta: Float[Array, " K"],
         substeps: int = 1,
+        by_acceleration: bool = False,
     ):
         self.base, self.effects, self.scale, self.theta, self.substeps = base, effects, scale, theta, substeps
+        self.by_acceleration = by_acceleration
         self.car = self._through("car", base)
 
     def values(self, station: Station | None = None) -> dict[str, tuple[Array, ...]]:
@@ -55,7 +60,7 @@ class Universal(eqx.Module):
 
     def with_parameters(self, theta: Float[Array, " K"]) -> "Universal":
         """Return the same car with other parameters, in typical sizes."""
-        return Universal(self.base, self.effects, self.scale, theta, self.substeps)
+        return Universal(self.base, self.effects, self.scale, theta, self.substeps, self.by_acceleration)
 
     def _through(self, station: Station, record, *context):
         """Apply all effects of a station; a barrier keeps XLA from recomputing it in every derivative it fuses."""
@@ -67,6 +72,23 @@ class Universal(eqx.Module):
 
     def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         """Return all intermediate quantities, from slip to forces."""
+        if self.by_acceleration:
+            u = self.drive_force(x, u, place, aux)
+        return self._flow(x, u, place, aux)
+
+    def drive_force(self, x: State, u: Control, place: Place, aux: Aux) -> Control:
+        """Return `u` with the drive force with which the speed changes at the rate u.Fxr / (mass of the nominal car).
+
+        Inverse dynamics for logs without a drive force (`by_acceleration`): that of the car with its effects, not of
+        the nominal one, so that no effect is blamed for the error of an estimate. It is at most friction times weight.
+        """
+        rate, F, most = u.Fxr / self.base.m, u.Fxr, self.base.mur * self.base.m * G
+        for _ in range(ITERATIONS):
+            lacking = rate - rates(self._flow(x, u._replace(Fxr=F), place, aux)).V
+            F = jnp.clip(F + self.car.m * jnp.cos(x.beta) * lacking, -most, most)
+        return u._replace(Fxr=F)
+
+    def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
         flow = self._through("load", add_accelerations(flow))
         flow = axle_forces(self._through("friction", flow))
@@ -82,12 +104,12 @@ class Universal(eqx.Module):
 
     def apply_actuators(self, memory: tuple, u: Control, V: Array, dt: float | Array) -> tuple[tuple, Control]:
         """Return memory and actuator output for a constant command `u` over one step `dt` [s] at mean speed `V`."""
-        values, new = self.values("command"), []
+        values, new, accelerated = self.values("command"), [], u.Fxr
         commands = [effect for effect in self.effects if effect.station == "command"]
         for effect, held in zip(commands, memory, strict=True):
             after, u = effect.apply(held, u, V, dt, values[effect.name])
             new.append(after)
-        return tuple(new), u
+        return tuple(new), u._replace(Fxr=accelerated) if self.by_acceleration else u
 
     @property
     def _delays(self) -> np.ndarray:
@@ -121,7 +143,10 @@ def base_car(nominal: SingleTrack) -> CarParameters:
     )  # fmt: skip
 
 
-def universal_car(vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1) -> Universal:
+def universal_car(
+    vehicle: VehicleConfig, effects: tuple[Effect, ...], substeps: int = 1, by_acceleration: bool = False
+) -> Universal:
     """Return the car with these effects, all neutral."""
     scale = [parameter.scale(vehicle) for effect in effects for parameter in effect.parameters]
-    return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), jnp.zeros(len(scale)), substeps)
+    theta = jnp.zeros(len(scale))
+    return Universal(base_car(vehicle.build()), effects, jnp.asarray(scale), theta, substeps, by_acceleration)
