@@ -28,7 +28,7 @@ from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
 from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
-from driftjax.diagnosis.runs import Linearisation
+from driftjax.diagnosis.runs import Linearisation, resolved_log
 from driftjax.diagnosis.score import Scores, scores
 from driftjax.diagnosis.serialise import extended_car, gain_json
 from driftjax.diagnosis.stages import STAGES, fit_staged, least_samples
@@ -195,10 +195,10 @@ def calibrate(
     """
     require_float64()
     check_held_out(held_out)
-    runs, wanted = log.runs, effects_to_fit(effects, staged)
+    log, wanted = resolved_log(vehicle, log), effects_to_fit(effects, staged)
     if catalogue is None:
         catalogue = default_catalogue(*wanted, *(one.effect for one in vehicle.effects))
-    problem = initial_problem(vehicle, catalogue, runs)
+    problem = initial_problem(vehicle, catalogue, log.runs)
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
     lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]
     if lost:
@@ -222,7 +222,7 @@ def calibrate(
     known = np.stack([information(np.asarray(linearisation.J)[stretch == kind][None])[square] for kind in Stretch])
     identifiable = identifiability(known, prior[columns], precision[square], half_width)
     report("gain: fit once more without the runs held out")
-    gain = calibration_gain(problem, selected, tuple(run.name for run in runs), held_out, seed, staged)
+    gain = calibration_gain(problem, selected, tuple(run.name for run in log.runs), held_out, seed, staged)
     return Calibration(
         vehicle, log, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, held_out,
         gain, lost_s,

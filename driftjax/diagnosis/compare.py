@@ -28,6 +28,7 @@ from driftjax.diagnosis.gap import Gap, Overlap, gap_json, measure_gap, overlaps
 from driftjax.diagnosis.held_out import check_naming
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_model import Noise
+from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
     MIN_DETECTABLE_SHARE,
@@ -153,8 +154,10 @@ def compare(
     every step. Raises `BadInput` for logs whose sample times differ.
     """
     require_float64()
-    config, logs = CompareConfig() if config is None else config, (log_a, log_b)
+    config = CompareConfig() if config is None else config
     check_alike(log_a, log_b)
+    log_a, log_b = (resolved_log(vehicle, log) for log in (log_a, log_b))
+    logs = log_a, log_b
     durations = [sum(len(run.t) * run.dt for run in log.runs) for log in logs]
     for name, duration in zip("AB", durations, strict=True):
         if duration < MIN_DURATION:

@@ -25,6 +25,7 @@ from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
+from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unexplained_errors import Unexplained, find_unexplained
@@ -184,6 +185,7 @@ def diagnose(
     require_float64()
     workers = spare_workers() if workers is None else workers
     config = DiagnoseConfig() if config is None else config
+    log = resolved_log(vehicle, log)
     duration = sum(len(run.t) * run.dt for run in log.runs)
     if duration < MIN_DURATION:
         text = f"The log holds {duration:.1f} s; at least {MIN_DURATION:.0f} s are needed to tell anything."

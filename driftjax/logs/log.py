@@ -13,8 +13,9 @@ import numpy as np
 
 from driftjax.core import BadInput, write_atomically
 from driftjax.core.config import to_dict
+from driftjax.logs import sampling
 from driftjax.logs.checks import check_rates
-from driftjax.logs.columns import CHANNELS, EXTRA, OPTIONAL, RUN, ColumnMap, load_columns
+from driftjax.logs.columns import CHANNELS, COMMANDS, EXTRA, OPTIONAL, RUN, ColumnMap, load_columns
 from driftjax.logs.parse import parse_table
 from driftjax.logs.prepare import Segment, prepare_segments
 from driftjax.logs.raw import raw_runs
@@ -86,6 +87,20 @@ class Log:
         parts = [part for run in self.runs for part in _cut(run, max(round(seconds / run.dt), 2))]
         return dataclasses.replace(self, runs=tuple(parts))
 
+    def thin(self, rate: float) -> "Log":
+        """Return the log with the largest whole number of samples in one that leaves `rate` [Hz] or more.
+
+        Commands, which are held, become means over these samples; of the measurements the first one stays. A note
+        says so.
+        """
+        dt = self.runs[0].dt
+        factor = int((1 + sampling.UNIFORM) / (rate * dt))
+        if factor < 2:
+            return self
+        note = f"All runs were thinned from {1 / dt:.4g} to {1 / (factor * dt):.4g} Hz, which resolves this car."
+        runs = tuple(_thin(run, factor) for run in self.runs)
+        return dataclasses.replace(self, runs=runs, notes=(*self.notes, note))
+
 
 def read_log(
     paths: str | Path | Sequence[str | Path],
@@ -132,6 +147,13 @@ def read_log(
     check_rates({name: run.dt for name, run in read.items()})
     log = Log(tuple(read.values()), digest.hexdigest(), tuple(paths), tuple(notes), reading)
     return log.split_runs(cut).select_runs(runs)
+
+
+def _thin(run: Run, factor: int) -> Run:
+    values = {name: getattr(run, name) for name in CHANNELS[1:]} | run.extra
+    t, thinned = sampling.thin(run.t, values, COMMANDS, factor)
+    main = {name: thinned.pop(name) for name in CHANNELS[1:]}
+    return Run(run.name, t, **main, dt=factor * run.dt, extra=thinned)
 
 
 def _cut(run: Run, num: int) -> list[Run]:

@@ -16,8 +16,9 @@ from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNOBSERVED
-from driftjax.diagnosis.runs import run_observer
-from driftjax.logs import Run
+from driftjax.diagnosis.runs import resolved_log, run_observer
+from driftjax.logs import Log, Run
+from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect.flow import Aux, Place
 
 EXACT = ("psi", "s")  # columns that stay: they do not tell the sideslip
@@ -111,6 +112,17 @@ def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
     no_slip = inertial_force(sedan(), run, sideslip(sedan(), without((run,), "beta")[0]))
     assert size(estimated - run.Fxr) < 0.8 * size(no_slip - run.Fxr)
+
+
+def test_samples_that_do_not_resolve_the_car_any_better_are_left_out():
+    """Of a sedan at 1000 Hz; the small car, three times as fast, keeps three times as many, one at 100 Hz stays."""
+    (run,) = measured()[:1]
+    fast = Log((replace(run, t=run.t / 10, dt=run.dt / 10),))
+    for vehicle, dt in ((load_vehicle("sedan"), 0.014), (load_vehicle("rc"), 0.004)):
+        assert resolved_log(vehicle, fast).runs[0].dt == pytest.approx(dt)
+        most = 1.01 * np.sqrt((vehicle.a + vehicle.b) / 9.81) / 40
+        assert dt <= most < dt + 0.001  # the next is too long
+    assert resolved_log(sedan(), Log(measured())).runs == measured()
 
 
 def test_the_force_is_that_of_the_car_with_its_effects_not_of_the_nominal_one():

@@ -341,3 +341,15 @@ def test_runs_are_chosen_by_name_and_cut_into_parts(tmp_path):
     for name in CHANNELS:
         np.testing.assert_array_equal(np.concatenate([getattr(run, name) for run in parts]), getattr(uncut, name))
     assert log.split_runs(None) is log and cut.rows == log.rows
+
+
+def test_thinning_keeps_whole_runs_and_averages_what_is_held(tmp_path):
+    values = columns() | {"delta": (0.001 * np.arange(N)).tolist()}
+    log = read_log([write(tmp_path / "log.csv", values)])
+    for rate, factor in ((60.0, 1), (50.0, 2), (34.0, 2), (12.0, 8)):
+        (run,) = log.thin(rate).runs
+        assert run.dt == pytest.approx(0.01 * factor) and len(run.t) == -(-N // factor)
+        np.testing.assert_array_equal(run.r, log.runs[0].r[::factor])
+        np.testing.assert_allclose(run.delta[:-1], log.runs[0].delta[::factor][:-1] + 0.0005 * (factor - 1), atol=1e-12)
+        assert run.extra.keys() == log.runs[0].extra.keys()
+    assert log.thin(60.0) is log and "thinned from 100 to 50 Hz" in log.thin(50.0).notes[-1]
