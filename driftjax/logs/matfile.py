@@ -17,7 +17,7 @@ REMEDY = "save it again, with `save(name, '-v7')` or '-v7.3'"
 MOST_COLUMNS = 64  # of a matrix; a wider one is no table of channels
 RUN = "run"  # name of the column with the number of the entry that a row is from
 
-Place = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
+EntryPath = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
 
 
 def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.ndarray]:
@@ -66,7 +66,7 @@ def _is_version_5(content: bytes) -> bool:
     return content.startswith(b"MATLAB 5.0")
 
 
-def _version_5(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
+def _version_5(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
     import scipy.io
 
     variables = scipy.io.loadmat(io.BytesIO(content), simplify_cells=True)
@@ -75,7 +75,7 @@ def _version_5(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
             yield from _leaves((name,), value, lambda value: value)
 
 
-def _version_7_3(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
+def _version_7_3(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
     with h5py.File(io.BytesIO(content)) as file:
 
         def opened(value: Any) -> Any:
@@ -94,7 +94,7 @@ def _version_7_3(content: bytes) -> Iterator[tuple[Place, np.ndarray]]:
                 yield from _leaves((name,), value, opened)
 
 
-def _leaves(place: Place, value: Any, opened: Callable[[Any], Any]) -> Iterator[tuple[Place, np.ndarray]]:
+def _leaves(place: EntryPath, value: Any, opened: Callable[[Any], Any]) -> Iterator[tuple[EntryPath, np.ndarray]]:
     """Yield the numeric arrays below `value`, which is at `place`, with their paths."""
     while (inner := opened(value)) is not value:
         value = inner
