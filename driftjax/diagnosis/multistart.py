@@ -1,4 +1,4 @@
-"""Search for effects from several starts: with more process noise, and with a large steering delay."""
+"""Search for effects from several starts: with more process noise, with a large steering delay, with late sensors."""
 
 from collections.abc import Callable
 
@@ -15,6 +15,9 @@ LOST_MISFIT = (
 )
 DELAYS = (0.5, 0.75, 1.0)  # of the steering, from which a search begins too [sqrt(L/g)]
 LATE = 0.05  # share of the cost that such a delay must save by itself
+TIMING = ("steer_delay", "steer_lag", "drive_lag", "channel_delay")  # effects that late sensors are taken for
+SENSORS_LATE = ((1, 1, 0), (0, 0, 1), (1, 1, 1))  # of V, beta, r: by satellites and motion capture, the gyro, all
+SENSOR_DELAYS = (0.05, 0.1, 0.2)  # of which the search begins [sqrt(L/g)]
 LEAST_DISTURBANCE = 0.5  # variance of the estimated disturbances, over that assumed: less at a fit is too much noise
 POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
 
@@ -44,15 +47,17 @@ def search_multistart(
     With strong effects and little disturbance the observer of the nominal car diverges, because its noise is what no
     effect explains: then the search starts with the noise that the nominal car needs. With a steering delay as long as
     a manoeuvre, the derivative at no delay says little and less grip seems to explain more: then the search also
-    starts from a large delay. Where the fitted car needs far less process noise than was assumed, since strong effects
-    exceed what their derivatives at the nominal car predict, the search is repeated with its noise.
+    starts from a large delay; where lags or delays are named, from late sensors too. Where the fitted car needs far
+    less process noise than was assumed, since strong effects exceed what their derivatives at the nominal car predict,
+    the search is repeated with its noise.
     """
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
     if close and misfit(problem, close.fit) < POOR_MISFIT:
         late = search_from_late(problem, close, seed, most, report)
         penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
-        best = close if late is None or penalised(close) <= penalised(late) else late
+        sensors = search_from_late_sensors(problem, close, seed, most, report)
+        best = min((one for one in (close, late, sensors) if one), key=penalised)
         too_noisy = bool(best.selected) and disturbance_ratio(problem, best).min() < LEAST_DISTURBANCE
         return search_with_own_noise(problem, best, seed, most, report) if too_noisy else (problem, best)
     repeated, selection = search_from_far(problem, seed, most, report)
@@ -73,11 +78,44 @@ def search_from_late(
         return None
     unit, scale = float(problem.model.base.unit_time), np.asarray(problem.model.scale)[columns]
     at = lambda delay: np.where(np.isin(np.arange(len(problem.start)), columns), delay * unit / scale, problem.start)
-    best = min((evaluate_fit(problem, at(delay)) for delay in DELAYS), key=lambda fit: fit.cost)
+    return _search_from_best(problem, close, delays, [at(delay) for delay in DELAYS], seed, most, report)
+
+
+def search_from_late_sensors(
+    problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
+) -> Selection | None:
+    """Search from the best of `SENSORS_LATE` by `SENSOR_DELAYS`; None where `close` names no lag or delay.
+
+    All sensors late by several samples look like a steering that is late; from there the derivatives at no delay lead
+    to a local optimum.
+    """
+    names = [effect.name for effect in problem.effects]
+    if not set(TIMING) & {names[i] for i in close.selected}:
+        return None
+    late = tuple(i for i, name in enumerate(names) if name == "channel_delay")
+    columns = problem.columns(late)
+    if not len(columns) or not problem.active[columns].all():
+        return None
+    unit = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns]
+    starts = []
+    for which in SENSORS_LATE:
+        for delay in SENSOR_DELAYS:
+            theta = problem.start.copy()
+            theta[columns] = delay * unit * np.array(which)
+            starts.append(theta)
+    return _search_from_best(problem, close, late, starts, seed, most, report)
+
+
+def _search_from_best(
+    problem: Problem, close: Selection, selected: tuple[int, ...], starts: list[np.ndarray], seed: int, most: int,
+    report: Callable[[str], None],
+) -> Selection | None:  # fmt: skip
+    """Search from the best of `starts` in the parameters of `selected`; None where it saves too little of the cost."""
+    best = min((evaluate_fit(problem, theta) for theta in starts), key=lambda fit: fit.cost)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
-    fit = refit_to_convergence(problem, best, columns)[0]
-    selection = search(problem, fit, seed, delays, most, report)
+    fit = refit_to_convergence(problem, best, problem.columns(selected))[0]
+    selection = search(problem, fit, seed, selected, most, report)
     return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
 
 
