@@ -166,13 +166,15 @@ def describe_answer(
         return f"On held-out runs the nominal car {better}: it stays the answer. "
     if retuned is None:
         return ""
-    values, share = retuned.theta * np.asarray(problem.model.scale), shares.get("retuned")
-    sizes = [f"{problem.effects[i].name} {values[problem.columns((i,))].item():+.2g}" for i in effects]
+    scale, share, sizes = np.asarray(problem.model.scale), shares.get("retuned"), []
+    for i in effects:
+        size, before = ((theta * scale)[problem.columns((i,))].item() for theta in (retuned.theta, problem.start))
+        sizes.append(f"{problem.effects[i].name} {size:+.2g}{f', before {before:+.2g}' if before else ''}")
     explains = ""
     if share and np.isfinite(share.value):
         explains = f", which explains {_percent(share.value, share.ci95)} of the excess error"
     text = (
-        f"On held-out runs the car with friction and stiffness re-tuned ({', '.join(sizes)}) {better}: it is the answer"
+        f"On held-out runs the car with friction and stiffness re-tuned ({'; '.join(sizes)}) {better}: it is the answer"
     )
     return f"{text}{explains}. "
 

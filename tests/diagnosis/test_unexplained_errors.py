@@ -123,6 +123,10 @@ def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answe
     assert f"(friction_rear {-2 * EFFECTS[effect].parameters[0].typical:+.2g})" in said
     assert said.endswith("it is the answer, which explains 97 % [90, 99] of the excess error. ")
     assert words("retuned", retuned=retuned, shares={"retuned": share._replace(value=np.nan)}).endswith("answer. ")
+    started = problem._replace(start=np.where(np.arange(len(ORDER)) == effect, 1.0, 0.0))
+    assert "before" not in said and f", before {EFFECTS[effect].parameters[0].typical:+.2g})" in words(
+        "retuned", problem=started, retuned=retuned, shares={}
+    )
     assert "nominal car predicts better" in words("nominal", retuned=None, shares={})
     assert words("extended", retuned=None, shares={}) == ""
 
