@@ -1,8 +1,9 @@
 """Search for effects from several starts: with more process noise, with a large steering delay, with late sensors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
@@ -70,15 +71,9 @@ def search_from_late(
     problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> Selection | None:
     """Search from the best of `DELAYS`; None if none saves the share `LATE` of the cost, or `close` has a delay."""
-    delays = tuple(
-        i for i, effect in enumerate(problem.effects) if effect.name == "steer_delay" and i not in close.selected
-    )
-    columns = problem.columns(delays)
-    if not len(columns) or not problem.active[columns].all():
+    if "steer_delay" in {problem.effects[i].name for i in close.selected}:
         return None
-    unit, scale = float(problem.model.base.unit_time), np.asarray(problem.model.scale)[columns]
-    at = lambda delay: np.where(np.isin(np.arange(len(problem.start)), columns), delay * unit / scale, problem.start)
-    return _search_from_best(problem, close, delays, [at(delay) for delay in DELAYS], seed, most, report)
+    return _search_from_delays(problem, close, "steer_delay", DELAYS, seed, most, report)
 
 
 def search_from_late_sensors(
@@ -89,32 +84,30 @@ def search_from_late_sensors(
     All sensors late by several samples look like a steering that is late; from there the derivatives at no delay lead
     to a local optimum.
     """
-    names = [effect.name for effect in problem.effects]
-    if not set(TIMING) & {names[i] for i in close.selected}:
+    if not set(TIMING) & {problem.effects[i].name for i in close.selected}:
         return None
-    late = tuple(i for i, name in enumerate(names) if name == "channel_delay")
-    columns = problem.columns(late)
-    if not len(columns) or not problem.active[columns].all():
-        return None
-    unit = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns]
-    starts = []
-    for which in SENSORS_LATE:
-        for delay in SENSOR_DELAYS:
-            theta = problem.start.copy()
-            theta[columns] = delay * unit * np.array(which)
-            starts.append(theta)
-    return _search_from_best(problem, close, late, starts, seed, most, report)
+    delays = [delay * np.array(which) for which in SENSORS_LATE for delay in SENSOR_DELAYS]
+    return _search_from_delays(problem, close, "channel_delay", delays, seed, most, report)
 
 
-def _search_from_best(
-    problem: Problem, close: Selection, selected: tuple[int, ...], starts: list[np.ndarray], seed: int, most: int,
+def _search_from_delays(
+    problem: Problem, close: Selection, name: str, delays: Sequence[ArrayLike], seed: int, most: int,
     report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
-    """Search from the best of `starts` in the parameters of `selected`; None where it saves too little of the cost."""
-    best = min((evaluate_fit(problem, theta) for theta in starts), key=lambda fit: fit.cost)
+    """Search from the best of `delays` [sqrt(L/g)] of the effect `name`; None if none saves the share `LATE`."""
+    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
+    columns = problem.columns(selected)
+    if not len(columns) or not problem.active[columns].all():
+        return None
+    unit, fits = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
+    for delay in delays:
+        theta = problem.start.copy()
+        theta[columns] = np.asarray(delay) * unit
+        fits.append(evaluate_fit(problem, theta))
+    best = min(fits, key=lambda fit: fit.cost)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
-    fit = refit_to_convergence(problem, best, problem.columns(selected))[0]
+    fit = refit_to_convergence(problem, best, columns)[0]
     selection = search(problem, fit, seed, selected, most, report)
     return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
 

@@ -98,7 +98,7 @@ class Log:
         if factor < 2:
             return self
         note = f"All runs were thinned from {1 / dt:.4g} to {1 / (factor * dt):.4g} Hz, which resolves this car."
-        runs = tuple(_thin(run, factor) for run in self.runs)
+        runs = tuple(_run(run.name, _thin(run, factor)) for run in self.runs)
         return dataclasses.replace(self, runs=runs, notes=(*self.notes, note))
 
 
@@ -149,11 +149,9 @@ def read_log(
     return log.split_runs(cut).select_runs(runs)
 
 
-def _thin(run: Run, factor: int) -> Run:
+def _thin(run: Run, factor: int) -> Segment:
     values = {name: getattr(run, name) for name in CHANNELS[1:]} | run.extra
-    t, thinned = sampling.thin(run.t, values, COMMANDS, factor)
-    main = {name: thinned.pop(name) for name in CHANNELS[1:]}
-    return Run(run.name, t, **main, dt=factor * run.dt, extra=thinned)
+    return Segment(*sampling.thin(run.t, values, COMMANDS, factor), factor * run.dt)
 
 
 def _cut(run: Run, num: int) -> list[Run]:

@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.columns import RUN
 from driftjax.logs.extras import library_errors
 
 KIND = "MATLAB file"
 REMEDY = "save it again, with `save(name, '-v7')` or '-v7.3'"
 MOST_COLUMNS = 64  # of a matrix; a wider one is no table of channels
-RUN = "run"  # name of the column with the number of the entry that a row is from
 
 EntryPath = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
 
@@ -56,9 +56,10 @@ def _stacked(entries: dict[str, dict[int, np.ndarray]]) -> dict[str, np.ndarray]
     sizes = max(groups, key=lambda one: len(groups[one]), default=())
     if len(groups[sizes]) < 2:
         return {}
-    one = {name: np.concatenate([np.ravel(entries[name][k]) for k in range(len(sizes))]) for name in groups[sizes]}
-    return {name: values.astype(float) for name, values in one.items()} | {
-        RUN: np.repeat(np.arange(float(len(sizes))), sizes)
+    numbers = range(len(sizes))
+    whole = {name: np.concatenate([np.ravel(entries[name][k]) for k in numbers]) for name in groups[sizes]}
+    return {name: values.astype(float) for name, values in whole.items()} | {
+        RUN: np.repeat(np.array(numbers, float), sizes)
     }
 
 
