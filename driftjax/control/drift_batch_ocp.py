@@ -217,7 +217,7 @@ def to_batch_ocp(
     unit = jnp.stack([jnp.ones_like(Fxr_unit), Fxr_unit], axis=-1)
     split = lambda a: list(a.T)
     return DriftBatchOCP(
-        car=ocp.nominal,
+        car=ocp.car,
         dt=ocp.dt,
         Q=split(ocp.Q)[: 5 if path else 3],
         R=split(ocp.R * unit**2),

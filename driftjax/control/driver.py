@@ -96,7 +96,7 @@ class Driver(eqx.Module):
             return sensed, memory
         y = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.x, sensed.y, sensed.psi])
         now = self.estimator.update(memory.estimate, y)
-        x, lagged_input = self.estimator.ahead(self.ocp.nominal, self.ocp.residual, now)
+        x, lagged_input = self.estimator.ahead(self.ocp.car, self.ocp.residual, now)
         return sensed_on(self.path, sensed.s, *x), memory._replace(estimate=now, lagged_input=lagged_input)
 
     def engaged(self, sensed: Sensed, memory: DriverState) -> Array:
@@ -110,7 +110,7 @@ class Driver(eqx.Module):
     def after(self, memory: DriverState) -> DriverState:
         """Return the driver state one step later: actuator outputs after the command, or the predicted estimate."""
         if self.estimator is not None and memory.estimate is not None:
-            now, car = memory.estimate, self.ocp.nominal
+            now, car = memory.estimate, self.ocp.car
             return memory._replace(estimate=self.estimator.predict(car, self.ocp.residual, now, memory.command))
         lagged_input = lag_step(memory.lagged_input, memory.command, self.ocp.residual.lags, self.ocp.dt)[1]
         return memory._replace(lagged_input=lagged_input)
@@ -129,7 +129,7 @@ class Driver(eqx.Module):
         x = jnp.stack([sensed.V, sensed.beta, sensed.r, sensed.e, sensed.theta])
         x = jnp.concatenate([x, memory.command, memory.lagged_input])
         u = self.lqr(self.ocp, sensed.s, x, jnp.concatenate([motion, u_ref, u_ref]))
-        car = self.ocp.nominal  # beyond the peak of the front tyres more steering does less, which no gain knows
+        car = self.ocp.car  # beyond the peak of the front tyres more steering does less, which no gain knows
         ahead = car.slip_angles(State(sensed.V, sensed.beta, sensed.r), Control(jnp.zeros(()), u[1]))[0]
         u = u.at[0].set(jnp.clip(u[0], ahead - car.peaks[0], ahead + car.peaks[0]))
         return within_limits(self.ocp, u[None], memory.command, share=0.0)[0]

@@ -94,6 +94,11 @@ class DriftOCP(eqx.Module):
     weight: Array = eqx.field(converter=as_float)  # of the car, the solver's unit of force [N]
 
     @property
+    def car(self) -> AnyCar:
+        """Return the nominal car with the parameters of the residual."""
+        return self.residual.tuned(self.nominal)
+
+    @property
     def u_scale(self) -> Array:
         """Return the solver's units (2,) of delta [rad] and Fxr [N]."""
         return jnp.stack([jnp.ones_like(self.weight), self.weight], axis=-1)

@@ -17,7 +17,7 @@ from driftjax.equilibrium.solve import (
     solve_equilibrium,
     solve_nominal,
 )
-from driftjax.vehicle import AnyCar, Corrected, SingleTrack
+from driftjax.vehicle import AnyCar, Corrected, Residual, SingleTrack
 from driftjax.vehicle.single_track import G
 
 NUM_STAGES = 8
@@ -50,8 +50,12 @@ def continuation(
     not the continued one. Differentiable at eta = 1 like `solve_equilibrium`.
     """
     first = solve_equilibrium(nominal, nominal, fixed, guess, branch=branch)
-    part = lambda eta: (Corrected(nominal, Scaled(residual, eta)), nominal)
-    return _follow(part, (Corrected(nominal, residual), nominal), fixed, first, branch)
+
+    def part(eta: Array) -> tuple[Model, AnyCar]:
+        car = residual.scaled(eta).tuned(nominal) if isinstance(residual, Residual) else nominal
+        return Corrected(car, Scaled(residual, eta)), car
+
+    return _follow(part, part(jnp.asarray(1.0)), fixed, first, branch)
 
 
 def solve_steady(car: AnyCar, fixed: SpeedYaw | SlipRadius, *, branch: Array | int) -> Equilibrium:

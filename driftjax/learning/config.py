@@ -11,6 +11,7 @@ from driftjax.control.pursuit import PursuitConfig
 from driftjax.core import find_config, from_dict, merge_config, read_yaml, require, require_at_least, require_positive
 from driftjax.core.config import to_dict
 from driftjax.sim import LapConfig
+from driftjax.vehicle import require_steady
 
 Controller = Literal["path", "paper"]
 
@@ -35,6 +36,10 @@ class GPConfig:
     """Estimate the lags of steering and drive: the MPC knows them, the GP's inputs hold what commands reached."""
     bounded: bool = True
     """Fade the mean out far from data and bound it by twice the largest target; else the bare mean is used."""
+    effects: tuple[str, ...] = ()
+    """Effects of the catalogue whose parameters are fitted to the laps of each plant. The car with them is the prior
+    mean of the GP, which learns what they leave and is used from the second lap of data on. Without any, the paper's
+    GP on the nominal car."""
     orthogonal: bool = True
     """Extended cars only: keep the GP orthogonal to the rates that a change of the named effects' parameters causes."""
 
@@ -42,6 +47,7 @@ class GPConfig:
         require(self.size >= 20, f"key 'size' is {self.size}; give at least 20 points.")
         require(self.num_fit >= 10, f"key 'num_fit' is {self.num_fit}; give at least 10 points.")
         require_positive(self, "shortest")
+        require_steady(self.effects)
         require_at_least(self, 1, "restarts", "max_iterations")
 
     @property

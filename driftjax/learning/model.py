@@ -18,7 +18,8 @@ from driftjax.gp import (
     zero_gp,
 )
 from driftjax.learning.config import GPConfig
-from driftjax.vehicle import Residual, no_residual
+from driftjax.learning.tuning import left_over, tune_parameters
+from driftjax.vehicle import AnyCar, Extended, Residual, no_residual
 
 KnownEffectBasis = Callable[[Array], Array]  # of inputs (N, 5): derivatives by known effect parameters (N, 3, k)
 
@@ -36,11 +37,15 @@ class ModelState(eqx.Module):
     residual: Residual
 
 
-def empty(config: GPConfig, lags: Array | None = None) -> ModelState:
-    """Return the model before the first lap; known actuator `lags` (2,) [s] may be given."""
+def empty(config: GPConfig, lags: Array | None = None, nominal: AnyCar | None = None) -> ModelState:
+    """Return the model before the first lap; known actuator `lags` (2,) [s] may be given.
+
+    `nominal` is the car whose effects `config` names, if any.
+    """
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
-    residual = no_residual(gp, lags, config.bounded)
+    num_parameters = len(nominal.scale) if config.effects and isinstance(nominal, Extended) else 0
+    residual = no_residual(gp, lags, config.bounded, num_parameters)
     return ModelState(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
 
@@ -54,8 +59,13 @@ def update_model(
     key: Array,
     known_basis: KnownEffectBasis | None = None,
     shortest: Array | None = None,
+    car: tuple[AnyCar, Array] | None = None,
 ) -> ModelState:
     """Update dictionary, GP and trust factor with a lap's rows, in driving order, and its actuator `lags` (2,) [s].
+
+    Where `config` names effects, `car` is the nominal car with the time step of the rows [s]; its parameters are fitted
+    first, and the GP to what they leave. One lap of data does not say what that is where the next lap goes: the GP is
+    used from the second on.
 
     The trust factor of an output is the factor in 0..1 on the mean that minimises the squared error at held-out rows
     (Breiman 1996, Stacked Regressions, of one model): noise of the rows does not lower it, an exaggerated or wrong mean
@@ -66,21 +76,27 @@ def update_model(
     mask = jnp.concatenate([model_state.mask, mask])
     begun = jnp.max(jnp.where(model_state.mask, model_state.order, 0.0)) + 2 * GAP
     order = jnp.concatenate([model_state.order, begun + jnp.arange(len(mask) - len(model_state.mask))])
-    # an extra column that the selection of rows ignores
-    inputs, columns, valid = select_dictionary(Z, jnp.column_stack([Y, order]), mask, config.size, kernel=config.kernel)
-    kept = inputs, columns[:, :-1], valid
+    tuning, left, used = model_state.residual.tuning, Y, jnp.asarray(True)
+    if config.effects and car is not None and isinstance(car[0], Extended):
+        tuning = tune_parameters(car[0], config.effects, Z, Y, mask, car[1])
+        left = left_over(car[0], tuning, Z, Y, mask, car[1])
+        used = jnp.any(model_state.mask)
+    # extra columns that the selection of rows ignores
+    columns = jnp.column_stack([left, Y, order])
+    inputs, columns, valid = select_dictionary(Z, columns, mask, config.size, kernel=config.kernel)
+    kept = inputs, columns[:, :3], valid
     fitted = fit_masked(
         *kept, num_restarts=config.restarts, max_iterations=config.max_iterations, num_fit=config.num_fit,
         kernel=config.kernel, shortest=config.shortest if shortest is None else shortest,
         basis=None if known_basis is None else known_basis(kept[0]), key=key,
     )  # fmt: skip
-    trust_factor = trust_factors(fitted.gp, Z, Y, mask, order, config, known_basis)
+    trust_factor = trust_factors(fitted.gp, Z, left, mask, order, config, known_basis)
     enough = jnp.sum(kept[2]) >= 20
     lags = jnp.where(enough, lags, model_state.residual.lags)
-    residual = Residual(
-        fitted.gp, jnp.where(enough & jnp.isfinite(trust_factor), trust_factor, 0.0), lags, config.bounded
-    )
-    return ModelState(*kept, columns[:, -1], residual)
+    tuning = jnp.where(enough, tuning, model_state.residual.tuning)
+    trust_factor = jnp.where(enough & used & jnp.isfinite(trust_factor), trust_factor, 0.0)
+    residual = Residual(fitted.gp, trust_factor, lags, config.bounded, tuning)
+    return ModelState(inputs, columns[:, 3:6], valid, columns[:, -1], residual)
 
 
 def trust_factors(

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.sim import Trace
-from driftjax.vehicle import AnyCar, SingleTrack
+from driftjax.vehicle import AnyCar, Extended, SingleTrack
 
 WINDOW = 5  # samples of the local parabola; centred, so that it delays nothing
 # Savitzky and Golay 1964: value at the middle of the least-squares parabola through five even samples
@@ -122,16 +122,22 @@ def rows(nominal: AnyCar, lap: Samples, dt: Array, lags: Float[Array, "2"]) -> t
     return jnp.where(mask[:, None], z, 0.0), jnp.where(mask[:, None], d, 0.0), mask
 
 
-def known_effect_basis(car: AnyCar) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
-    """Return the derivatives of the rates by the named effect parameters at GP inputs; None for the nominal car."""
-    if isinstance(car, SingleTrack):
+def known_effect_basis(
+    car: AnyCar, free: tuple[str, ...] = ()
+) -> Callable[[Float[Array, "N 5"]], Float[Array, "N 3 K"]] | None:
+    """Return the derivatives of the rates by the effect parameters at GP inputs; None for the nominal car.
+
+    Parameters of the effects `free`, which are fitted themselves, are left out.
+    """
+    if isinstance(car, SingleTrack) or not len(fixed := np.setdiff1d(np.arange(len(car.scale)), car.columns(free))):
         return None
+    return jax.vmap(lambda z: slopes_by_parameters(car, z)[:, fixed])
 
-    def at(z: Array) -> Array:
-        x, u = State(z[0], z[1], z[2]), Control(z[3], z[4])
-        return jax.jacfwd(lambda theta: jnp.stack(car.with_parameters(theta)(x, u)))(car.theta)
 
-    return jax.vmap(at)
+def slopes_by_parameters(car: Extended, z: Float[Array, "5"]) -> Float[Array, "3 K"]:
+    """Return the derivatives of the rates by the effect parameters at one GP input."""
+    x, u = State(z[0], z[1], z[2]), Control(z[3], z[4])
+    return jax.jacfwd(lambda theta: jnp.stack(car.with_parameters(theta)(x, u)))(car.theta)
 
 
 def estimate_lags(nominal: AnyCar, lap: Samples, dt: Array) -> Float[Array, "2"]:

@@ -124,7 +124,7 @@ def route_of(config: LearnConfig, vehicle: VehicleConfig | None = None) -> Route
     if not lap.drift_intervals():
         raise BadInput(f"{config.track}: the plan does not drift anywhere; set 'drift' and 'beta_d' in {config.plan}.")
     table = plan_table(lap)
-    nominal, where = build_car(vehicle), steady_corner(table, config.drift_beta)
+    nominal, where = build_car(vehicle, config.gp.effects), steady_corner(table, config.drift_beta)
     return Route(vehicle, nominal, track, lap, table, where, *nominal_drift(nominal, where, config))
 
 

@@ -18,7 +18,7 @@ from driftjax.learning.stage import CODES, StageResult, gp_deviation, run_stage,
 from driftjax.learning.updates import Progress, initial_progress, plan_reference, update_progress
 from driftjax.sim import where_tree
 from driftjax.store.variables import FEATURES, INPUTS, OUTPUTS, dataset
-from driftjax.vehicle import Residual
+from driftjax.vehicle import Extended, Residual
 
 
 def stage_names(config: LearnConfig) -> list[str]:
@@ -93,7 +93,7 @@ def drive_nominal(scenario: Scenario, number: int) -> tuple[StageResult, Planned
 
 def _initial_residual(scenario: Scenario) -> Residual:
     """Return the residual of every entry before its first lap."""
-    return scenario.over_batch(empty(scenario.config.gp, scenario.lags).residual)
+    return scenario.over_batch(empty(scenario.config.gp, scenario.lags, scenario.nominal).residual)
 
 
 def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
@@ -220,6 +220,9 @@ def _data(
         }
         values |= {"feature": np.array(FEATURES, object), "output": np.array(OUTPUTS, object)}
         values["input"] = np.array(INPUTS, object)
+    if residual is not None and residual.tuning.shape[-1] and isinstance(car := scenario.nominal, Extended):
+        values |= {"car_parameter": np.array(car.parameter_names, object)}
+        values["tuned"] = car.scale * (car.theta + residual.tuning)
     if proposed is not None:
         widest = proposed.widest[:, None]
         values |= {f"vset_{name}": getattr(proposed, name) for name in ("s", "origin", "target", "V", "V_ep")}

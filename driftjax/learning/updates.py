@@ -48,7 +48,7 @@ class Progress(eqx.Module):
 
 def initial_progress(scenario: Scenario, empty_candidates: Candidates) -> Progress:
     """Return the progress before the first lap."""
-    model_state = scenario.over_batch(empty(scenario.config.gp, scenario.lags))
+    model_state = scenario.over_batch(empty(scenario.config.gp, scenario.lags, scenario.nominal))
     table = scenario.over_batch(scenario.table)
     arrival = scenario.over_batch(planned_arrival(scenario.table, scenario.config.switch.lead))
     far = jnp.full(scenario.batch_size, jnp.inf)
@@ -66,13 +66,15 @@ def learn_batch(
     config: GPConfig,
 ) -> tuple[ModelState, Arrival]:
     """Update models and arrivals of batch entries (both before, lap, its reference, keys)."""
-    known_basis = known_effect_basis(nominal) if config.orthogonal else None
+    known_basis = known_effect_basis(nominal, config.effects) if config.orthogonal else None
 
     def one(model_state: ModelState, arrival: Arrival, trace: Trace, table: ReferenceTable, key: Array):
         command = acting_commands(trace, delay, dt)
         lap = samples(trace, command)
         lags = estimate_lags(nominal, lap, dt) if config.lags else model_state.residual.lags
-        model_state = update_model(model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest)
+        model_state = update_model(
+            model_state, *rows(nominal, lap, dt, lags), lags, config, key, known_basis, shortest, (nominal, dt)
+        )
         s0, lags = table.drift_start - lead, model_state.residual.lags
         return model_state, update_arrival(arrival, trace, command, s0, lags, dt)
 

@@ -19,9 +19,9 @@ class Variable(NamedTuple):
 FEATURES = ("V", "beta", "r", "delta", "Fxr")
 OUTPUTS = ("dV", "dbeta", "dr")
 INPUTS = ("delta", "Fxr")
-COORDINATES = ("t", "feature", "output", "input", "plant", "controller", "seed")
+COORDINATES = ("t", "feature", "output", "input", "car_parameter", "plant", "controller", "seed")
 LABELS = ("channel", "compared", "model", "panel", "force", "driver", "effect", "parameter", "other")  # of a diagnosis
-SHARED = ("t", "feature", "output", "input")  # coordinates that do not differ between stages
+SHARED = ("t", "feature", "output", "input", "car_parameter")  # coordinates that do not differ between stages
 
 _STEP = ("lane", "step")
 _MEASURED = {
@@ -85,6 +85,8 @@ STAGE: dict[str, Variable] = {
         ("lane", "output"), "1", "share of each learnt rate error that held-out rows support and that is used"
     ),
     "lags": Variable(("lane", "input"), "s", "learnt time constants of steering and drive"),
+    "car_parameter": Variable(("car_parameter",), "1", "parameter fitted to each plant, effect.parameter"),
+    "tuned": Variable(("lane", "car_parameter"), "SI", "its fitted value; 0 is the nominal car"),
     "reference_found": Variable(
         ("lane",), "1", "whether the reference was found on the lane's car; else the plan stood in"
     ),

@@ -12,6 +12,7 @@ from driftjax.vehicle.extended import Extended as Extended
 from driftjax.vehicle.extended import actuator_lags as actuator_lags
 from driftjax.vehicle.extended import beyond_peak as beyond_peak
 from driftjax.vehicle.extended import build_car as build_car
+from driftjax.vehicle.extended import require_steady as require_steady
 from driftjax.vehicle.extended import unmodelled_effects as unmodelled_effects
 from driftjax.vehicle.load import load_vehicle as load_vehicle
 from driftjax.vehicle.load import with_effects as with_effects

@@ -3,10 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, State
+from driftjax.core import Control, State, require
 from driftjax.environment import require_float64
 from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
@@ -66,6 +67,22 @@ class Extended(eqx.Module):
         """Return this car with other parameters."""
         return Extended(self.nominal, self.names, self.scale, theta)
 
+    def columns(self, effects: tuple[str, ...]) -> np.ndarray:
+        """Return the indices in `theta` of the parameters of these effects; of those that the car has."""
+        each = [one.name for one in effects_by_name(self.names) for _ in one.parameters]
+        return np.flatnonzero([name in effects for name in each])
+
+    @property
+    def parameter_names(self) -> list[str]:
+        """Return the names `effect.parameter` of `theta`."""
+        return [f"{one.name}.{p.name}" for one in effects_by_name(self.names) for p in one.parameters]
+
+    @property
+    def limits(self) -> Float[Array, "2 K"]:
+        """Return the smallest and largest `theta`."""
+        each = [p for one in effects_by_name(self.names) for p in one.parameters]
+        return jnp.array([[p.lower for p in each], [p.upper for p in each]])
+
     def scaled(self, share: Array) -> "Extended":
         """Return the nominal car at 0, this car at 1, and linear parameters between."""
         return self.with_parameters(share * self.theta)
@@ -101,20 +118,23 @@ def beyond_peak(car: AnyCar, x: State, u: Control) -> Array:
     return jnp.maximum(jnp.abs(alpha_f) - car.peaks[0], 0.0)
 
 
-def build_car(vehicle: VehicleConfig) -> AnyCar:
+def build_car(vehicle: VehicleConfig, free: tuple[str, ...] = ()) -> AnyCar:
     """Build the car that `vehicle` describes: the nominal one with its named effects that act in steady state.
+
+    The effects `free` are added where not named, at their neutral value.
 
     `car(x, u)` returns the rates of a `State` x under a `Control` u, SI per second, differentiable by both and by the
     car's own parameters. Effects of sensors, delays and the road are left out (see `unmodelled_effects`).
     """
     require_float64()
     values = {(one.effect, one.parameter): one.value for one in vehicle.effects}
-    names = tuple(name for name in EFFECTS if name in _named(vehicle) and not exclusion_reason(EFFECTS[name]))
+    wanted = _named(vehicle) | set(free)
+    names = tuple(name for name in EFFECTS if name in wanted and not exclusion_reason(EFFECTS[name]))
     if not names:
         return vehicle.build()
     each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
     scale = jnp.asarray([p.scale(vehicle) for _, p in each])
-    theta = jnp.asarray([values[name, p.name] for name, p in each]) / scale
+    theta = jnp.asarray([values.get((name, p.name), 0.0) for name, p in each]) / scale
     return Extended(vehicle.build(), names, scale, theta)
 
 
@@ -136,6 +156,13 @@ def exclusion_reason(effect: Effect) -> str:
     if remembers or effect.transient:
         return "it acts by what went before, which no function of the present state can say"
     return ""
+
+
+def require_steady(names: tuple[str, ...]) -> None:
+    """Raise `BadInput` where one of the effects is unknown or not part of the car in steady state."""
+    known = [name for name, effect in EFFECTS.items() if not exclusion_reason(effect)]
+    for name in names:
+        require(name in known, f"key 'effects' names '{name}'; choose among {', '.join(known)}.")
 
 
 def unmodelled_effects(vehicle: VehicleConfig) -> list[str]:

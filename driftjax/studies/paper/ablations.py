@@ -7,16 +7,19 @@ def by(acquisition: str) -> dict:
 
 
 PLANNED, UNCORRECTED = {"speeds": "planned"}, {"correction": False}
-NO_GP = {"layers": "none"}
+ZERO_MEAN = {"gp": {"effects": ()}}  # the paper's GP
+NO_GP = ZERO_MEAN | {"layers": "none"}
 BARE = NO_GP | {"measured_arrival": False, "explore": {"num_sets": 0}}  # not explored
 ABLATIONS: dict[str, tuple[str, dict]] = {  # name: (words, change)
     "as_it_is": ("as in the main comparison, all laps driven", {}),
     "extended": ("the nominal car extended by `diagnose`", {}),
-    "nominal": ("nothing learnt, as many laps", BARE | {"gp": {"lags": False}}),
+    "nominal": ("nothing learnt, as many laps", BARE | {"gp": {"effects": (), "lags": False}}),
     "lags": ("no GP, planned arrival: learnt lags only", BARE),
     "arrival": ("no GP: learnt lags and measured arrival; explored at the planned speed", NO_GP | {"explore": PLANNED}),
-    "gp_reference": ("GP in the reference only", {"layers": "reference"}),
-    "gp_mpc": ("GP in the MPC only", {"layers": "mpc"}),
+    "gp_reference": ("GP of zero mean in the reference only", ZERO_MEAN | {"layers": "reference"}),
+    "gp_mpc": ("GP of zero mean in the MPC only", ZERO_MEAN | {"layers": "mpc"}),
+    "zero_mean": ("GP of zero mean in both, as in the paper", ZERO_MEAN),
+    "parameters": ("fitted tyre and drive parameters, no GP", {"layers": "none"}),
     "step": ("the paper's step to the equilibrium as reference", {"reference": "step"}),
     "no_lags": ("no lags: bare commands in the GP's inputs", {"gp": {"lags": False}}),
     "unbounded": ("the GP's bare mean, however far from data", {"gp": {"bounded": False}}),

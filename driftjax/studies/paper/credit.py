@@ -13,7 +13,9 @@ VARIANTS = {  # name: (words, ablation, stage whose laps are judged)
     "arrival": ("+ measured arrival", "arrival", GPR),
     "gp_reference": ("+ GP in the reference", "gp_reference", GPR),
     "gp_mpc": ("+ GP in the MPC instead: single layer, as many laps", "gp_mpc", GPR),
-    "both": ("+ GP in both: double layer", "as_it_is", GPR),
+    "both": ("+ GP in both: double layer", "zero_mean", GPR),
+    "parameters": ("+ tyre and drive parameters instead of a GP", "parameters", GPR),
+    "tuned": ("+ parameters, and the GP of what they leave, in both", "as_it_is", GPR),
     "laps": ("+ more laps: planned speed, path not corrected", "planned_uncorrected", EXPLORED),
     "sets": ("+ as many laps: V-sets, path not corrected", "sets_uncorrected", EXPLORED),
     "correction": ("+ as many laps: planned speed, path corrected", "planned", EXPLORED),
@@ -35,7 +37,10 @@ CONTRASTS = {
     "arrival": ArmContrast("measured arrival", "lags", "arrival"),
     "gp_reference": ArmContrast("GP in the reference", "arrival", "gp_reference"),
     "gp_mpc_after": ArmContrast("GP in the MPC, beside the reference", "gp_reference", "both"),
-    "laps": ArmContrast("more laps of data alone", "both", "laps"),
+    "parameters": ArmContrast("tyre and drive parameters", "arrival", "parameters"),
+    "gp_after": ArmContrast("GP, beside the parameters", "parameters", "tuned"),
+    "parameters_after": ArmContrast("parameters, beside the GP", "both", "tuned"),
+    "laps": ArmContrast("more laps of data alone", "tuned", "laps"),
     "correction": ArmContrast("correction of the path", "laps", "correction"),
     "sets_after": ArmContrast("V-sets, beside the correction", "correction", "all"),
     "gp_mpc": ArmContrast("GP in the MPC alone", "arrival", "gp_mpc"),
@@ -43,12 +48,13 @@ CONTRASTS = {
     "sets": ArmContrast("V-sets alone", "laps", "sets"),
     "correction_after": ArmContrast("correction of the path, beside V-sets", "sets", "all"),
     "correction_only": ArmContrast("correction of the path, without GP", "arrival", "correction_only"),
-    "gpr_gross": ArmContrast("all of the GPR laps: lags, arrival and GP", "nominal", "both"),
-    "gpr": ArmContrast("**by GPR**, net of lags and arrival", "arrival", "both"),
-    "exploration_gross": ArmContrast("all of the exploration laps: data, correction and V-sets", "both", "all"),
+    "gpr_gross": ArmContrast("lags, arrival and GP of zero mean", "nominal", "both"),
+    "gpr": ArmContrast("**by GPR** of zero mean, net of lags and arrival", "arrival", "both"),
+    "tuned_gross": ArmContrast("all of the GPR laps: lags, arrival, parameters and GP", "nominal", "tuned"),
+    "exploration_gross": ArmContrast("all of the exploration laps: data, correction and V-sets", "tuned", "all"),
     "exploration": ArmContrast("**by exploration**, net of the correction", "correction", "all"),
 }
-WATERFALL = ("lags", "arrival", "gp_reference", "gp_mpc_after", "laps", "correction", "sets_after")
+WATERFALL = ("lags", "arrival", "parameters", "gp_after", "laps", "correction", "sets_after")
 SQUARE = {("planned", "off"): "laps", ("planned", "on"): "correction", ("sets", "off"): "sets", ("sets", "on"): "all"}
 
 
