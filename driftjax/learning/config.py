@@ -195,6 +195,11 @@ class LearnConfig:
         return self.car if self.population == "near" else f"{self.car}_{self.population}"
 
     @property
+    def nothing_learnt(self) -> "LearnConfig":
+        """Return these options for laps that nothing is learnt from: no parameter of the car is free."""
+        return replace(self, gp=replace(self.gp, effects=()))
+
+    @property
     def batch_size(self) -> int:
         """Return the number of laps driven side by side."""
         return (len(self.plant) or self.plants) * self.noise_seeds * len(self.controllers)

@@ -40,7 +40,7 @@ def load_case(plant: Path, vehicle: VehicleConfig) -> ClosedLoopCase:
     if vehicle.name not in CARS:
         raise BadInput(f"--closed-loop: the corner of a car called '{vehicle.name}' is not known; its vehicle YAML "
                        f"needs 'name' {', '.join(CARS[:-1])} or {CARS[-1]}.")  # fmt: skip
-    config = load_learn_config(vehicle.name)
+    config = load_learn_config(vehicle.name).nothing_learnt
     config = dataclasses.replace(config, plants=1, noise_seeds=SEEDS, controllers=("path",), plant=())
     lap, step = float(load_track(config.track).length), config.mpc.dt / config.lap.substeps
     if plant.is_file() and read_yaml(plant).keys() & {"vehicle", "campaign"}:  # which no plant or vehicle YAML holds

@@ -46,7 +46,7 @@ ROUTE = ("vehicle", "combined_slip", "track", "plan", "drift_beta")
 def learn_rows(config: VerbOptions, executor: BatchExecutor, folder: Path) -> Iterator[list[TrialRow]]:
     """Yield the laps of every stage."""
     options = from_dict(LearnConfig, config, "a trial")
-    made_from = json.dumps([config[name] for name in ROUTE])
+    made_from = json.dumps([config["gp"]["effects"], *(config[name] for name in ROUTE)])
     if made_from not in _routes:
         _routes[made_from] = route_of(options)
     scenario = build_scenario(options, executor, _routes[made_from])

@@ -54,7 +54,7 @@ def search_and_judge(
     """Search, evaluate, write `results.json`; return it. Deterministic except for the seconds."""
     report("plan", 0, 4)
     num = config.training + config.held_out
-    learn = dataclasses.replace(config.learn, plants=num, controllers=("path",), noise_seeds=1)
+    learn = dataclasses.replace(config.learn.nothing_learnt, plants=num, controllers=("path",), noise_seeds=1)
     with process_executor(num_workers, fused=True) as executor:
         evaluator = LapEvaluator(config, build_scenario(learn, executor))
         searches = run_searches(evaluator, report)
