@@ -88,7 +88,11 @@ def test_what_was_learnt_is_in_the_laps(finished):
     lap = folder.read_stage("gpr-1")
     assert np.all(lap["reference_found"].values) and np.all(lap["reference_error"].values < 1e-2)
     assert np.all(lap["lags"].values > 0) and np.all(lap["lags"].values <= 0.2)
-    assert np.all((lap["gate"].values >= 0) & (lap["gate"].values <= 1)) and np.any(lap["gate"].values > 0.5)
+    later = folder.read_stage("explore-1")["gate"].values
+    assert np.all(lap["gate"].values == 0), "one lap of data: the fitted parameters alone"
+    assert np.all((later >= 0) & (later <= 1)) and np.any(later > 0.5)
+    tuned = lap["tuned"].sel(car_parameter=["friction_front.p", "friction_rear.p"]).values
+    assert np.all(tuned != 0) and np.all(np.abs(tuned) < 0.15)
     assert np.all(np.isnan(folder.read_stage("nominal")["gp_std"].values))
     unsure = [_median_deviation(folder.read_stage(name)) for name in ("gpr-1", "explore-1")]
     assert np.all(unsure[0] > unsure[1]) and np.all(unsure[1] > 0), "more laps of data make it surer"

@@ -27,7 +27,7 @@ from driftjax.store import RunFolder
 from driftjax.store.variables import dataset
 from driftjax.vehicle import Residual
 
-SEDAN = load_learn_config("sedan")
+SEDAN = load_learn_config("sedan").nothing_learnt  # the car without free parameters compiles sooner
 SHORT = dataclasses.replace(SEDAN, plants=2, lap=dataclasses.replace(SEDAN.lap, time_limit=1.0))
 
 
@@ -69,7 +69,7 @@ def test_plants_are_numbered_on_and_keep_their_noise(scenario):
 @pytest.fixture(scope="module")
 def pursued(scenario):
     """A lap of pure pursuit, and what is known before it."""
-    residual = scenario.over_batch(empty(SHORT.gp).residual)
+    residual = scenario.over_batch(empty(SHORT.gp, nominal=scenario.nominal).residual)
     table = scenario.over_batch(scenario.table)
     return run_stage(scenario, build_drivers(scenario, "pursuit", table, residual), 0).laps.trace, residual
 
