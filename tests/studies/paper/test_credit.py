@@ -11,7 +11,8 @@ from driftjax.studies.paper.statistics import summarise_figures
 from driftjax.studies.paper.table import paper_page
 
 ERRORS = {"nominal": 0.8, "lags": 0.7, "arrival": 0.6, "gp_reference": 0.5, "gp_mpc": 0.4, "both": 0.3,
-          "parameters": 0.35, "tuned": 0.28, "laps": 0.25, "sets": 0.24, "correction": 0.1, "all": 0.12, "correction_only": 0.55}  # fmt: skip
+          "parameters": 0.35, "tuned": 0.28, "laps": 0.25, "sets": 0.24, "correction": 0.1, "all": 0.12,
+          "correction_only": 0.55}  # fmt: skip
 PLANTS = np.array([0.7, 0.9, 1.1, 1.3])  # the error of each is that many times the mean
 
 
