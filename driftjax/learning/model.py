@@ -76,11 +76,7 @@ def update_model(
     mask = jnp.concatenate([model_state.mask, mask])
     begun = jnp.max(jnp.where(model_state.mask, model_state.order, 0.0)) + 2 * GAP
     order = jnp.concatenate([model_state.order, begun + jnp.arange(len(mask) - len(model_state.mask))])
-    tuning, left, used = model_state.residual.tuning, Y, jnp.asarray(True)
-    if config.effects and car is not None and isinstance(car[0], Extended):
-        tuning = tune_parameters(car[0], config.effects, Z, Y, mask, car[1])
-        left = left_over(car[0], tuning, Z, Y, mask, car[1])
-        used = jnp.any(model_state.mask)
+    tuning, left, used = _fit_car(model_state, Z, Y, mask, config, car)
     # extra columns that the selection of rows ignores
     columns = jnp.column_stack([left, Y, order])
     inputs, columns, valid = select_dictionary(Z, columns, mask, config.size, kernel=config.kernel)
@@ -97,6 +93,16 @@ def update_model(
     trust_factor = jnp.where(enough & used & jnp.isfinite(trust_factor), trust_factor, 0.0)
     residual = Residual(fitted.gp, trust_factor, lags, config.bounded, tuning)
     return ModelState(inputs, columns[:, 3:6], valid, columns[:, -1], residual)
+
+
+def _fit_car(
+    model_state: ModelState, Z: Array, Y: Array, mask: Array, config: GPConfig, car: tuple[AnyCar, Array] | None
+) -> tuple[Array, Array, Array]:
+    """Return the parameters to add, the residual rates that they leave, and whether the GP of these is used."""
+    if not config.effects or car is None or not isinstance(car[0], Extended):
+        return model_state.residual.tuning, Y, jnp.asarray(True)
+    tuning = tune_parameters(car[0], config.effects, Z, Y, mask, car[1])
+    return tuning, left_over(car[0], tuning, Z, Y, mask, car[1]), jnp.any(model_state.mask)
 
 
 def trust_factors(
