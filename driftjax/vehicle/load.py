@@ -163,5 +163,5 @@ def _covariance(
             if abs(value) > (1 + SYMMETRIC) * size or abs(value - matrix[j][i]) > SYMMETRIC * size:
                 raise BadInput(f"{where}: 'matrix' is no covariance in row {i + 1}, column {j + 1}.")
     full = np.zeros((len(estimates), len(estimates)))
-    full[np.ix_(in_file, in_file)] = matrix
+    full[np.ix_(in_file, in_file)] = np.asarray(matrix)
     return tuple(map(tuple, full.tolist()))
