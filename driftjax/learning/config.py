@@ -156,8 +156,8 @@ class LearnConfig:
     reference: Literal["entry", "step"] = "entry"
     """Reference along s: planned with its entry on the corrected car, or the paper's step to the equilibrium."""
     layers: Literal["both", "reference", "mpc", "none"] = "both"
-    """Where the mean of the GP is used: in the reference and in the MPC, in one of them, or nowhere. The learnt lags
-    and the measured arrival are used in any case."""
+    """Where the mean of the GP is used: in the reference and in the MPC, in one of them, or nowhere. Learnt lags,
+    fitted parameters and the measured arrival are used in any case."""
     measured_arrival: bool = True
     """Plan the corner from the mean state measured where the drift controller takes over; else from the planned one."""
     excitation: tuple[float, float] = (0.0, 0.0)

@@ -44,7 +44,10 @@ def empty(config: GPConfig, lags: Array | None = None, nominal: AnyCar | None = 
     """
     M = config.size
     gp = zero_gp(M, 5, 3, config.kernel)
-    num_parameters = len(nominal.scale) if config.effects and isinstance(nominal, Extended) else 0
+    num_parameters = 0
+    if config.effects:
+        assert isinstance(nominal, Extended), "free effects need a car that has them"
+        num_parameters = len(nominal.scale)
     residual = no_residual(gp, lags, config.bounded, num_parameters)
     return ModelState(jnp.zeros((M, 5)), jnp.zeros((M, 3)), jnp.zeros(M, bool), jnp.zeros(M), residual)
 
@@ -99,10 +102,12 @@ def _fit_car(
     model_state: ModelState, Z: Array, Y: Array, mask: Array, config: GPConfig, car: tuple[AnyCar, Array] | None
 ) -> tuple[Array, Array, Array]:
     """Return the parameters to add, the residual rates that they leave, and whether the GP of these is used."""
-    if not config.effects or car is None or not isinstance(car[0], Extended):
+    if not config.effects:
         return model_state.residual.tuning, Y, jnp.asarray(True)
-    tuning = tune_parameters(car[0], config.effects, Z, Y, mask, car[1])
-    return tuning, left_over(car[0], tuning, Z, Y, mask, car[1]), jnp.any(model_state.mask)
+    nominal, dt = car or (None, None)
+    assert isinstance(nominal, Extended) and dt is not None, "free effects need a car that has them"
+    tuning = tune_parameters(nominal, config.effects, Z, Y, mask, dt)
+    return tuning, left_over(nominal, tuning, Z, Y, mask, dt), jnp.any(model_state.mask)
 
 
 def trust_factors(

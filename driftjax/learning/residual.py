@@ -129,8 +129,9 @@ def known_effect_basis(
 
     Parameters of the effects `free`, which are fitted themselves, are left out.
     """
-    if isinstance(car, SingleTrack) or not len(fixed := np.setdiff1d(np.arange(len(car.scale)), car.columns(free))):
+    if isinstance(car, SingleTrack) or not set(car.names) - set(free):
         return None
+    fixed = car.columns(tuple(set(car.names) - set(free)))
     return jax.vmap(lambda z: slopes_by_parameters(car, z)[:, fixed])
 
 

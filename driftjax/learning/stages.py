@@ -97,12 +97,12 @@ def _initial_residual(scenario: Scenario) -> Residual:
 
 
 def _layers(scenario: Scenario, residual: Residual) -> tuple[Residual, Residual]:
-    """Return the residuals that the reference and the MPC use: without the mean of the GP, the lags remain."""
+    """Return the residuals that the reference and the MPC use: without the GP, lags and parameters remain."""
     layers = scenario.config.layers
-    lags_only = eqx.tree_at(lambda d: d.trust_factor, residual, jnp.zeros_like(residual.trust_factor))
+    without_gp = eqx.tree_at(lambda d: d.trust_factor, residual, jnp.zeros_like(residual.trust_factor))
     return (
-        residual if layers in ("both", "reference") else lags_only,
-        residual if layers in ("both", "mpc") else lags_only,
+        residual if layers in ("both", "reference") else without_gp,
+        residual if layers in ("both", "mpc") else without_gp,
     )
 
 

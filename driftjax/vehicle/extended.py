@@ -7,11 +7,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from driftjax.core import Control, State, require
+from driftjax.core import BadInput, Control, State
 from driftjax.environment import require_float64
 from driftjax.tyre import SimplifiedPacejka
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
-from driftjax.vehicle.effect.base import Effect
+from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Aux, Flow, Place, rates
 from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import SingleTrack
@@ -69,19 +69,17 @@ class Extended(eqx.Module):
 
     def columns(self, effects: tuple[str, ...]) -> np.ndarray:
         """Return the indices in `theta` of the parameters of these effects; of those that the car has."""
-        each = [one.name for one in effects_by_name(self.names) for _ in one.parameters]
-        return np.flatnonzero([name in effects for name in each])
+        return np.flatnonzero([effect.name in effects for effect, _ in _parameters(self.names)])
 
     @property
     def parameter_names(self) -> list[str]:
         """Return the names `effect.parameter` of `theta`."""
-        return [f"{one.name}.{p.name}" for one in effects_by_name(self.names) for p in one.parameters]
+        return [f"{effect.name}.{p.name}" for effect, p in _parameters(self.names)]
 
     @property
     def limits(self) -> Float[Array, "2 K"]:
         """Return the smallest and largest `theta`."""
-        each = [p for one in effects_by_name(self.names) for p in one.parameters]
-        return jnp.array([[p.lower for p in each], [p.upper for p in each]])
+        return jnp.array([(p.lower, p.upper) for _, p in _parameters(self.names)]).T
 
     def scaled(self, share: Array) -> "Extended":
         """Return the nominal car at 0, this car at 1, and linear parameters between."""
@@ -132,9 +130,9 @@ def build_car(vehicle: VehicleConfig, free: tuple[str, ...] = ()) -> AnyCar:
     names = tuple(name for name in EFFECTS if name in wanted and not exclusion_reason(EFFECTS[name]))
     if not names:
         return vehicle.build()
-    each = [(effect.name, p) for effect in effects_by_name(names) for p in effect.parameters]
+    each = _parameters(names)
     scale = jnp.asarray([p.scale(vehicle) for _, p in each])
-    theta = jnp.asarray([values.get((name, p.name), 0.0) for name, p in each]) / scale
+    theta = jnp.asarray([values.get((effect.name, p.name), 0.0) for effect, p in each]) / scale
     return Extended(vehicle.build(), names, scale, theta)
 
 
@@ -160,9 +158,10 @@ def exclusion_reason(effect: Effect) -> str:
 
 def require_steady(names: tuple[str, ...]) -> None:
     """Raise `BadInput` where one of the effects is unknown or not part of the car in steady state."""
-    known = [name for name, effect in EFFECTS.items() if not exclusion_reason(effect)]
     for name in names:
-        require(name in known, f"key 'effects' names '{name}'; choose among {', '.join(known)}.")
+        if name not in EFFECTS or exclusion_reason(EFFECTS[name]):
+            known = ", ".join(one for one, effect in EFFECTS.items() if not exclusion_reason(effect))
+            raise BadInput(f"key 'effects' names '{name}'; choose among {known}.")
 
 
 def unmodelled_effects(vehicle: VehicleConfig) -> list[str]:
@@ -171,6 +170,10 @@ def unmodelled_effects(vehicle: VehicleConfig) -> list[str]:
     return [
         f"{effect.name} is not in the car: {exclusion_reason(effect)}." for effect in named if exclusion_reason(effect)
     ]
+
+
+def _parameters(names: tuple[str, ...]) -> list[tuple[Effect, Parameter]]:
+    return [(effect, p) for effect in effects_by_name(names) for p in effect.parameters]
 
 
 def _named(vehicle: VehicleConfig) -> set[str]:

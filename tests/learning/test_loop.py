@@ -139,7 +139,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_with_any_workers(num_workers, fin
 def test_a_batch_equals_its_single_laps(batch):
     """Whole laps: pursuit, switch, drift MPC."""
     scenario = build_scenario(dataclasses.replace(CONFIG, plants=batch), BatchExecutor(1))
-    initial = scenario.over_batch(empty(CONFIG.gp).residual)
+    initial = scenario.over_batch(empty(CONFIG.gp, nominal=scenario.nominal).residual)
     everyone = build_drivers(scenario, "mpc", scenario.over_batch(scenario.table), initial)
     drive = lambda executor: run_stage(dataclasses.replace(scenario, executor=executor), everyone, 0).laps.trace
     batch, singles = drive(BatchExecutor(None)), drive(BatchExecutor(1))
