@@ -49,8 +49,8 @@ def tune_parameters(
 
     The maximum a posteriori of the residual rates `Y` at inputs `Z`, with their variance per output unknown and a
     normal prior around the present parameters, within the limits of the catalogue. Slopes are those at the start of a
-    step, far less work than exact ones through it: near the optimum they need not lead to a lower value, so that a search that
-    compares values (`minimise_batch`) would stop beside it.
+    step, far less work than exact ones through it: near the optimum they need not lead to a lower value, so that a
+    search that compares values (`minimise_batch`) would stop beside it.
     """
     free = nominal.columns(effects)
     low, high = (limit[free] for limit in nominal.limits - nominal.theta)
