@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State, as_float
-from driftjax.core.elementary import arctan2, cos, sincos
+from driftjax.core.elementary import arctan2, sincos
 from driftjax.tyre import SimplifiedPacejka
 
 G = 9.81  # gravitational acceleration [m/s^2]
@@ -69,11 +69,12 @@ class SingleTrack(eqx.Module):
 
     def rates(self, x: State, u: Control, Fyf: Array, Fyr: Array) -> State:
         """Return the time derivative of `x` under these lateral axle forces in the wheel frames [N]."""
-        V = jnp.maximum(x.V, V_FLOOR)
-        sin_beta, cos_beta = sincos(x.beta)
-        sin_front, cos_front = sincos(u.delta - x.beta)
-        return State(
-            V=(-Fyf * sin_front + Fyr * sin_beta + u.Fxr * cos_beta) / self.m,
-            beta=(Fyf * cos_front + Fyr * cos_beta - u.Fxr * sin_beta) / (self.m * V) - x.r,
-            r=(self.a * Fyf * cos(u.delta) - self.b * Fyr) / self.Iz,
-        )
+        sin, cos = sincos(u.delta)
+        Yf = Fyf * cos
+        return self.accelerate(x, u.Fxr - Fyf * sin, Yf + Fyr, self.a * Yf - self.b * Fyr)
+
+    def accelerate(self, x: State, X: Array, Y: Array, N: Array) -> State:
+        """Return the time derivative of `x` under forces forward and to the left [N] and a yaw moment [N m]."""
+        sin, cos = sincos(x.beta)
+        along, across = X * cos + Y * sin, Y * cos - X * sin
+        return State(along / self.m, across / (self.m * jnp.maximum(x.V, V_FLOOR)) - x.r, N / self.Iz)

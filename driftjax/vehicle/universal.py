@@ -63,12 +63,12 @@ class Universal(eqx.Module):
         return Universal(self.base, self.effects, self.scale, theta, self.substeps, self.by_acceleration)
 
     def _through(self, station: Station, record, *context):
-        """Apply all effects of a station; a barrier keeps XLA from recomputing it in every derivative it fuses."""
+        """Apply all effects of a station; a barrier keeps XLA from recomputing them in every derivative it fuses."""
         values = self.values(station)
         for effect in self.effects:
             if effect.station == station:
                 record = effect.apply(record, *context, values[effect.name])
-        return jax.lax.optimization_barrier(record)
+        return jax.lax.optimization_barrier(record) if values else record
 
     def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         """Return all intermediate quantities, from slip to forces."""
@@ -90,7 +90,9 @@ class Universal(eqx.Module):
 
     def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
-        flow = self._through("load", add_accelerations(flow))
+        if any(effect.reads_acceleration for effect in self.effects):
+            flow = add_accelerations(flow)
+        flow = self._through("load", flow)
         flow = axle_forces(self._through("friction", flow))
         return self._through("force", flow)
 

@@ -175,6 +175,17 @@ def test_neutral_is_the_nominal_car_to_the_last_bit(name, combined_slip):
     np.testing.assert_array_equal(acted(model, commands), commands)
 
 
+@pytest.mark.parametrize("effect", [name for name, effect in EFFECTS.items() if effect.station != "command"])
+def test_an_effect_alone_acts_as_in_the_whole_catalogue(effect, name="sedan"):
+    """Body accelerations are computed only where an effect reads them: none that does may have been forgotten."""
+    (x, u, place, _), behind = batch(name), Aux(jnp.full((2, NUM), 0.01), jnp.zeros(NUM))
+    whole, alone = all_effects(name, 1.0), universal_car(vehicle_of(name, 1.0), (EFFECTS[effect],))
+    theta = jnp.zeros_like(whole.theta).at[rows(effect)].set(0.5)
+    alone = alone.with_parameters(theta[rows(effect)])
+    expected = whole.with_parameters(theta).rates(x, u, place, behind)
+    np.testing.assert_allclose(alone.rates(x, u, place, behind), expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_derivatives_at_neutral_are_alive_and_match_forward_differences(effect, name):

@@ -101,6 +101,8 @@ class Effect:
     """Log columns that it needs: `psi` or `s`."""
     transient: bool = False
     """Whether it depends on the past beyond state and command memory; steady-state rates are nominal."""
+    reads_acceleration: bool = False
+    """Whether it depends on `Flow.ax`, `ay` or the roll, which are computed, at some cost, only where one does."""
     start: Callable[[float], Any] = no_memory
     """Memory of a command effect at rest."""
     sensor_delay: bool = False

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State
+from driftjax.core.elementary import sincos
 from driftjax.tyre import CurvedPacejka, SimplifiedPacejka
 from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_share
 
@@ -126,6 +127,12 @@ def axle_forces(flow: Flow) -> Flow:
     return flow._replace(Fyf=front * left(flow.Fxf, flow.muf, flow.Fzf), Fyr=rear * left(flow.Fxr, flow.mur, flow.Fzr))
 
 
+def front_forces(flow: Flow) -> tuple[Array, Array]:
+    """Return the force of the front axle, forward and to the left of the body [N]."""
+    sin, cos = sincos(flow.u.delta)
+    return flow.Fxf * cos - flow.Fyf * sin, flow.Fyf * cos + flow.Fxf * sin
+
+
 def move_to_front(flow: Flow, force: Array) -> Flow:
     """Return `flow` with this longitudinal force [N] on the front instead of the rear axle."""
     return flow._replace(Fxf=flow.Fxf + force, Fxr=flow.Fxr - force)
@@ -149,10 +156,9 @@ def initial_flow(car: CarParameters, x: State, u: Control, place: Place, aux: Au
 
 def add_accelerations(flow: Flow) -> Flow:
     """Return `flow` with the body accelerations from the tyre forces at present loads, for the load transfer."""
-    flow, sin, cos = axle_forces(flow), jnp.sin(flow.u.delta), jnp.cos(flow.u.delta)
-    ax = (flow.Fxr + flow.Fxf * cos - flow.Fyf * sin) / flow.car.m
-    ay = (flow.Fyf * cos + flow.Fxf * sin + flow.Fyr) / flow.car.m
-    return roll_grip(flow._replace(ax=ax, ay=ay))
+    flow = axle_forces(flow)
+    Xf, Yf = front_forces(flow)
+    return roll_grip(flow._replace(ax=(flow.Fxr + Xf) / flow.car.m, ay=(Yf + flow.Fyr) / flow.car.m))
 
 
 def roll_grip(flow: Flow) -> Flow:
@@ -168,11 +174,6 @@ def roll_grip(flow: Flow) -> Flow:
 
 def rates(flow: Flow) -> State:
     """Return the time derivative of the state under all forces of `flow` (Newton's law)."""
-    car, x, delta = flow.car, flow.x, flow.u.delta
-    dx = car.nominal.rates(x, Control(delta, flow.Fxr), flow.Fyf, flow.Fyr)
-    X = flow.X + flow.Fxf * jnp.cos(delta)
-    Y = flow.Y + flow.Fxf * jnp.sin(delta)
-    N = flow.N + car.a * flow.Fxf * jnp.sin(delta)
-    sin, cos, V = jnp.sin(x.beta), jnp.cos(x.beta), jnp.maximum(x.V, V_FLOOR)
-    along, across = (X * cos + Y * sin) / car.m, (Y * cos - X * sin) / (car.m * V)
-    return State(dx.V + along, dx.beta + across, dx.r + N / car.Iz)
+    car, (Xf, Yf) = flow.car, front_forces(flow)
+    N = car.a * Yf - car.b * flow.Fyr
+    return car.nominal.accelerate(flow.x, flow.Fxr + Xf + flow.X, Yf + flow.Fyr + flow.Y, N + flow.N)

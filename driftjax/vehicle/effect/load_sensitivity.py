@@ -32,4 +32,5 @@ EFFECT = Effect(
     apply=apply,
     source="Pacejka 2012, Sec. 4.3 (p_Dy2)",
     sentence="the tyres lose friction as their load grows",
+    reads_acceleration=True,
 )

@@ -34,4 +34,5 @@ EFFECT = Effect(
     apply=apply,
     source="Milliken and Milliken 1995, Ch. 18",
     sentence="in hard turns the load moves to the outer wheels, which costs the axles grip and turns the car",
+    reads_acceleration=True,
 )

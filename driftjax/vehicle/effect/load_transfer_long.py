@@ -18,4 +18,5 @@ EFFECT = Effect(
     apply=apply,
     source="Milliken and Milliken 1995, Ch. 18",
     sentence="accelerating moves load to the rear axle and braking to the front",
+    reads_acceleration=True,
 )

@@ -22,4 +22,5 @@ EFFECT = Effect(
     apply=apply,
     source="Gillespie 1992, Ch. 6",
     sentence="the front wheels steer by themselves as the body rolls",
+    reads_acceleration=True,
 )
