@@ -15,6 +15,7 @@ from driftjax.diagnosis.calibrate import (
     effects_to_fit,
 )
 from driftjax.diagnosis.held_out import check_held_out
+from driftjax.diagnosis.runs import resolved_log
 from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder
@@ -65,7 +66,7 @@ def run(argv: list[str]) -> int:
     """Read, fit and print."""
     flags = parse(CalibrateOptions, argv, "driftjax calibrate")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
-    log = read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut)
+    log = resolved_log(vehicle, read_log(flags.logs, flags.columns, runs=flags.runs, cut=flags.cut))
     effects = effects_to_fit(flags.effects, flags.staged)
     options = calibrate_settings(vehicle, log, effects, flags.staged, flags.held_out)
     folder = RunFolder.create(flags.out or default_out("calibrate", vehicle.name), options, "calibrate")

@@ -89,13 +89,18 @@ def test_a_diagnosis_of_the_extended_car_finds_nothing_more(hidden_lag, monkeypa
 
 
 def test_two_seconds_of_data_say_nothing(capsys):
-    t = np.arange(200) * 0.01
+    t = np.arange(400) * 0.005
     wave = 0.1 * np.sin(5 * t)
-    write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.01)])
+    write_log(Path("short.csv"), [Run("a", t, 10 + wave, wave, wave, wave, 100 * wave, 0.005)])
     assert main(["diagnose", "short.csv", "--out", "short"]) == 0
     content = json.loads(Path("short/diagnosis.json").read_text())
     assert content["verdict"] == "DATA_INSUFFICIENT" and content["causes"] == []
-    assert "2.0 s" in content["sentence"] and "2.0 s" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2.0 s" in content["sentence"] and "2.0 s" in printed
+    assert (
+        "note: All runs were thinned from 200 to 100 Hz" in printed
+        and "from 200 to 100 Hz" in content["data"]["notes"][0]
+    )
     assert "2.0 s" in Path("short/report.html").read_text()
 
 
