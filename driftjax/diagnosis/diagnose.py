@@ -22,7 +22,7 @@ from driftjax.diagnosis.held_out import (
     retuned_effects,
 )
 from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable
-from driftjax.diagnosis.naming import name_effects
+from driftjax.diagnosis.naming import leave_out_unconfirmed, name_effects
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.runs import resolved_log
@@ -64,6 +64,7 @@ class Evidence:
     answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
     retuned: Fit | None  # the re-tuned car on all runs, where that is the answer
     unidentifiable: Unidentifiable  # what the log leaves unidentifiable, since channels are missing
+    unconfirmed: tuple[str, ...]  # effects named from all runs, left out again: neither size nor other runs show them
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ def diagnose(
         report("gain")
         gain = measured.result()
         compiled.result()  # raises what went wrong there
-    return _conclude(vehicle, log, config, duration, named, gain)
+    return _conclude(vehicle, log, config, duration, _without_unconfirmed(named, gain, config), gain)
 
 
 class _Named(NamedTuple):
@@ -215,6 +216,7 @@ class _Named(NamedTuple):
     selection: Selection
     causes: list[Cause]
     unexplained: Unexplained
+    unconfirmed: tuple[str, ...] = ()
 
 
 def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str], None]) -> _Named:
@@ -222,8 +224,24 @@ def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str
     problem = with_estimated_noise(initial, initial.start, initial.active)
     report("naming")
     problem, selection = name_effects(problem, config.seed, config.most, report)
+    return _with_evidence(problem, selection, config)
+
+
+def _with_evidence(
+    problem: Problem, selection: Selection, config: DiagnoseConfig, unconfirmed: tuple[str, ...] = ()
+) -> _Named:
     causes = find_causes(problem, selection)
-    return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed))
+    return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed), unconfirmed)
+
+
+def _without_unconfirmed(named: _Named, gain: PredictionGain | None, config: DiagnoseConfig) -> _Named:
+    """Leave out effects that neither predictions nor the runs without those held out confirm."""
+    problem, selection = named.problem, named.selection
+    if gain is None or "extended" not in gain.skills:
+        return named
+    share = gain.skills["extended"].value
+    selection, unconfirmed = leave_out_unconfirmed(problem, selection, share, gain.named, config.seed)
+    return _with_evidence(problem, selection, config, unconfirmed) if unconfirmed else named
 
 
 def _conclude(
@@ -235,11 +253,13 @@ def _conclude(
     gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
-    problem, selection, causes, remaining = named
+    problem, selection, causes, remaining, unconfirmed = named
     comparison = gain.comparison if gain else compare_on_all_runs(problem, selection, config.seed)
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
     explained = explained_by(shares, float(horizon_steps(problem)[DECISIVE] * problem.data.dt), gain is not None)
-    judgement = decide_verdict(problem, selection, causes, remaining, duration, explained, config.unexplained)
+    judgement = decide_verdict(
+        problem, selection, causes, remaining, duration, explained, config.unexplained, unconfirmed
+    )
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
@@ -247,6 +267,7 @@ def _conclude(
     judgement = judgement._replace(sentence=f"{other}{judgement.sentence} {unidentifiable.sentence}".strip())
     proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
-        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable
+        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable,
+        unconfirmed,
     )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

@@ -29,8 +29,7 @@ def name_effects(
         selection = selection._replace(significance=significance(problem, selection, model, shares))
         if (weak := unsupported(selection, shares)) is None:
             return problem, selection
-        rest = tuple(i for i in selection.selected if i != weak)
-        selection = refitted(problem, selection, rest, best_parameters(model, rest), seed)
+        selection = leave_out(problem, selection, model, (weak,), seed)
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
@@ -40,6 +39,31 @@ def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:
     """
     weak = [i for i, one in (selection.significance or {}).items() if not one.supported]
     return min(weak, key=lambda i: shares[i]) if weak and len(shares) > 1 else None
+
+
+def leave_out(
+    problem: Problem, selection: Selection, model: QuadraticCost, effects: tuple[int, ...], seed: int
+) -> Selection:
+    """Return the selection without `effects`, the others refitted; `model` is the quadratic one about its fit."""
+    rest = tuple(i for i in selection.selected if i not in effects)
+    return refitted(problem, selection, rest, best_parameters(model, rest), seed)
+
+
+def leave_out_unconfirmed(
+    problem: Problem, selection: Selection, share: float, found_again: tuple[str, ...], seed: int
+) -> tuple[Selection, tuple[str, ...]]:
+    """Leave out effects that neither predictions nor a part of the runs confirm; return the selection, and their names.
+
+    `share` is that of the excess error which the named effects remove, NaN where it is in doubt that there is any, and
+    `found_again` are the effects named from the part of the runs alone. Where both say nothing, only its p-value speaks
+    for an effect, and by that chance names one in one log of twenty.
+    """
+    names = {i: problem.effects[i].name for i in selection.selected}
+    unconfirmed = tuple(i for i, name in names.items() if name not in found_again)
+    if not (np.isnan(share) and unconfirmed):
+        return selection, ()
+    model = quadratic_cost(problem, selection.fit, selection.linearisation)
+    return leave_out(problem, selection, model, unconfirmed, seed), tuple(names[i] for i in unconfirmed)
 
 
 def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Selection:

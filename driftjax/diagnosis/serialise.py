@@ -27,7 +27,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     content = {
         "schema": 1, "verdict": str(diagnosis.verdict), "sentence": diagnosis.sentence,
         "causes": [cause._asdict() for cause in diagnosis.causes],
-        "explained": None, "answer": None,
+        "explained": None, "answer": None, "unconfirmed": [],
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(diagnosis.gain),
         "next_manoeuvre": diagnosis.proposal._asdict() if diagnosis.proposal else None,
         "show": None, "closed_loop": None,
@@ -39,7 +39,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         return content
     noise = evidence.problem.noise
     content["explained"] = evidence.explained._asdict() if evidence.explained else None
-    content["answer"] = evidence.answer
+    content["answer"], content["unconfirmed"] = evidence.answer, list(evidence.unconfirmed)
     content["unexplained"] = unexplained_json(evidence.unexplained)
     content["show"] = None if findings is None else findings_json(findings, noise)
     content["data"] |= {

@@ -73,7 +73,7 @@ def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Ex
 
 def decide_verdict(
     problem: Problem, selection: Selection, named: list[Cause], remaining: Unexplained, duration: float,
-    explained: Explained | None, tolerated: float,
+    explained: Explained | None, tolerated: float, unconfirmed: tuple[str, ...] = (),
 ) -> Judgement:  # fmt: skip
     """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
@@ -81,7 +81,8 @@ def decide_verdict(
     and no run is long enough to measure its size. Where the drive force was estimated, the verdict is UNKNOWN too:
     the errors of such a force are not modelled, and were named as effects (docs/results/hidden-effects.md).
     Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
-    that effects and term explain together; else they may stand for a cause that the catalogue lacks.
+    that effects and term explain together; else they may stand for a cause that the catalogue lacks. `unconfirmed` are
+    the effects that were left out again.
     """
     large = (
         explained.unexplained_exceeds(tolerated)
@@ -91,7 +92,7 @@ def decide_verdict(
     if large and (remaining.significant or remaining.simpler or named):
         return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:
-        return _nothing_named(problem, selection, remaining, duration)
+        return _nothing_named(problem, selection, remaining, duration, unconfirmed)
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
@@ -99,8 +100,7 @@ def decide_verdict(
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
-    if doubt:
-        words.append(doubt)
+    words += [one for one in (doubt, _left_out(unconfirmed)) if one]
     verdict = Verdict.NAMED if all(map(sure, claimed)) and not doubt else Verdict.SET
     if not problem.data.force_known:
         words.append("The drive force was estimated, and its errors may stand for these effects.")
@@ -108,7 +108,9 @@ def decide_verdict(
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
 
-def _nothing_named(problem: Problem, selection: Selection, remaining: Unexplained, duration: float) -> Judgement:
+def _nothing_named(
+    problem: Problem, selection: Selection, remaining: Unexplained, duration: float, unconfirmed: tuple[str, ...]
+) -> Judgement:
     share = detectable_share(problem, selection.scores.H)
     if share < MIN_DETECTABLE_SHARE:
         text = f"These {duration:.0f} s hardly excite the car: only {100 * share:.0f} % of the effects would show."
@@ -116,7 +118,15 @@ def _nothing_named(problem: Problem, selection: Selection, remaining: Unexplaine
     text = f"Nothing is missing that {duration:.0f} s of these data could show"
     if remaining.significant:
         text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
-    return Judgement(Verdict.NOTHING, text + ".")
+    return Judgement(Verdict.NOTHING, f"{text}. {_left_out(unconfirmed)}".strip())
+
+
+def _left_out(unconfirmed: tuple[str, ...]) -> str:
+    """Return why the effects `unconfirmed` are not named; empty without any."""
+    if not unconfirmed:
+        return ""
+    names = f"{', '.join(unconfirmed)}: found in all runs together"
+    return f"Left out is {names}, but not without those held out, and no prediction suffers from it."
 
 
 def _doubt(remaining: Unexplained, tolerated: float) -> str:

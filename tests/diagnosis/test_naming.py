@@ -1,17 +1,22 @@
 """No effect is named in whose place another one is more probable."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from diagnosis.recorded import ORDER, problem_of
+from diagnosis.recorded import EFFECTS, ORDER, hidden, problem_of, recorded, sedan
 
 import driftjax.diagnosis.fit as fitting
 from driftjax.diagnosis.beam import quadratic_cost
+from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
 from driftjax.diagnosis.fit import TOLERANCE, evaluate_fit, information_and_score, refine, refit_to_convergence
-from driftjax.diagnosis.naming import prefer_probable
+from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
+from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
-from driftjax.diagnosis.verdict import describe_cause
+from driftjax.diagnosis.verdict import Verdict, describe_cause
+from driftjax.logs import Log
 
 
 def selection_of(problem, names) -> Selection:
@@ -99,3 +104,33 @@ def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
     monkeypatch.setattr("driftjax.diagnosis.evidence.rival_gains", lambda model, rest: np.full(len(ORDER), 1e9))
     share = effect_probabilities(problem, right, model, right.selected[0])
     assert share.argmax() == right.selected[0]
+
+
+def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
+    problem = problem_of(21, 22, steer_lag=1.0)
+    both = selection_of(problem, ["steer_lag", "drive_gain"])
+    assert leave_out_unconfirmed(problem, both, np.nan, ("steer_lag", "drive_gain", "mass"), 0) == (both, ())
+    assert leave_out_unconfirmed(problem, both, 0.2, (), 0) == (both, ()), "predictions confirm them"
+    less, names = leave_out_unconfirmed(problem, both, np.nan, ("steer_lag",), 0)
+    assert names == ("drive_gain",) and [ORDER[i] for i in less.selected] == ["steer_lag"]
+    alone = selection_of(problem, ["steer_lag"])
+    np.testing.assert_allclose(less.fit.theta, alone.fit.theta, atol=0.02)
+    none, names = leave_out_unconfirmed(problem, both, np.nan, (), 0)
+    assert set(names) == {"steer_lag", "drive_gain"} and none.selected == ()
+    np.testing.assert_array_equal(none.fit.theta, problem.start)
+
+
+def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_verdict(monkeypatch):
+    """The gain is measured, and then changed to that of a log in which little or nothing is wrong."""
+
+    def measured(problem, names, config):
+        gain = measure_gain(problem, names, config)
+        assert gain is not None and gain.named == ("steer_lag",) and gain.skills["extended"].value > 0.5
+        doubtful = gain.skills["extended"]._replace(value=np.nan, remaining_ci95=(0.0, 0.05))
+        return dataclasses.replace(gain, named=(), skills=gain.skills | {"extended": doubtful})
+
+    monkeypatch.setattr("driftjax.diagnosis.diagnose.measure_gain", measured)
+    log, options = Log(recorded(hidden(steer_lag=1.0), 5, 6)), DiagnoseConfig(gp=False, without=("friction_rear",))
+    result = diagnose(sedan(), log, options, effects=EFFECTS)
+    assert result.verdict is Verdict.NOTHING and result.causes == () and result.extended.effects == ()
+    assert result.content()["unconfirmed"] == ["steer_lag"] and "Left out is steer_lag" in result.sentence
