@@ -13,6 +13,8 @@ WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike 
 MAX_SHIFT = 0.5  # largest time shift, either way [s]
 MAX_LATERAL_ACCELERATION = 2.0  # lateral acceleration up to which a car goes where its wheels point [m/s^2]
 MIN_SAMPLES = 50  # samples that a check needs
+PARTS = 10  # of a log, left out in turn
+QUANTILE = 2.262  # 97.5 % quantile of Student's t with PARTS - 1 degrees of freedom
 
 
 class Agreement(NamedTuple):
@@ -27,6 +29,7 @@ class Agreement(NamedTuple):
     rest: float  # RMS residual [unit]
     correlation: float
     shift: float  # by which the channel is late [s]
+    shift_half_width: float  # of its 95 % interval [s]
 
 
 class Check(NamedTuple):
@@ -115,40 +118,68 @@ def evaluate_check(check: Check, pairs: list[tuple[np.ndarray, np.ndarray]], dt:
     both = np.isfinite(y) & np.isfinite(x)
     if both.sum() < MIN_SAMPLES or np.ptp(x[both]) == 0 or np.ptp(y[both]) == 0:
         return None
-    if np.isnan(shift := time_shift(pairs, dt)):
+    if np.isnan((shift := time_shift(pairs, dt)).value):
         return None
     slope, offset = np.polyfit(x[both], y[both], 1)
     rest = float(np.sqrt(np.mean((y - slope * x - offset)[both] ** 2)))
     correlation = float(np.corrcoef(x[both], y[both])[0, 1])
     return Agreement(check.channel, check.other, check.unit, int(both.sum()), float(slope), float(offset), rest,
-                     correlation, shift)  # fmt: skip
+                     correlation, *shift)  # fmt: skip
 
 
-def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> float:
-    """Return the time [s] by which the first channel of each pair follows the second (largest correlation).
+class TimeShift(NamedTuple):
+    """Time by which a channel follows another, with a 95 % interval."""
 
-    NaN where too few samples are left to shift.
+    value: float  # [s]; NaN where too few samples are left to shift
+    half_width: float  # [s]; NaN where too few are left without a part
+
+
+def time_shift(pairs: list[tuple[np.ndarray, np.ndarray]], dt: float) -> TimeShift:
+    """Return the time by which the first channel of each pair follows the second: that of the largest correlation.
+
+    Its interval is from the shifts without each of `PARTS` parts of the log (jackknife; Efron and Tibshirani 1993, Ch.
+    11). It is wide where the channels have a trend in common, and nothing else.
     """
     most = max(round(MAX_SHIFT / dt), 1)
     shifts = np.arange(-most, most + 1)
-    score = np.array([_correlation(pairs, int(k), most) for k in shifts])
+    score = np.stack([_correlations(pairs, int(k), most) for k in shifts])
+    value, *without = (_vertex(shifts * dt, one) for one in score.T)
+    return TimeShift(value, float(QUANTILE * np.sqrt((PARTS - 1) * np.var(without))))
+
+
+def _vertex(shifts: np.ndarray, score: np.ndarray) -> float:
+    """Return the shift of the largest `score`, at the vertex of the parabola through it and its neighbours.
+
+    NaN where no score is known.
+    """
     if np.isnan(score).all():
-        return float("nan")
+        return np.nan
     k = int(np.nanargmax(score))
-    if 0 < k < len(score) - 1:  # the vertex of the parabola through three points
-        left, middle, right = score[k - 1 : k + 2]
-        bend = left - 2 * middle + right
-        return float((shifts[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0)) * dt)
-    return float(shifts[k] * dt)
+    if not 0 < k < len(score) - 1:
+        return float(shifts[k])
+    left, middle, right = score[k - 1 : k + 2]
+    bend = left - 2 * middle + right
+    return float(shifts[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0) * (shifts[1] - shifts[0]))
 
 
-def _correlation(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) -> float:
-    """Return the correlation of y(t + k) with x(t) over all runs, on the samples that all shifts share."""
-    rows = []
+def _correlations(pairs: list[tuple[np.ndarray, np.ndarray]], k: int, most: int) -> np.ndarray:
+    """Return the correlation of y(t + k) with x(t) over all runs, and without each of `PARTS` parts (1 + PARTS,).
+
+    All shifts share their samples; NaN where these are too few.
+    """
+    rows = [np.zeros((2, 0))]
     for y, x in pairs:
         if len(y) > 2 * most:
             at = np.arange(most, len(y) - most)
             rows.append(np.stack([y[at + k], x[at]]))
-    y, x = np.concatenate(rows, axis=1) if rows else np.zeros((2, 0))
-    both = np.isfinite(y) & np.isfinite(x)
-    return float(np.corrcoef(y[both], x[both])[0, 1]) if both.sum() >= MIN_SAMPLES else np.nan
+    y, x = np.concatenate(rows, axis=1)
+    part, both = np.arange(len(y)) * PARTS // max(len(y), 1), np.isfinite(y) & np.isfinite(x)
+    y, x, part = y[both], x[both], part[both]
+    if len(y) < MIN_SAMPLES:
+        return np.full(1 + PARTS, np.nan)
+    y, x = y - y.mean(), x - x.mean()
+    each = np.stack([np.bincount(part, one, PARTS) for one in (np.ones(len(y)), y, x, y * y, x * x, y * x)])
+    num, y, x, yy, xx, yx = np.sum(each, axis=1)[:, None] - np.column_stack([np.zeros(6), each])
+    with np.errstate(invalid="ignore", divide="ignore"):  # where what is left is constant
+        r = (num * yx - y * x) / np.sqrt((num * yy - y**2) * (num * xx - x**2))
+    return np.where(num < MIN_SAMPLES, np.nan, r)

@@ -40,8 +40,9 @@ class Inspection:
             lines.append(f"{name:8} {row['unit']:6} {values} {100 * row['missing']:7.1f}%  {row['runs']}")
         lines += ["", "channel against what others say of it: slope, offset, what is left (RMS), correlation, late by"]
         for one in self.agreement:
+            late = f"{1000 * one.shift:+6.0f} ± {1000 * one.shift_half_width:.0f} ms"
             lines.append(f"{one.channel:5} {one.other:42} {one.slope:7.3f} {one.offset:+9.3g} {one.rest:9.3g} "
-                         f"{one.unit:6} {one.correlation:6.3f} {1000 * one.shift:+6.0f} ms")  # fmt: skip
+                         f"{one.unit:6} {one.correlation:6.3f} {late}")  # fmt: skip
         return "\n".join(lines)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from driftjax.cli import main
 from driftjax.logs import Run, write_log
-from driftjax.logs.agreement import Agreement, agreements
+from driftjax.logs.agreement import Agreement, agreements, smooth_with_rate, time_shift
 
 DT, NUM, L = 0.01, 3000, 2.5
 
@@ -42,6 +42,7 @@ def test_channels_of_one_motion_agree():
     for name, one in agreement.items():
         assert one.slope == pytest.approx(1, abs=0.02), name
         assert abs(one.offset) < 0.01 and abs(one.shift) < 0.006 and one.correlation > 0.99, name
+        assert one.shift_half_width < 0.01, name
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,27 @@ def test_channels_of_one_motion_agree():
 )
 def test_a_fault_shows_as_what_it_is(changed, where, what, size):
     assert getattr(agreement_of(drive(**changed))[where], what) == pytest.approx(size, rel=0.05, abs=0.002)
+
+
+def test_the_interval_of_a_delay_holds_it_and_is_wide_where_two_channels_share_but_a_trend():
+    """Noise as large as a quarter of the motion; and ramps, which agree as well at any shift."""
+    rng, t = np.random.default_rng(4), np.arange(NUM) * DT
+    held = 0
+    for _ in range(20):
+        x = smooth_with_rate(rng.standard_normal(NUM), DT)[0]
+        y = np.interp(t - 0.12, t, x) + 0.25 * np.nanstd(x) * smooth_with_rate(rng.standard_normal(NUM), DT)[0] / 0.2
+        delay = time_shift([(y, x)], DT)
+        held += abs(delay.value - 0.12) < delay.half_width < 0.05
+    assert held >= 16
+    ramp = lambda: t + 0.5 * smooth_with_rate(rng.standard_normal(NUM), DT)[0]
+    assert time_shift([(ramp(), ramp())], DT).half_width > 0.3
+
+
+def test_too_few_samples_have_no_delay_and_no_interval():
+    x = np.sin(np.arange(150) * 0.2)
+    assert np.isnan(time_shift([(x[:140], x[:140])], DT)).all()
+    value, half = time_shift([(x, x)], DT)
+    assert abs(value) < 1e-3 and np.isnan(half), "50 samples, and none without a part of them"
 
 
 def test_what_is_missing_or_too_short_is_not_compared():

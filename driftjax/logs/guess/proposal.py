@@ -270,7 +270,7 @@ def _guessed(one: ChannelAssignment, v: dict[str, Signal], dt: float, offset: fl
         rule = one.fit.relation
         reason = f"follows {rule.name} ({abs(one.fit.correlation):.2f})"
         signal = v[one.role].rate if rule.of_rate else v[one.role].y
-        if abs(one.fit.correlation) > 0.8 and not np.isnan(shift := time_shift([(signal, rule.predicted)], dt)):
+        if abs(one.fit.correlation) > 0.8 and not np.isnan(shift := time_shift([(signal, rule.predicted)], dt).value):
             delay = round(shift, 4)
     elif one.role in SIGNED:
         certainty *= UNSURE
