@@ -56,14 +56,26 @@ def leave_out_unconfirmed(
 
     `share` is that of the excess error which the named effects remove, NaN where it is in doubt that there is any, and
     `found_again` are the effects named from the part of the runs alone. Where both say nothing, only its p-value speaks
-    for an effect, and by that chance names one in one log of twenty.
+    for an effect, and by that chance names one in one log of twenty. Where a rival is then more probable than an effect
+    that stays, the two names contradict each other: it is left out too.
     """
-    names = {i: problem.effects[i].name for i in selection.selected}
-    unconfirmed = tuple(i for i, name in names.items() if name not in found_again)
+    names = [problem.effects[i].name for i in selection.selected]
+    unconfirmed = tuple(i for i, name in zip(selection.selected, names, strict=True) if name not in found_again)
     if not (np.isnan(share) and unconfirmed):
         return selection, ()
+    model, left = quadratic_cost(problem, selection.fit, selection.linearisation), selection
+    while unconfirmed:
+        left = leave_out(problem, left, model, unconfirmed, seed)
+        model, costs = rival_costs(problem, left)
+        rival = most_probable_rival(problem, left, costs) if left.selected else None
+        unconfirmed = rival[:1] if rival else ()
+    return left, tuple(name for i, name in zip(selection.selected, names, strict=True) if i not in left.selected)
+
+
+def rival_costs(problem: Problem, selection: Selection) -> tuple[QuadraticCost, dict[int, np.ndarray]]:
+    """Return the quadratic cost about the fit, and for each member the costs (E,) with every effect in its place."""
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    return leave_out(problem, selection, model, unconfirmed, seed), tuple(names[i] for i in unconfirmed)
+    return model, {member: replacement_costs(problem, selection, model, member) for member in selection.selected}
 
 
 def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Selection:
@@ -76,8 +88,7 @@ def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Se
         return selection
     selection = selection._replace(dispersion=fit_dispersion(problem, selection))
     while True:
-        model = quadratic_cost(problem, selection.fit, selection.linearisation)
-        costs = {member: replacement_costs(problem, selection, model, member) for member in selection.selected}
+        model, costs = rival_costs(problem, selection)
         if (swap := most_probable_rival(problem, selection, costs)) is None:
             return selection._replace(replacements=costs)
         selection = replace_effect(problem, selection, model, *swap, seed)

@@ -125,8 +125,8 @@ def _left_out(unconfirmed: tuple[str, ...]) -> str:
     """Return why the effects `unconfirmed` are not named; empty without any."""
     if not unconfirmed:
         return ""
-    names = f"{', '.join(unconfirmed)}: found in all runs together"
-    return f"Left out is {names}, but not without those held out, and no prediction suffers from it."
+    names = f"{', '.join(unconfirmed)}: named from all runs together"
+    return f"Left out is {names}, but not likewise without those held out, and no prediction suffers from it."
 
 
 def _doubt(remaining: Unexplained, tolerated: float) -> str:

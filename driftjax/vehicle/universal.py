@@ -23,6 +23,9 @@ from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import G, SingleTrack
 
 ITERATIONS = 4  # of the drive force, which moves the lateral forces that it is computed beside
+LEAST_SLOPE = (
+    0.2  # fall of the missing acceleration with the drive force, over that of a car of the same mass going straight
+)
 
 
 class Universal(eqx.Module):
@@ -81,12 +84,16 @@ class Universal(eqx.Module):
 
         Inverse dynamics for logs without a drive force (`by_acceleration`): that of the car with its effects, not of
         the nominal one, so that no effect is blamed for the error of an estimate. It is at most friction times weight.
+        The last step is Newton's, and the only one differentiated: its derivative is that of the implicit function.
         """
-        rate, F, most = u.Fxr / self.base.m, u.Fxr, self.base.mur * self.base.m * G
-        for _ in range(ITERATIONS):
-            lacking = rate - rates(self._flow(x, u._replace(Fxr=F), place, aux)).V
-            F = jnp.clip(F + self.car.m * jnp.cos(x.beta) * lacking, -most, most)
-        return u._replace(Fxr=F)
+        most, inputs = self.base.mur * self.base.m * G, (self, x, u, place, aux)
+        fixed = jax.lax.stop_gradient(inputs)
+        gain = fixed[0].car.m * jnp.cos(fixed[1].beta)
+        approach = lambda _, F: jnp.clip(F + gain * _missing_rate(*fixed, F), -most, most)
+        F = jax.lax.fori_loop(0, ITERATIONS, approach, fixed[2].Fxr)
+        slope = jax.jvp(lambda F: _missing_rate(*fixed, F), (F,), (jnp.ones_like(F),))[1]
+        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / fixed[0].car.m)
+        return u._replace(Fxr=jnp.clip(F - step, -most, most))
 
     def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
@@ -134,6 +141,11 @@ class Universal(eqx.Module):
     def sense(self, x: State, dx: State) -> State:
         """Return the measured state without noise; `dx` is the mean rate over the delay."""
         return self._through("sensor", x, dx)
+
+
+def _missing_rate(model: Universal, x: State, u: Control, place: Place, aux: Aux, F: Array) -> Array:
+    """Return by how much the rate of the speed exceeds that which the drive force `F` [N] gives the car [m/s^2]."""
+    return u.Fxr / model.base.m - rates(model._flow(x, u._replace(Fxr=F), place, aux)).V
 
 
 def base_car(nominal: SingleTrack) -> CarParameters:

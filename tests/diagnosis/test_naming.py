@@ -115,6 +115,8 @@ def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
     assert names == ("drive_gain",) and [ORDER[i] for i in less.selected] == ["steer_lag"]
     alone = selection_of(problem, ["steer_lag"])
     np.testing.assert_allclose(less.fit.theta, alone.fit.theta, atol=0.02)
+    contradicted, _ = leave_out_unconfirmed(problem, both, np.nan, ("drive_gain",), 0)
+    assert contradicted.selected == (), "without the lag a rival is more probable than the gain"
     none, names = leave_out_unconfirmed(problem, both, np.nan, (), 0)
     assert set(names) == {"steer_lag", "drive_gain"} and none.selected == ()
     np.testing.assert_array_equal(none.fit.theta, problem.start)
