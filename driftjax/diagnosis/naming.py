@@ -12,6 +12,8 @@ from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
 from driftjax.diagnosis.shapley import shapley_shares
 
+STRONG = 0.001  # p-value, for all effects together, from which an effect needs no confirmation
+
 
 def name_effects(
     problem: Problem, seed: int = 0, most: int = MAX_EFFECTS, report: Callable[[str], None] = lambda text: None
@@ -56,11 +58,12 @@ def leave_out_unconfirmed(
 
     `share` is that of the excess error which the named effects remove, NaN where it is in doubt that there is any, and
     `found_again` are the effects named from the part of the runs alone. Where both say nothing, only its p-value speaks
-    for an effect, and by that chance names one in one log of twenty. Where a rival is then more probable than an effect
-    that stays, the two names contradict each other: it is left out too.
+    for an effect, and by that chance names one in one log of twenty; one below `STRONG` is enough. Where a rival is
+    then more probable than an effect that stays, the two names contradict each other: it is left out too.
     """
-    names = [problem.effects[i].name for i in selection.selected]
-    unconfirmed = tuple(i for i, name in zip(selection.selected, names, strict=True) if name not in found_again)
+    names = {i: problem.effects[i].name for i in selection.selected}
+    weak = [i for i, one in (selection.significance or {}).items() if one.p_value > STRONG]
+    unconfirmed = tuple(i for i in weak if names[i] not in found_again)
     if not (np.isnan(share) and unconfirmed):
         return selection, ()
     model, left = quadratic_cost(problem, selection.fit, selection.linearisation), selection
@@ -68,8 +71,8 @@ def leave_out_unconfirmed(
         left = leave_out(problem, left, model, unconfirmed, seed)
         model, costs = rival_costs(problem, left)
         rival = most_probable_rival(problem, left, costs) if left.selected else None
-        unconfirmed = rival[:1] if rival else ()
-    return left, tuple(name for i, name in zip(selection.selected, names, strict=True) if i not in left.selected)
+        unconfirmed = rival[:1] if rival and rival[0] in weak else ()
+    return left, tuple(name for i, name in names.items() if i not in left.selected)
 
 
 def rival_costs(problem: Problem, selection: Selection) -> tuple[QuadraticCost, dict[int, np.ndarray]]:

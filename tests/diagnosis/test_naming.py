@@ -14,7 +14,7 @@ from driftjax.diagnosis.fit import TOLERANCE, evaluate_fit, information_and_scor
 from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
 from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
 from driftjax.diagnosis.score import scores
-from driftjax.diagnosis.select import Selection
+from driftjax.diagnosis.select import Selection, Significance
 from driftjax.diagnosis.verdict import Verdict, describe_cause
 from driftjax.logs import Log
 
@@ -108,18 +108,24 @@ def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
 
 def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
     problem = problem_of(21, 22, steer_lag=1.0)
+    lag, gain = ORDER.index("steer_lag"), ORDER.index("drive_gain")
     both = selection_of(problem, ["steer_lag", "drive_gain"])
-    assert leave_out_unconfirmed(problem, both, np.nan, ("steer_lag", "drive_gain", "mass"), 0) == (both, ())
-    assert leave_out_unconfirmed(problem, both, 0.2, (), 0) == (both, ()), "predictions confirm them"
-    less, names = leave_out_unconfirmed(problem, both, np.nan, ("steer_lag",), 0)
-    assert names == ("drive_gain",) and [ORDER[i] for i in less.selected] == ["steer_lag"]
+    with_p_values = lambda **of: both._replace(
+        significance={i: Significance(of[ORDER[i]], False, True) for i in both.selected}
+    )
+    weak = with_p_values(steer_lag=0.02, drive_gain=0.02)
+    assert leave_out_unconfirmed(problem, weak, np.nan, ("steer_lag", "drive_gain", "mass"), 0) == (weak, ())
+    assert leave_out_unconfirmed(problem, weak, 0.2, (), 0) == (weak, ()), "predictions confirm them"
+    less, names = leave_out_unconfirmed(problem, weak, np.nan, ("steer_lag",), 0)
+    assert names == ("drive_gain",) and less.selected == (lag,)
     alone = selection_of(problem, ["steer_lag"])
     np.testing.assert_allclose(less.fit.theta, alone.fit.theta, atol=0.02)
-    contradicted, _ = leave_out_unconfirmed(problem, both, np.nan, ("drive_gain",), 0)
-    assert contradicted.selected == (), "without the lag a rival is more probable than the gain"
-    none, names = leave_out_unconfirmed(problem, both, np.nan, (), 0)
-    assert set(names) == {"steer_lag", "drive_gain"} and none.selected == ()
-    np.testing.assert_array_equal(none.fit.theta, problem.start)
+    strong, names = leave_out_unconfirmed(problem, with_p_values(steer_lag=5e-4, drive_gain=0.02), np.nan, (), 0)
+    assert names == ("drive_gain",) and strong.selected == (lag,)
+    contradicted, names = leave_out_unconfirmed(problem, weak, np.nan, ("drive_gain",), 0)
+    assert names == tuple(ORDER[i] for i in both.selected), "without the lag a rival is more probable than the gain"
+    assert contradicted.selected == () and {lag, gain} == set(both.selected)
+    np.testing.assert_array_equal(contradicted.fit.theta, problem.start)
 
 
 def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_verdict(monkeypatch):
@@ -132,6 +138,7 @@ def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_
         return dataclasses.replace(gain, named=(), skills=gain.skills | {"extended": doubtful})
 
     monkeypatch.setattr("driftjax.diagnosis.diagnose.measure_gain", measured)
+    monkeypatch.setattr("driftjax.diagnosis.naming.STRONG", 0.0)  # the lag is found beyond doubt
     log, options = Log(recorded(hidden(steer_lag=1.0), 5, 6)), DiagnoseConfig(gp=False, without=("friction_rear",))
     result = diagnose(sedan(), log, options, effects=EFFECTS)
     assert result.verdict is Verdict.NOTHING and result.causes == () and result.extended.effects == ()
