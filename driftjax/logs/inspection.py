@@ -40,7 +40,8 @@ class Inspection:
             lines.append(f"{name:8} {row['unit']:6} {values} {100 * row['missing']:7.1f}%  {row['runs']}")
         lines += ["", "channel against what others say of it: slope, offset, what is left (RMS), correlation, late by"]
         for one in self.agreement:
-            late = f"{1000 * one.shift:+6.0f} ± {1000 * one.shift_half_width:.0f} ms"
+            interval = "" if np.isnan(one.shift_half_width) else f" ± {1000 * one.shift_half_width:.0f}"
+            late = f"{1000 * one.shift:+6.0f}{interval} ms"
             lines.append(f"{one.channel:5} {one.other:42} {one.slope:7.3f} {one.offset:+9.3g} {one.rest:9.3g} "
                          f"{one.unit:6} {one.correlation:6.3f} {late}")  # fmt: skip
         return "\n".join(lines)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from driftjax.cli import main
-from driftjax.logs import Run, write_log
+from driftjax.logs import Log, Run, write_log
 from driftjax.logs.agreement import Agreement, agreements, smooth_with_rate, time_shift
+from driftjax.logs.inspection import inspect
 
 DT, NUM, L = 0.01, 3000, 2.5
 
@@ -81,6 +82,16 @@ def test_too_few_samples_have_no_delay_and_no_interval():
     assert np.isnan(time_shift([(x[:140], x[:140])], DT)).all()
     value, half = time_shift([(x, x)], DT)
     assert abs(value) < 1e-3 and np.isnan(half), "50 samples, and none without a part of them"
+
+
+def test_a_log_too_short_for_an_interval_prints_none():
+    run = drive()
+    few = slice(0, 153)
+    cut = {name: getattr(run, name)[few] for name in ("t", "V", "beta", "r", "delta", "Fxr")}
+    short = Run("short", **cut, dt=DT, extra={name: values[few] for name, values in run.extra.items()})
+    inspection = inspect(Log((short,)), L)
+    assert any(np.isnan(one.shift_half_width) for one in inspection.agreement)
+    assert "nan" not in str(inspection) and str(inspection).rstrip().endswith("ms")
 
 
 def test_what_is_missing_or_too_short_is_not_compared():
