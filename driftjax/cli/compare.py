@@ -61,9 +61,10 @@ def run(argv: list[str]) -> int:
     """Read, compare and print."""
     flags = parse(CompareOptions, argv, "driftjax compare")
     vehicle = load_vehicle(flags.vehicle, flags.combined_slip)
-    log_a = resolved_log(vehicle, read_log(flags.a, flags.columns_a, runs=flags.runs_a, cut=flags.cut))
-    log_b = resolved_log(vehicle, read_log(flags.b, flags.columns_b, runs=flags.runs_b, cut=flags.cut))
+    log_a = read_log(flags.a, flags.columns_a, runs=flags.runs_a, cut=flags.cut)
+    log_b = read_log(flags.b, flags.columns_b, runs=flags.runs_b, cut=flags.cut)
     check_alike(log_a, log_b)
+    log_a, log_b = (resolved_log(vehicle, log) for log in (log_a, log_b))
     options = compare_settings(vehicle, (log_a, log_b), flags.options)
     folder = RunFolder.create(flags.out or default_out("compare", vehicle.name), options, "compare")
 

@@ -66,13 +66,14 @@ def leave_out_unconfirmed(
     unconfirmed = tuple(i for i in weak if names[i] not in found_again)
     if not (np.isnan(share) and unconfirmed):
         return selection, ()
-    model, left = quadratic_cost(problem, selection.fit, selection.linearisation), selection
+    model, costs, left = quadratic_cost(problem, selection.fit, selection.linearisation), None, selection
     while unconfirmed:
         left = leave_out(problem, left, model, unconfirmed, seed)
         model, costs = rival_costs(problem, left)
         rival = most_probable_rival(problem, left, costs) if left.selected else None
         unconfirmed = rival[:1] if rival and rival[0] in weak else ()
-    return left, tuple(name for i, name in names.items() if i not in left.selected)
+    gone = tuple(name for i, name in names.items() if i not in left.selected)
+    return left._replace(replacements=costs), gone
 
 
 def rival_costs(problem: Problem, selection: Selection) -> tuple[QuadraticCost, dict[int, np.ndarray]]:

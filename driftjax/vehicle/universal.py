@@ -23,9 +23,7 @@ from driftjax.vehicle.parameters import VehicleConfig
 from driftjax.vehicle.single_track import G, SingleTrack
 
 ITERATIONS = 4  # of the drive force, which moves the lateral forces that it is computed beside
-LEAST_SLOPE = (
-    0.2  # fall of the missing acceleration with the drive force, over that of a car of the same mass going straight
-)
+LEAST_SLOPE = 0.2  # fall of the missing acceleration with the drive force, times the mass; 1 straight ahead
 
 
 class Universal(eqx.Module):
@@ -88,11 +86,11 @@ class Universal(eqx.Module):
         """
         most, inputs = self.base.mur * self.base.m * G, (self, x, u, place, aux)
         fixed = jax.lax.stop_gradient(inputs)
-        gain = fixed[0].car.m * jnp.cos(fixed[1].beta)
-        approach = lambda _, F: jnp.clip(F + gain * _missing_rate(*fixed, F), -most, most)
-        F = jax.lax.fori_loop(0, ITERATIONS, approach, fixed[2].Fxr)
+        m, cos, first = fixed[0].car.m, jnp.cos(fixed[1].beta), fixed[2].Fxr
+        approach = lambda _, F: jnp.clip(F + m * cos * _missing_rate(*fixed, F), -most, most)
+        F = jax.lax.fori_loop(0, ITERATIONS, approach, first)
         slope = jax.jvp(lambda F: _missing_rate(*fixed, F), (F,), (jnp.ones_like(F),))[1]
-        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / fixed[0].car.m)
+        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / m)
         return u._replace(Fxr=jnp.clip(F - step, -most, most))
 
     def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
