@@ -86,6 +86,7 @@ def test_two_seconds_say_nothing(capsys):
     [
         (["a.csv", "none.csv"], "none.csv"),
         (["a.csv", "slow.csv"], "Run 'A: a' has 100 Hz but run 'B: a' has 50 Hz"),
+        (["a.csv", "fast.csv"], "Run 'A: a' has 100 Hz but run 'B: a' has 200 Hz"),  # though 200 Hz would be thinned
         (["a.csv", "a.csv"], "A and B hold the same runs"),
         (["a.csv", "copy.csv"], "A and B hold the same runs"),
         (["a.csv", "b.csv", "--runs-b", "lap*"], "no run is called lap*"),
@@ -98,6 +99,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(flags, words, capsys):
     Path("copy.csv").write_bytes(Path("a.csv").read_bytes())
     write_log(Path("b.csv"), runs(phase=1.0))
     write_log(Path("slow.csv"), runs(dt=0.02))
+    write_log(Path("fast.csv"), runs(dt=0.005))
     assert main(["compare", *flags, "--out", "out"]) == 2
     output = capsys.readouterr().err
     assert words in output and output.count("\n") == 1 and not Path("out").exists()
