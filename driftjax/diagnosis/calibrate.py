@@ -29,7 +29,7 @@ from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiab
 from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.runs import Linearisation, resolved_log
-from driftjax.diagnosis.score import Scores, scores
+from driftjax.diagnosis.score import Scores, scores, spread_of
 from driftjax.diagnosis.serialise import extended_car, gain_json
 from driftjax.diagnosis.stages import STAGES, fit_staged, least_samples
 from driftjax.diagnosis.stretches import Stretch, durations, find_stretches
@@ -100,7 +100,8 @@ class Calibration:
         """Return the calibrated car, for simulator, planner, equilibria, MPC and `diagnose`; without dead effects."""
         alive = dict(zip(self.problem.columns(self.selected), self.identifiability, strict=True))
         identified = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
-        return extended_car(self.nominal, self.problem, identified, self.fit.theta, self.scores)
+        spread = spread_of(self.scores.H, self.scores.blocks, self.problem.columns(identified))
+        return extended_car(self.nominal, self.problem, identified, self.fit.theta, spread)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:

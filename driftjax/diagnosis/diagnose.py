@@ -7,23 +7,26 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects
+from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects, spread_with, with_sizes
 from driftjax.diagnosis.figure_data import figure_data
 from driftjax.diagnosis.findings import Comparison, Findings, describe_errors
-from driftjax.diagnosis.fit import Fit, Problem, initial_problem, with_estimated_noise
+from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
     PredictionGain,
-    compare_on_all_runs,
+    compare_on_own_runs,
     comparison_shares,
+    fit_sizes,
     measure_gain,
+    refit_extended,
     refit_retuned,
     retuned_effects,
 )
 from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable
 from driftjax.diagnosis.naming import leave_out_unconfirmed, name_effects
 from driftjax.diagnosis.outliers import count_outliers
+from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.select import Selection
@@ -36,6 +39,7 @@ from driftjax.diagnosis.verdict import (
     Verdict,
     decide_verdict,
     describe_answer,
+    describe_sizes,
     explained_by,
 )
 from driftjax.diagnosis.warm_up import compile_programs
@@ -62,7 +66,8 @@ class Evidence:
     comparison: Comparison  # of the models on the runs held out, or on all
     explained: Explained | None  # None where no run is long enough
     answer: str  # car that predicts best on held-out runs: nominal, retuned or extended
-    retuned: Fit | None  # the re-tuned car on all runs, where that is the answer
+    retuned: PredictionFit | None  # the re-tuned car on all runs, where that is the answer
+    sizes: PredictionFit | None  # of the named effects on all runs, where the likelihood leaves an excess error
     unidentifiable: Unidentifiable  # what the log leaves unidentifiable, since channels are missing
     unconfirmed: tuple[str, ...]  # effects named from all runs, left out again: neither size nor other runs show them
 
@@ -113,13 +118,13 @@ class Diagnosis:
         """
         if self.evidence is None:
             return self.vehicle
-        last, problem = self.evidence.selection, self.evidence.problem
+        last, problem, sizes = self.evidence.selection, self.evidence.problem, self.evidence.sizes
         if self.evidence.answer == "nominal":
             return replace(self.vehicle, noise=estimated_noise(problem))
-        if self.evidence.retuned is None:
-            return extended_car(self.vehicle, problem, last.selected, last.fit.theta, last.scores)
-        effects = retuned_effects(problem)
-        return extended_car(self.vehicle, problem, effects, self.evidence.retuned.theta, last.nominal_scores)
+        if retuned := self.evidence.retuned:
+            return extended_car(self.vehicle, problem, retuned_effects(problem), retuned.theta, retuned.spread)
+        theta = sizes.theta if sizes else last.fit.theta
+        return extended_car(self.vehicle, problem, last.selected, theta, spread_with(problem, last, sizes))
 
     def drive_proposal(self, truth: Path, path: Path, *, cut: float | None = None) -> Log:
         """Drive the proposed manoeuvre on the simulated car that the file `truth` describes, and write it to `path`.
@@ -138,8 +143,11 @@ class Diagnosis:
         """Compute residual forces, kinematic parity, open-loop errors and all else that figures draw."""
         if self.evidence is None:
             return None
-        problem, selection, comparison = self.evidence.problem, self.evidence.selection, self.evidence.comparison
-        return describe_errors(self.vehicle, problem, self.log.runs, selection, comparison, self.config.seed)
+        evidence, runs = self.evidence, self.log.runs
+        refitted = evidence.sizes.theta if evidence.sizes else None
+        return describe_errors(
+            self.vehicle, evidence.problem, runs, evidence.selection, evidence.comparison, self.config.seed, refitted
+        )
 
     def content(self, findings: Findings | None = None) -> dict[str, Any]:
         """Return the content of diagnosis.json, schema version 1, with the block `show` where `findings` are given."""
@@ -244,6 +252,18 @@ def _without_unconfirmed(named: _Named, gain: PredictionGain | None, config: Dia
     return _with_evidence(problem, selection, config, unconfirmed) if unconfirmed else named
 
 
+def _sizes(
+    problem: Problem, selection: Selection, gain: PredictionGain | None, config: DiagnoseConfig
+) -> tuple[PredictionFit | None, Comparison]:
+    """Return the sizes fitted to predictions, where the likelihood does not suffice, and the comparison of the cars."""
+    if gain:  # what holds without the runs held out holds with them
+        return refit_extended(problem, selection) if gain.refitted and selection.selected else None, gain.comparison
+    comparison = compare_on_own_runs(problem, selection, selection.fit.theta, config.seed)
+    if sizes := fit_sizes(problem, selection, comparison, config):
+        comparison = compare_on_own_runs(problem, selection, sizes.theta, config.seed)
+    return sizes, comparison
+
+
 def _conclude(
     vehicle: VehicleConfig,
     log: Log,
@@ -254,9 +274,11 @@ def _conclude(
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
     problem, selection, causes, remaining, unconfirmed = named
-    comparison = gain.comparison if gain else compare_on_all_runs(problem, selection, config.seed)
+    sizes, comparison = _sizes(problem, selection, gain, config)
+    causes = with_sizes(problem, causes, sizes) if sizes else causes
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
-    explained = explained_by(shares, float(horizon_steps(problem)[DECISIVE] * problem.data.dt), gain is not None)
+    horizon = float(horizon_steps(problem)[DECISIVE] * problem.data.dt)
+    explained = explained_by(shares, horizon, gain is not None)
     judgement = decide_verdict(
         problem, selection, causes, remaining, duration, explained, config.unexplained, unconfirmed
     )
@@ -264,10 +286,11 @@ def _conclude(
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
     other = describe_answer(answer, problem, retuned, retuned_effects(problem), shares)
-    judgement = judgement._replace(sentence=f"{other}{judgement.sentence} {unidentifiable.sentence}".strip())
+    words = f"{other}{judgement.sentence}", describe_sizes(sizes, horizon), unidentifiable.sentence
+    judgement = judgement._replace(sentence=" ".join(one for one in words if one))
     proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
     evidence = Evidence(
-        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, unidentifiable,
-        unconfirmed,
+        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, sizes,
+        unidentifiable, unconfirmed,
     )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

@@ -16,14 +16,17 @@ from driftjax.diagnosis.beam import (
 )
 from driftjax.diagnosis.curves import AxleCurve, axle_curve
 from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fit, information, refine
+from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.score import (
     CONDITION,
     Scores,
+    Spread,
     benjamini_yekutieli,
     half_widths_from,
     overdispersion,
     partial_out,
     scores,
+    spread_of,
 )
 from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, Significance
 from driftjax.diagnosis.shapley import ErrorShare, shapley_shares
@@ -158,6 +161,33 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
         )  # fmt: skip
         each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
     return each
+
+
+def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> list[Cause]:
+    """Return the causes, those of the car with the sizes, intervals and bounds of a fit to predictions."""
+    ends, each = at_bound(problem, sizes.theta), []
+    widths = dict(zip(sizes.columns, sizes.spread.half_width, strict=True))
+    for cause in causes:
+        own = problem.columns((cause.effect,))
+        if own[0] in widths:
+            width = np.array([widths[k] for k in own])
+            cause = cause._replace(theta=sizes.theta[own], half_width=width, at_bound=ends[own])
+        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
+    return each
+
+
+def spread_with(problem: Problem, selection: Selection, sizes: PredictionFit | None) -> Spread:
+    """Return the uncertainty of the parameters of the named effects, of those of `sizes` as fitted to predictions.
+
+    The latter are taken for independent of the others, which follow from other data.
+    """
+    columns = problem.columns(selection.selected)
+    half_width, covariance = spread_of(selection.scores.H, selection.scores.blocks, columns)
+    if sizes:
+        own = np.searchsorted(columns, sizes.columns)
+        half_width[own], covariance[own], covariance[:, own] = sizes.spread.half_width, 0.0, 0.0
+        covariance[np.ix_(own, own)] = sizes.spread.covariance
+    return Spread(half_width, covariance)
 
 
 def half_widths(problem: Problem, last: Scores, selected: tuple[int, ...]) -> np.ndarray:

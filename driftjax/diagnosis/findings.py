@@ -63,13 +63,17 @@ class Findings(NamedTuple):
 
 def describe_errors(
     vehicle: VehicleConfig, problem: Problem, runs: Sequence[Run], selection: Selection, comparison: Comparison,
-    seed: int,
+    seed: int, refitted: np.ndarray | None = None,
 ) -> Findings:  # fmt: skip
-    """Compute the errors of the nominal and the extended car on all `runs`, those of `problem`."""
+    """Compute the errors of the nominal and the extended car on all `runs`, those of `problem`.
+
+    The latter is that of the selection, or `refitted` (K,).
+    """
     zero, base = selection.nominal.theta, selection.base
+    last = selection.linearisation
     along = {
         "nominal": observer_path(base, zero),
-        "extended": (selection.linearisation.path, selection.linearisation.steps),
+        "extended": (last.path, last.steps) if refitted is None else observer_path(problem, refitted),
     }
     noise = nominal_noise(base, *along["nominal"])
     residual = {
@@ -78,7 +82,7 @@ def describe_errors(
     }
     whiteness = {
         "nominal": autocorrelation(base, along["nominal"][0]),
-        "extended": autocorrelation(problem, selection.linearisation.path),
+        "extended": autocorrelation(problem, along["extended"][0]),
     }
     measured = np.isfinite(comparison.predictions["nominal"].error)
     return Findings(

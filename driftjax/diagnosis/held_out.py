@@ -8,13 +8,15 @@ import numpy as np
 from driftjax.core import require
 from driftjax.diagnosis.beam import best_parameters, quadratic_cost
 from driftjax.diagnosis.findings import Comparison
-from driftjax.diagnosis.fit import Fit, Problem, refit_to_convergence, with_estimated_noise, with_noise
+from driftjax.diagnosis.fit import Problem, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_floor import noise_floor
+from driftjax.diagnosis.prediction_fit import PredictionFit, fit_to_predictions
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
+from driftjax.vehicle.effect.families import FAMILY_OF, MEASUREMENT
 
 BETTER = 0.02  # share of the error by which another car must predict better than the extended one to be the answer
 RETUNED = ("friction", "stiffness_front", "stiffness_rear")  # what a person would tune without a diagnosis
@@ -71,6 +73,7 @@ class PredictionGain:
     noise_floor: Errors  # what noise alone makes
     skills: dict[str, Share]  # of each, at the decisive horizon; empty where no run lasts that long
     ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
+    refitted: bool  # whether the sizes of the named effects are fitted to predictions
     without: dict[str, np.ndarray]  # (3, 3) per channel: error without one of `named`, over that with all; intervals
 
     @property
@@ -115,17 +118,19 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     if near is not train:
         followed = with_noise(test, selection.nominal.theta, selection.base.noise)
         test = with_noise(test, selection.fit.theta, near.noise)
-    retuned = refit_retuned(selection).theta
-    thetas = {"nominal": selection.nominal.theta, "retuned": retuned, "extended": selection.fit.theta}
+    sizes = fit_sizes(near, selection, compare_on_own_runs(near, selection, selection.fit.theta, config.seed), config)
+    extended = sizes.theta if sizes else selection.fit.theta
+    thetas = {"nominal": selection.nominal.theta, "retuned": refit_retuned(selection).theta, "extended": extended}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
     ahead = {name: predict(tests[name], theta) for name, theta in thetas.items()}
     for name, base in (("gp", "nominal"), ("extended_gp", "extended")) if config.gp else ():
         ahead[name] = predict(tests[base], thetas[base], fit_residual_gp(train, thetas[base], config.seed))
-    noise = noise_floor(test, selection.fit.theta, ahead["extended"], config.seed)
+    noise = noise_floor(test, extended, ahead["extended"], config.seed)
     gain = compare_models(
         Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed
     )
-    return dataclasses.replace(gain, without=leave_one_out(near, selection, test, gain.errors["extended"], config.seed))
+    without = leave_one_out(near, selection, sizes, test, gain.errors["extended"], config.seed)
+    return dataclasses.replace(gain, refitted=sizes is not None, without=without)
 
 
 def retuned_effects(problem: Problem) -> tuple[int, ...]:
@@ -137,22 +142,52 @@ def retuned_effects(problem: Problem) -> tuple[int, ...]:
     )
 
 
-def refit_retuned(selection: Selection) -> Fit:
-    """Return the nominal car of a search with friction and stiffness fitted to its data."""
+def refit_retuned(selection: Selection) -> PredictionFit:
+    """Return the nominal car of a search with friction and stiffness fitted to predictions, as a person tunes a car."""
     base = selection.base
-    return refit_to_convergence(base, selection.nominal, base.columns(retuned_effects(base)))[0]
+    return fit_to_predictions(base, (selection.nominal.theta,), base.columns(retuned_effects(base)))
+
+
+def fit_sizes(
+    problem: Problem, selection: Selection, comparison: Comparison, config: DiagnoseConfig
+) -> PredictionFit | None:
+    """Fit the sizes of the named effects to predictions where those by the likelihood leave an excess error.
+
+    That is where it is more than the tolerated share of the error on the runs of `comparison`, from which they were
+    named; else None is returned. No test decides: a right car loses little precision by it, a wrong one gains much.
+    """
+    shares = comparison_shares(comparison, config.seed)
+    if not selection.selected or "extended" not in shares or shares["extended"].remaining <= config.unexplained:
+        return None
+    return refit_extended(problem, selection)
+
+
+def refit_extended(problem: Problem, selection: Selection) -> PredictionFit:
+    """Return the sizes of the named effects of the car that predict best.
+
+    Those of sensors follow from kinematics, whatever the car, and stay.
+    """
+    of_car = tuple(i for i in selection.selected if FAMILY_OF[problem.effects[i].name] not in MEASUREMENT)
+    columns, likely = problem.columns(of_car), selection.fit.theta
+    nominal = likely.copy()
+    nominal[columns] = problem.start[columns]
+    return fit_to_predictions(problem, (likely, nominal), columns)
 
 
 def leave_one_out(
-    train: Problem, selection: Selection, test: Problem, all_errors: Errors, seed: int
+    train: Problem, selection: Selection, sizes: PredictionFit | None, test: Problem, all_errors: Errors, seed: int
 ) -> dict[str, np.ndarray]:
     """Return per named effect the errors on `test` without it, others refitted, over those with all (`all_errors`).
 
-    (3, 3): a row per channel at the decisive horizon, ratio and 95 % interval.
+    `sizes` are those of a fit to predictions, if there was one. (3, 3): a row per channel at the decisive horizon,
+    ratio and 95 % interval.
     """
     model, errors_over_all = quadratic_cost(train, selection.fit, selection.linearisation), {}
     for member in selection.selected:
-        theta = train.start + best_parameters(model, tuple(i for i in selection.selected if i != member))
+        if sizes:
+            theta = sizes.without(train, train.columns((member,)))
+        else:
+            theta = train.start + best_parameters(model, tuple(i for i in selection.selected if i != member))
         less = at_horizons(test, predict(test, theta).error ** 2)
         errors_over_all[train.effects[member].name] = channel_ratios(all_errors, less, seed)
     return errors_over_all
@@ -168,7 +203,7 @@ def compare_models(
     shares = excess_shares(errors, least, seed)
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
     return PredictionGain(
-        held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, {}
+        held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, False, {}
     )
 
 
@@ -184,8 +219,7 @@ def comparison_shares(comparison: Comparison, seed: int) -> dict[str, Share]:
     return excess_shares(*comparison_errors(comparison), seed)
 
 
-def compare_on_all_runs(problem: Problem, selection: Selection, seed: int) -> Comparison:
-    """Compare the nominal and the extended car on all runs, where none is held out."""
-    thetas = {"nominal": selection.nominal.theta, "extended": selection.fit.theta}
-    ahead = {name: predict(on, thetas[name]) for name, on in (("nominal", selection.base), ("extended", problem))}
-    return Comparison(problem, ahead, noise_floor(problem, selection.fit.theta, ahead["extended"], seed))
+def compare_on_own_runs(problem: Problem, selection: Selection, theta: np.ndarray, seed: int) -> Comparison:
+    """Compare the nominal car and the extended car `theta` (K,) on the runs that its effects were named from."""
+    ahead = {"nominal": predict(selection.base, selection.nominal.theta), "extended": predict(problem, theta)}
+    return Comparison(problem, ahead, noise_floor(problem, theta, ahead["extended"], seed))

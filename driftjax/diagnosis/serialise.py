@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from driftjax.diagnosis.evidence import half_widths
 from driftjax.diagnosis.findings import Findings, findings_json
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.outliers import count_outliers
-from driftjax.diagnosis.score import Scores, covariance
+from driftjax.diagnosis.score import Spread
 from driftjax.diagnosis.unexplained_errors import Unexplained
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle import EffectParameterValue, EstimatedNoise, PerChannel, VehicleConfig
@@ -27,7 +26,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     content = {
         "schema": 1, "verdict": str(diagnosis.verdict), "sentence": diagnosis.sentence,
         "causes": [cause._asdict() for cause in diagnosis.causes],
-        "explained": None, "answer": None, "unconfirmed": [],
+        "explained": None, "answer": None, "sizes_fitted_to": None, "unconfirmed": [],
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(diagnosis.gain),
         "next_manoeuvre": diagnosis.proposal._asdict() if diagnosis.proposal else None,
         "show": None, "closed_loop": None,
@@ -39,6 +38,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         return content
     noise = evidence.problem.noise
     content["explained"] = evidence.explained._asdict() if evidence.explained else None
+    content["sizes_fitted_to"] = "predictions" if evidence.sizes else "likelihood"
     content["answer"], content["unconfirmed"] = evidence.answer, list(evidence.unconfirmed)
     content["unexplained"] = unexplained_json(evidence.unexplained)
     content["show"] = None if findings is None else findings_json(findings, noise)
@@ -128,7 +128,7 @@ def estimated_noise(problem: Problem) -> EstimatedNoise | None:
 
 
 def extended_car(
-    vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, last: Scores
+    vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, spread: Spread
 ) -> VehicleConfig:
     """Return the car with the effects `selected` at `theta` (K,), in typical sizes, their covariance, and the noise.
 
@@ -136,7 +136,7 @@ def extended_car(
     tell it.
     """
     scale, columns = np.asarray(problem.model.scale), problem.columns(selected)
-    width = dict(zip(columns, half_widths(problem, last, selected), strict=True))
+    width = dict(zip(columns, spread.half_width, strict=True))
     estimates = [
         EffectParameterValue(problem.effects[i].name, p.name, float(theta[k] * scale[k]), float(width[k] * scale[k]))
         for i in sorted(selected)
@@ -149,5 +149,5 @@ def extended_car(
     vehicle = dataclasses.replace(vehicle, effects=effects, covariance=(), noise=estimated_noise(problem))
     if before or not estimates:
         return vehicle
-    matrix = covariance(last.H, last.blocks, columns) * np.outer(scale[columns], scale[columns])
+    matrix = spread.covariance * np.outer(scale[columns], scale[columns])
     return dataclasses.replace(vehicle, covariance=tuple(map(tuple, matrix.tolist())))

@@ -7,8 +7,9 @@ import numpy as np
 
 from driftjax.diagnosis.curves import describe_curve
 from driftjax.diagnosis.evidence import Cause
-from driftjax.diagnosis.fit import Fit, Problem
+from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Share
+from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unexplained_errors import Term, Unexplained
 from driftjax.vehicle.effect.families import FAMILY_OF
@@ -165,7 +166,7 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
 
 
 def describe_answer(
-    answer: str, problem: Problem, retuned: Fit | None, effects: tuple[int, ...], shares: dict[str, Share]
+    answer: str, problem: Problem, retuned: PredictionFit | None, effects: tuple[int, ...], shares: dict[str, Share]
 ) -> str:
     """Describe the car that predicts held-out runs best, where it is not the one with the named effects.
 
@@ -177,9 +178,13 @@ def describe_answer(
     if retuned is None:
         return ""
     scale, share, sizes = np.asarray(problem.model.scale), shares.get("retuned"), []
+    widths = dict(zip(retuned.columns, retuned.spread.half_width, strict=True))
     for i in effects:
-        size, before = ((theta * scale)[problem.columns((i,))].item() for theta in (retuned.theta, problem.start))
-        sizes.append(f"{problem.effects[i].name} {size:+.2g}{f', before {before:+.2g}' if before else ''}")
+        k = problem.columns((i,)).item()
+        size, width, before = (scale[k] * value for value in (retuned.theta[k], widths[k], problem.start[k]))
+        sizes.append(
+            f"{problem.effects[i].name} {size:+.2g} ± {width:.1g}{f', before {before:+.2g}' if before else ''}"
+        )
     explains = ""
     if share and np.isfinite(share.value):
         explains = f", which explains {_percent(share.value, share.ci95)} of the excess error"
@@ -187,6 +192,13 @@ def describe_answer(
         f"On held-out runs the car with friction and stiffness re-tuned ({'; '.join(sizes)}) {better}: it is the answer"
     )
     return f"{text}{explains}. "
+
+
+def describe_sizes(sizes: PredictionFit | None, horizon: float) -> str:
+    """Describe what the sizes of the named effects are fitted to, where that is not the likelihood."""
+    if sizes is None:
+        return ""
+    return f"The named effects leave errors, so their sizes are those that predict best up to {horizon:.2g} s ahead."
 
 
 def _percent(share: float, ci95: tuple[float, float]) -> str:

@@ -10,8 +10,9 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
-from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
+from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, refit_to_convergence, with_noise
 from driftjax.diagnosis.gain import Share
+from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
 from driftjax.diagnosis.residual import disturbance_forces
 from driftjax.diagnosis.score import scores
@@ -116,15 +117,17 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
 def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answer():
     problem, selection = nominal_only("drive_gain", 2.5)
     effect = ORDER.index("friction_rear")
-    retuned = Fit(np.where(np.arange(len(ORDER)) == effect, -2.0, 0.0), 0.0, selection.fit.e)
+    theta, columns = np.where(np.arange(len(ORDER)) == effect, -2.0, 0.0), np.array([effect])
+    retuned = PredictionFit(theta, columns, np.eye(len(ORDER)), np.zeros((9, len(ORDER))))
     words = functools.partial(describe_answer, problem=problem, effects=(effect,))
     share = Share(0.97, (0.9, 0.99), 0.1, (0.0, 0.2))
     said = words("retuned", retuned=retuned, shares={"retuned": share})
-    assert f"(friction_rear {-2 * EFFECTS[effect].parameters[0].typical:+.2g})" in said
+    typical = EFFECTS[effect].parameters[0].typical
+    assert f"(friction_rear {-2 * typical:+.2g} ± {retuned.spread.half_width[0] * typical:.1g})" in said
     assert said.endswith("it is the answer, which explains 97 % [90, 99] of the excess error. ")
     assert words("retuned", retuned=retuned, shares={"retuned": share._replace(value=np.nan)}).endswith("answer. ")
     started = problem._replace(start=np.where(np.arange(len(ORDER)) == effect, 1.0, 0.0))
-    assert "before" not in said and f", before {EFFECTS[effect].parameters[0].typical:+.2g})" in words(
+    assert "before" not in said and f", before {typical:+.2g})" in words(
         "retuned", problem=started, retuned=retuned, shares={}
     )
     assert "nominal car predicts better" in words("nominal", retuned=None, shares={})

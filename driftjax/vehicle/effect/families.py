@@ -16,4 +16,5 @@ FAMILIES = {
     "sensor": ("gyro_bias", "gyro_scale", "sideslip_bias", "speed_scale", "imu_lever_arm"),
     "time base": ("channel_delay",),
 }  # fmt: skip
+MEASUREMENT = ("sensor", "time base")  # families that leave the car's motion as it is
 FAMILY_OF = {name: family for family, names in FAMILIES.items() for name in names}
