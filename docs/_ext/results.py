@@ -39,15 +39,22 @@ def learn_tables(docs: Path) -> str:
     return "\n".join([f"Measured {_origin(versions)}.", "", *tables])
 
 
+SIZES = {"likelihood": "single steps (the likelihood)", "predictions": "predictions"}
+
+
 def real_log_tables(docs: Path) -> str:
     """Return the diagnoses in docs/results/real-logs.json, which `python -m experiments.real_logs` wrote."""
     results = json.loads((docs / "results/real-logs.json").read_text(encoding="utf-8"))
     parts = []
     for name, entry in results.items():
         gain, ahead = entry["gain"], entry["gain"]["skill_horizon_s"]
-        explained = with_interval(*(_percent(gain[key]["extended"]) for key in ("skill", "ci95")), ".0f")
+        if gain["skill"]["extended"] is None:
+            explained = f"whether the nominal car errs by more than noise {ahead:g} s ahead is in doubt"
+        else:
+            removed = with_interval(*(_percent(gain[key]["extended"]) for key in ("skill", "ci95")), ".0f")
+            explained = f"the named effects remove {removed} % of the excess error {ahead:g} s ahead"
         parts += [f"### `{name}`\n", f"Measured {_origin(entry['measured'])}. Verdict {entry['verdict']}; "
-                  f"the named effects remove {explained} % of the excess error {ahead:g} s ahead.\n"]  # fmt: skip
+                  f"sizes are fitted to {SIZES[entry['sizes_fitted_to']]}; {explained}.\n"]  # fmt: skip
         parts += [f"To compare with other work: `{key}` {with_interval(one['value'], one['ci95'])}, "
                   f"{'inside' if one['as_known'] else 'outside'} its range.\n"
                   for key, one in entry["answer"].items() if one["as_known"] is not None]  # fmt: skip

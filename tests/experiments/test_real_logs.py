@@ -31,6 +31,7 @@ def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
         "verdict": "NAMED",
         "sentence": "",
         "causes": [cause],
+        "sizes_fitted_to": "likelihood",
         "gain": gain,
         "closed_loop": None,
         "answer_car": "extended",
