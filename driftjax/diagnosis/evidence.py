@@ -19,8 +19,8 @@ from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fit, information,
 from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.score import (
     CONDITION,
+    ParameterSpread,
     Scores,
-    Spread,
     benjamini_yekutieli,
     half_widths_from,
     overdispersion,
@@ -176,7 +176,7 @@ def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> l
     return each
 
 
-def spread_with(problem: Problem, selection: Selection, sizes: PredictionFit | None) -> Spread:
+def spread_with(problem: Problem, selection: Selection, sizes: PredictionFit | None) -> ParameterSpread:
     """Return the uncertainty of the parameters of the named effects, of those of `sizes` as fitted to predictions.
 
     The latter are taken for independent of the others, which follow from other data.
@@ -187,7 +187,7 @@ def spread_with(problem: Problem, selection: Selection, sizes: PredictionFit | N
         own = np.searchsorted(columns, sizes.columns)
         half_width[own], covariance[own], covariance[:, own] = sizes.spread.half_width, 0.0, 0.0
         covariance[np.ix_(own, own)] = sizes.spread.covariance
-    return Spread(half_width, covariance)
+    return ParameterSpread(half_width, covariance)
 
 
 def half_widths(problem: Problem, last: Scores, selected: tuple[int, ...]) -> np.ndarray:

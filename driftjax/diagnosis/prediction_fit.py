@@ -13,7 +13,7 @@ import numpy as np
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE, at_horizons, predict
 from driftjax.diagnosis.quadratic import minimise_quadratic
-from driftjax.diagnosis.score import Spread, spread_of
+from driftjax.diagnosis.score import ParameterSpread, spread_of
 
 HUBER = 2.0  # errors, over those of the nominal car, from which they count by magnitude: some starts spin
 STEP = 1e-3  # of the differences that stand for derivatives, in typical sizes
@@ -32,7 +32,7 @@ class PredictionFit(NamedTuple):
     blocks: np.ndarray  # (C, K) scores by block of time, zero but for the fitted parameters
 
     @property
-    def spread(self) -> Spread:
+    def spread(self) -> ParameterSpread:
         """Return the uncertainty of the fitted parameters."""
         return spread_of(self.H, self.blocks, self.columns)
 

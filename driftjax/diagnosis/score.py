@@ -272,16 +272,16 @@ def half_widths_from(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> 
     return student.ppf(0.975, max(len(blocks) - len(columns), 1)) * spread
 
 
-class Spread(NamedTuple):
+class ParameterSpread(NamedTuple):
     """Uncertainty of fitted parameters, in typical sizes."""
 
     half_width: np.ndarray  # (k,) of the 95 % intervals
     covariance: np.ndarray  # (k, k)
 
 
-def spread_of(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> Spread:
+def spread_of(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> ParameterSpread:
     """Return the uncertainty of the parameters `columns`, from information (K, K) and scores by block (C, K)."""
-    return Spread(half_widths_from(H, blocks, columns), covariance(H, blocks, columns))
+    return ParameterSpread(half_widths_from(H, blocks, columns), covariance(H, blocks, columns))
 
 
 def overdispersion(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> float:

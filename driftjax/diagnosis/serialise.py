@@ -10,7 +10,7 @@ from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.held_out import PredictionGain
 from driftjax.diagnosis.outliers import count_outliers
-from driftjax.diagnosis.score import Spread
+from driftjax.diagnosis.score import ParameterSpread
 from driftjax.diagnosis.unexplained_errors import Unexplained
 from driftjax.logs.columns import MEASURED
 from driftjax.vehicle import EffectParameterValue, EstimatedNoise, PerChannel, VehicleConfig
@@ -128,7 +128,7 @@ def estimated_noise(problem: Problem) -> EstimatedNoise | None:
 
 
 def extended_car(
-    vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, spread: Spread
+    vehicle: VehicleConfig, problem: Problem, selected: tuple[int, ...], theta: np.ndarray, spread: ParameterSpread
 ) -> VehicleConfig:
     """Return the car with the effects `selected` at `theta` (K,), in typical sizes, their covariance, and the noise.
 
