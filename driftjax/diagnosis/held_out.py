@@ -151,15 +151,16 @@ def refit_retuned(selection: Selection) -> PredictionFit:
 def fit_sizes(
     problem: Problem, selection: Selection, comparison: Comparison, config: DiagnoseConfig
 ) -> PredictionFit | None:
-    """Fit the sizes of the named effects to predictions where those by the likelihood leave an excess error.
+    """Fit the sizes of the named effects to predictions where those by the likelihood mislead; None elsewhere.
 
-    That is where it is more than the tolerated share of the error on the runs of `comparison`, from which they were
-    named; else None is returned. No test decides: a right car loses little precision by it, a wrong one gains much.
+    They do where they leave more than the tolerated share of the error as an excess, on the runs of `comparison` from
+    which the effects were named, and other sizes lower the error by as much: those of a right car do not.
     """
-    shares = comparison_shares(comparison, config.seed)
-    if not selection.selected or "extended" not in shares or shares["extended"].remaining <= config.unexplained:
+    shares, tolerated = comparison_shares(comparison, config.seed), config.unexplained
+    if not selection.selected or "extended" not in shares or shares["extended"].remaining <= tolerated:
         return None
-    return refit_extended(problem, selection)
+    sizes = refit_extended(problem, selection)
+    return sizes if sizes.lowered < 1 - tolerated else None
 
 
 def refit_extended(problem: Problem, selection: Selection) -> PredictionFit:

@@ -30,6 +30,7 @@ class PredictionFit(NamedTuple):
     columns: np.ndarray  # (k,) fitted parameters
     H: np.ndarray  # (K, K) information, prior included
     blocks: np.ndarray  # (C, K) scores by block of time, zero but for the fitted parameters
+    lowered: float  # robust RMS of the errors, over that of the first start
 
     @property
     def spread(self) -> ParameterSpread:
@@ -74,8 +75,11 @@ def fit_to_predictions(problem: Problem, starts: Sequence[np.ndarray], columns: 
     """
     reference = _reference(problem)
     if not len(columns):
-        return PredictionFit(starts[0], columns, problem.prior, np.zeros((reference.num_blocks, len(problem.start))))
-    best = min((_try(reference, theta) for theta in starts), key=lambda one: one.objective)
+        return PredictionFit(
+            starts[0], columns, problem.prior, np.zeros((reference.num_blocks, len(problem.start))), 1.0
+        )
+    trials = [_try(reference, theta) for theta in starts]
+    best = min(trials, key=lambda one: one.objective)
     H, blocks = _quadratic(reference, best, columns)
     for _ in range(ROUNDS):
         trial = _damped_step(reference, best, H, blocks, columns)
@@ -85,7 +89,8 @@ def fit_to_predictions(problem: Problem, starts: Sequence[np.ndarray], columns: 
         H, blocks = _quadratic(reference, best, columns)
         if fall < FALL:
             break
-    return PredictionFit(best.theta, columns, H + problem.prior, blocks)
+    lowered = float(np.sqrt(best.total / trials[0].total))
+    return PredictionFit(best.theta, columns, H + problem.prior, blocks, lowered)
 
 
 def _errors(problem: Problem, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

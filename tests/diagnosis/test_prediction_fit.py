@@ -64,6 +64,7 @@ def test_the_minimum_is_the_one_that_scipy_finds():
     best = minimize(objective, found.theta[columns], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-5})
     assert objective(found.theta[columns]) < best.fun + 0.02  # a seventh of a standard deviation
     assert np.all(np.abs(best.x - found.theta[columns]) < 0.2 * found.spread.half_width)
+    assert 0.95 < refit_extended(problem, fitted(problem, "friction_rear", "drive_gain")).lowered <= 1.0
     truth = hidden(friction_rear=-1.0, drive_gain=1.0)[columns]
     assert np.all(np.abs(found.theta[columns] - truth) < 1.5 * found.spread.half_width)
     assert not found.theta[np.setdiff1d(np.arange(len(ORDER)), columns)].any()
@@ -74,6 +75,7 @@ def test_a_sensor_that_smooths_misleads_single_steps_but_not_predictions():
     selection = fitted(problem, *HIDDEN)
     refit = refit_extended(problem, selection)
     other = with_noise(initial_problem(sedan(), EFFECTS, smooth_runs(3)), problem.start, problem.noise)
+    assert refit.lowered < 0.9, "on the runs that both are fitted to"
     nominal = open_loop_errors(other, other.start)
     likely, ahead = (ratios(nominal, open_loop_errors(other, one.theta))[2, 0] for one in (selection.fit, refit))
     assert likely > 1.0 > 0.85 > ahead, "about 1 s ahead, on runs that neither has seen"
@@ -89,7 +91,11 @@ def test_the_sizes_of_the_verdict_are_those_of_the_car_and_of_its_gain():
     for cause in result.causes:
         (one,) = cause.parameters.values()
         value, half_width = values[cause.effect]
-        assert one["value"] == value and one["ci95"] == pytest.approx([value - half_width, value + half_width])
+        assert (
+            half_width is not None
+            and one["value"] == value
+            and one["ci95"] == pytest.approx([value - half_width, value + half_width])
+        )
 
 
 def test_sensors_keep_what_kinematics_tell():
