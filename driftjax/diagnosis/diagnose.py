@@ -257,9 +257,11 @@ def _sizes(
 ) -> tuple[PredictionFit | None, Comparison]:
     """Return the sizes fitted to predictions, where the likelihood does not suffice, and the comparison of the cars."""
     if gain:  # what holds without the runs held out holds with them
-        return refit_extended(problem, selection) if gain.refitted and selection.selected else None, gain.comparison
+        sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
+        return sizes, gain.comparison
     comparison = compare_on_own_runs(problem, selection, selection.fit.theta, config.seed)
-    if sizes := fit_sizes(problem, selection, comparison, config):
+    sizes = fit_sizes(problem, selection, comparison, config) if selection.selected else None
+    if sizes:
         comparison = compare_on_own_runs(problem, selection, sizes.theta, config.seed)
     return sizes, comparison
 
@@ -285,7 +287,7 @@ def _conclude(
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
-    other = describe_answer(answer, problem, retuned, retuned_effects(problem), shares)
+    other = describe_answer(answer, problem, retuned, shares)
     words = f"{other}{judgement.sentence}", describe_sizes(sizes, horizon), unidentifiable.sentence
     judgement = judgement._replace(sentence=" ".join(one for one in words if one))
     proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)

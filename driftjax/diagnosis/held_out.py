@@ -118,7 +118,10 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     if near is not train:
         followed = with_noise(test, selection.nominal.theta, selection.base.noise)
         test = with_noise(test, selection.fit.theta, near.noise)
-    sizes = fit_sizes(near, selection, compare_on_own_runs(near, selection, selection.fit.theta, config.seed), config)
+    sizes = None
+    if selection.selected:
+        own = compare_on_own_runs(near, selection, selection.fit.theta, config.seed)
+        sizes = fit_sizes(near, selection, own, config)
     extended = sizes.theta if sizes else selection.fit.theta
     thetas = {"nominal": selection.nominal.theta, "retuned": refit_retuned(selection).theta, "extended": extended}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
@@ -157,7 +160,7 @@ def fit_sizes(
     which the effects were named, and other sizes lower the error by as much: those of a right car do not.
     """
     shares, tolerated = comparison_shares(comparison, config.seed), config.unexplained
-    if not selection.selected or "extended" not in shares or shares["extended"].remaining <= tolerated:
+    if "extended" not in shares or shares["extended"].remaining <= tolerated:
         return None
     sizes = refit_extended(problem, selection)
     return sizes if sizes.lowered < 1 - tolerated else None

@@ -165,12 +165,10 @@ def describe_cause(problem: Problem, cause: Cause) -> str:
     return text
 
 
-def describe_answer(
-    answer: str, problem: Problem, retuned: PredictionFit | None, effects: tuple[int, ...], shares: dict[str, Share]
-) -> str:
+def describe_answer(answer: str, problem: Problem, retuned: PredictionFit | None, shares: dict[str, Share]) -> str:
     """Describe the car that predicts held-out runs best, where it is not the one with the named effects.
 
-    `effects`, of one parameter each, are those of the `retuned` car; `shares` say how much of the error a car explains.
+    Effects of the `retuned` car have one parameter each; `shares` say how much of the error a car explains.
     """
     better = "predicts better than the one with the named effects"
     if answer == "nominal":
@@ -178,13 +176,10 @@ def describe_answer(
     if retuned is None:
         return ""
     scale, share, sizes = np.asarray(problem.model.scale), shares.get("retuned"), []
-    widths = dict(zip(retuned.columns, retuned.spread.half_width, strict=True))
-    for i in effects:
-        k = problem.columns((i,)).item()
-        size, width, before = (scale[k] * value for value in (retuned.theta[k], widths[k], problem.start[k]))
-        sizes.append(
-            f"{problem.effects[i].name} {size:+.2g} ± {width:.1g}{f', before {before:+.2g}' if before else ''}"
-        )
+    for k, half_width in zip(retuned.columns, retuned.spread.half_width, strict=True):
+        size, width, before = (scale[k] * value for value in (retuned.theta[k], half_width, problem.start[k]))
+        name, words = problem.effects[problem.owner[k]].name, f", before {before:+.2g}" if before else ""
+        sizes.append(f"{name} {size:+.2g} ± {width:.1g}{words}")
     explains = ""
     if share and np.isfinite(share.value):
         explains = f", which explains {_percent(share.value, share.ci95)} of the excess error"

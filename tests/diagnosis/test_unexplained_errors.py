@@ -119,7 +119,7 @@ def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answe
     effect = ORDER.index("friction_rear")
     theta, columns = np.where(np.arange(len(ORDER)) == effect, -2.0, 0.0), np.array([effect])
     retuned = PredictionFit(theta, columns, np.eye(len(ORDER)), np.zeros((9, len(ORDER))), 1.0)
-    words = functools.partial(describe_answer, problem=problem, effects=(effect,))
+    words = functools.partial(describe_answer, problem=problem)
     share = Share(0.97, (0.9, 0.99), 0.1, (0.0, 0.2))
     said = words("retuned", retuned=retuned, shares={"retuned": share})
     typical = EFFECTS[effect].parameters[0].typical
