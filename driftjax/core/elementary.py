@@ -207,7 +207,8 @@ def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., A
 
     def lowered(context: Any, *operands: Any) -> Any:
         few = math.prod(context.avals_in[0].shape) < MIN_VECTOR_SIZE
-        return mlir.lower_fun(own if few else polynomial, multiple_results=several)(context, *operands)
+        once = lambda *x: lax.optimization_barrier(polynomial(*x))
+        return mlir.lower_fun(own if few else once, multiple_results=several)(context, *operands)
 
     def batched(args: Any, axes: Any) -> Any:
         size = next(a.shape[axis] for a, axis in zip(args, axes, strict=True) if axis is not None)

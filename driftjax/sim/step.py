@@ -144,7 +144,7 @@ def lagged_after(model: Universal, at_start: StepStart, x: State, dt: Array) -> 
     return LaggedState(slip + end + at.behind, lag_step(at_start.lagged.ay, at_start.ay, model.car.roll_lag, dt)[1])
 
 
-def evaluate(
+def _evaluate(
     model: Universal,
     at_start: StepStart,
     y: Float[Array, "3"],
@@ -166,13 +166,13 @@ def evaluate(
     return jnp.concatenate([jnp.stack(dx) + push, ay[None]])
 
 
-def first_slip_rate(model: Universal, at_start: StepStart, dx: Float[Array, "3"], dt: Array) -> Float[Array, "2"]:
+def _first_slip_rate(model: Universal, at_start: StepStart, dx: Float[Array, "3"], dt: Array) -> Float[Array, "2"]:
     """Return the rates of the geometric slip angles at the start of a step, for rates `dx` of the state."""
     rise = Control(*(2 * slope / dt for slope in at_start.hold.slope))
     return slip_rate(model, at_start.x, State(dx[0], dx[1], dx[2]), at_start.hold.at(0.0), rise)
 
 
-def evaluations(method: Tableau, dtype: jnp.dtype) -> tuple[Array, Array, Array]:
+def _evaluations(method: Tableau, dtype: jnp.dtype) -> tuple[Array, Array, Array]:
     """Return for each evaluation of a step whether it is the first, its node, and its weight in the step."""
     into, weights = (jnp.asarray(np.concatenate([[0.0], row]), dtype) for row in method)
     return jnp.arange(len(into)) == 0, into, weights
@@ -200,12 +200,12 @@ def lagged_step(
     def on(carry, row):
         k, end, known = carry
         first, into, weight = row
-        derivative = evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
-        moving = first_slip_rate(model, begun(known), derivative[:3], dt)
+        derivative = _evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
+        moving = _first_slip_rate(model, begun(known), derivative[:3], dt)
         k = jnp.where(first, k, derivative[:3])
         known = jnp.where(first, jnp.concatenate([moving, derivative[3:]]), known)
         return (k, end + weight * dt * k, known), k
 
-    (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), evaluations(method, start.dtype))
+    (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), _evaluations(method, start.dtype))
     end = State(end[0], end[1], end[2])
     return end, lagged_after(model, begun(known), end, dt), State(*slopes[1]), State(*slopes[-1])

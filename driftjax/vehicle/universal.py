@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Float
 
 from driftjax.core import Control, State
+from driftjax.core.elementary import cos
 from driftjax.vehicle.effect.base import Effect, Station
 from driftjax.vehicle.effect.flow import (
     Aux,
@@ -52,10 +53,12 @@ class Universal(eqx.Module):
 
     def values(self, station: Station | None = None) -> dict[str, tuple[Array, ...]]:
         """Return the parameters of each effect, or of those of one station, SI."""
-        values, at, physical = {}, 0, self.theta * self.scale
+        values, at = {}, 0
+        # the derivative of a split is one concatenation, that of an index an array of zeros for each parameter
+        physical = [one.reshape(()) for one in jax.lax.split(self.theta * self.scale, (1,) * len(self.theta))]
         for effect in self.effects:
             if station in (None, effect.station):
-                values[effect.name] = tuple(physical[at + i] for i in range(len(effect.parameters)))
+                values[effect.name] = tuple(physical[at : at + len(effect.parameters)])
             at += len(effect.parameters)
         return values
 
@@ -86,11 +89,11 @@ class Universal(eqx.Module):
         """
         most, inputs = self.base.mur * self.base.m * G, (self, x, u, place, aux)
         fixed = jax.lax.stop_gradient(inputs)
-        m, cos, first = fixed[0].car.m, jnp.cos(fixed[1].beta), fixed[2].Fxr
-        approach = lambda _, F: jnp.clip(F + m * cos * _missing_rate(*fixed, F), -most, most)
+        mass, first = fixed[0].car.m * cos(fixed[1].beta), fixed[2].Fxr
+        approach = lambda _, F: jnp.clip(F + mass * _missing_rate(*fixed, F), -most, most)
         F = jax.lax.fori_loop(0, ITERATIONS, approach, first)
         slope = jax.jvp(lambda F: _missing_rate(*fixed, F), (F,), (jnp.ones_like(F),))[1]
-        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / m)
+        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / fixed[0].car.m)
         return u._replace(Fxr=jnp.clip(F - step, -most, most))
 
     def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:

@@ -1,15 +1,14 @@
 """Aerodynamic drag against the velocity: X - c V^2 cos(beta), Y - c V^2 sin(beta), c = rho C_d A / 2 (SAE J1263)."""
 
-import jax.numpy as jnp
-
+from driftjax.core.elementary import sincos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 
 
 def apply(flow: Flow, p) -> Flow:
     """Add a force against the velocity, proportional to its square."""
-    drag = p[0] * flow.x.V**2
-    return flow._replace(X=flow.X - drag * jnp.cos(flow.x.beta), Y=flow.Y - drag * jnp.sin(flow.x.beta))
+    drag, (sin, cos) = p[0] * flow.x.V**2, sincos(flow.x.beta)
+    return flow._replace(X=flow.X - drag * cos, Y=flow.Y - drag * sin)
 
 
 EFFECT = Effect(

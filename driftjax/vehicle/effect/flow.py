@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from driftjax.core import Control, State
-from driftjax.core.elementary import sincos
+from driftjax.core.elementary import arctan2, cos, sin, sincos
 from driftjax.tyre import CurvedPacejka, SimplifiedPacejka
 from driftjax.vehicle.single_track import V_FLOOR, G, SingleTrack, lateral_share
 
@@ -112,10 +112,11 @@ class Flow(NamedTuple):
 
 def heat_rate(nominal: SingleTrack, x: State) -> Array:
     """Return the sliding power of the nominal rear tyres over weight x 100 sqrt(g L) [1/s], d(`Place.heat`)/dt."""
-    alpha_r = jnp.arctan2(x.V * jnp.sin(x.beta) - nominal.b * x.r, jnp.maximum(x.V * jnp.cos(x.beta), V_FLOOR))
+    across, along = (x.V * share for share in sincos(x.beta))
+    alpha_r = arctan2(across - nominal.b * x.r, jnp.maximum(along, V_FLOOR))
     force = jnp.abs(nominal.tyre.lateral(alpha_r, nominal.Fzr))
     unit = 100 * nominal.m * G * jnp.sqrt(G * (nominal.a + nominal.b))
-    return force * x.V * jnp.abs(jnp.sin(alpha_r)) / unit
+    return force * x.V * jnp.abs(sin(alpha_r)) / unit
 
 
 def axle_forces(flow: Flow) -> Flow:
@@ -140,7 +141,7 @@ def move_to_front(flow: Flow, force: Array) -> Flow:
 
 def forward_sign(flow: Flow) -> Array:
     """Return the smooth sign of the forward speed, for resistances to rolling [-]."""
-    along = flow.x.V * jnp.cos(flow.x.beta)
+    along = flow.x.V * cos(flow.x.beta)
     return along / jnp.sqrt(along**2 + (CREEP * flow.car.unit_speed) ** 2)
 
 

@@ -5,6 +5,7 @@ d_i = 6 (s - i / 6), around the lap: neighbours overlap, all add up to 1 (raised
 
 import jax.numpy as jnp
 
+from driftjax.core.elementary import cos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 
@@ -16,7 +17,7 @@ def apply(flow: Flow, p) -> Flow:
     change = jnp.zeros_like(flow.place.s)
     for i in range(NUM):
         d = NUM * (jnp.mod(flow.place.s - i / NUM + 0.5, 1.0) - 0.5)
-        change = change + p[i] * jnp.where(jnp.abs(d) < 1, (1 + jnp.cos(jnp.pi * d)) / 2, 0.0)
+        change = change + p[i] * jnp.where(jnp.abs(d) < 1, (1 + cos(jnp.pi * d)) / 2, 0.0)
     return flow._replace(muf=flow.muf * (1 + change), mur=flow.mur * (1 + change))
 
 

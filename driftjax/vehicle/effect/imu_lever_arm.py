@@ -6,18 +6,19 @@ Split along and across the velocity, so that the true one comes out exactly wher
 import jax.numpy as jnp
 
 from driftjax.core import State
+from driftjax.core.elementary import arctan2, sincos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.single_track import V_FLOOR
 
 
 def apply(x: State, dx: State, p) -> State:
     """Return speed and sideslip of the measured point."""
-    sin, cos = jnp.sin(x.beta), jnp.cos(x.beta)
+    sin, cos = sincos(x.beta)
     along, across = x.r * (p[0] * sin - p[1] * cos), x.r * (p[0] * cos + p[1] * sin)
     speed = lambda square: jnp.sqrt(square + V_FLOOR**2)
     gain = along * (2 * x.V + along) + across**2
     V = x.V + gain / (speed((x.V + along) ** 2 + across**2) + speed(x.V**2))
-    return x._replace(V=V, beta=x.beta + jnp.arctan2(across, jnp.maximum(x.V, V_FLOOR) + along))
+    return x._replace(V=V, beta=x.beta + arctan2(across, jnp.maximum(x.V, V_FLOOR) + along))
 
 
 EFFECT = Effect(

@@ -6,8 +6,7 @@ by delta they turn the car with -m a_y h_f (F_yf / F_zf) sin(delta), where h_f =
 roll lags, a_y is what the roll has reached.
 """
 
-import jax.numpy as jnp
-
+from driftjax.core.elementary import sin
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 from driftjax.vehicle.single_track import G
@@ -18,7 +17,7 @@ def apply(flow: Flow, p) -> Flow:
     k_f, k_r, h_f = p
     ay = flow.ay + flow.ay_lag
     square = (ay / G) ** 2
-    moment = flow.car.m * ay * h_f * flow.Fyf / flow.Fzf * jnp.sin(flow.u.delta)
+    moment = flow.car.m * ay * h_f * flow.Fyf / flow.Fzf * sin(flow.u.delta)
     return flow._replace(muf=flow.muf * (1 - k_f * square), mur=flow.mur * (1 - k_r * square), N=flow.N - moment)
 
 

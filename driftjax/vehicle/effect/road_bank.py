@@ -1,7 +1,6 @@
 """Bank of the road, falling to the left positive: Y + m g sin(phi) (Ryu and Gerdes 2004)."""
 
-import jax.numpy as jnp
-
+from driftjax.core.elementary import sin
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 from driftjax.vehicle.single_track import G
@@ -9,7 +8,7 @@ from driftjax.vehicle.single_track import G
 
 def apply(flow: Flow, p) -> Flow:
     """Add the weight's part along the bank, to the left; the bank turns with the car, as in a banked corner."""
-    return flow._replace(Y=flow.Y + flow.car.m * G * jnp.sin(p[0]))
+    return flow._replace(Y=flow.Y + flow.car.m * G * sin(p[0]))
 
 
 EFFECT = Effect(

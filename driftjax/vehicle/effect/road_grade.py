@@ -3,8 +3,7 @@
 X - m g (grade_x cos psi + grade_y sin psi), Y + m g (grade_x sin psi - grade_y cos psi).
 """
 
-import jax.numpy as jnp
-
+from driftjax.core.elementary import sincos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 from driftjax.vehicle.single_track import G
@@ -12,7 +11,7 @@ from driftjax.vehicle.single_track import G
 
 def apply(flow: Flow, p) -> Flow:
     """Add the weight's part along the slope, downhill at every heading."""
-    weight, sin, cos = flow.car.m * G, jnp.sin(flow.place.psi), jnp.cos(flow.place.psi)
+    weight, (sin, cos) = flow.car.m * G, sincos(flow.place.psi)
     X = flow.X - weight * (p[0] * cos + p[1] * sin)
     return flow._replace(X=X, Y=flow.Y + weight * (p[0] * sin - p[1] * cos))
 

@@ -6,6 +6,7 @@ L/10 in front of the centre of mass.
 
 import jax.numpy as jnp
 
+from driftjax.core.elementary import sincos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 
@@ -16,8 +17,8 @@ CALM = 1e-3  # speed that keeps the norms smooth, over sqrt(g L) [-]
 
 def apply(flow: Flow, p) -> Flow:
     """Add the force of the wind, written so that it is exactly zero without wind."""
-    x, car, sin, cos = flow.x, flow.car, jnp.sin(flow.place.psi), jnp.cos(flow.place.psi)
-    vx, vy = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)
+    x, car, (sin, cos), (across, along) = flow.x, flow.car, sincos(flow.place.psi), sincos(flow.x.beta)
+    vx, vy = x.V * along, x.V * across
     wx, wy = p[0] * cos + p[1] * sin, p[1] * cos - p[0] * sin
     floor = (CALM * car.unit_speed) ** 2
     through = jnp.sqrt((wx - vx) ** 2 + (wy - vy) ** 2 + floor)

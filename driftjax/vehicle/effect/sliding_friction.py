@@ -6,6 +6,7 @@ k is the loss in full sliding; V_st is fixed at sqrt(g L), 5.5 m/s for a sedan: 
 
 import jax.numpy as jnp
 
+from driftjax.core.elementary import sin
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow
 
@@ -17,7 +18,7 @@ def apply(flow: Flow, p) -> Flow:
     unit, x = flow.car.unit_speed, flow.x
 
     def share_left(alpha):
-        share = x.V * jnp.sin(alpha) / unit
+        share = x.V * sin(alpha) / unit
         speed = jnp.sqrt(share**2 + BOTTOM**2) - BOTTOM
         return 1 - p[0] * (1 - jnp.exp(-speed))
 

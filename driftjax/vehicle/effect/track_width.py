@@ -8,6 +8,7 @@ grows with t^2: p is its ratio to that of the track t = L / 2, so that t = sqrt(
 
 import jax.numpy as jnp
 
+from driftjax.core.elementary import arctan2, sin, sincos
 from driftjax.vehicle.effect.base import Effect, Parameter
 from driftjax.vehicle.effect.flow import Flow, axle_forces
 from driftjax.vehicle.single_track import V_FLOOR
@@ -17,11 +18,11 @@ def apply(flow: Flow, p) -> Flow:
     """Compute the tyre forces from the slip angles of both wheels of each axle."""
     car, x = flow.car, flow.x
     t = car.wheelbase / 2
-    along, across = x.V * jnp.cos(x.beta), x.V * jnp.sin(x.beta)
+    across, along = (x.V * share for share in sincos(x.beta))
 
     def direction(arm, side):
         forward = along - side * x.r * t / 2
-        return jnp.arctan2(across + arm * x.r, jnp.where(jnp.abs(forward) < V_FLOOR, V_FLOOR, forward))
+        return arctan2(across + arm * x.r, jnp.where(jnp.abs(forward) < V_FLOOR, V_FLOOR, forward))
 
     def wheels(side):
         front, rear = (direction(arm, side) - direction(arm, 0.0) for arm in (car.a, -car.b))
@@ -29,7 +30,7 @@ def apply(flow: Flow, p) -> Flow:
 
     left, right = wheels(1.0), wheels(-1.0)
     mixed = lambda axle, a, b: axle + p[0] * ((a + b) / 2 - axle)
-    moment = p[0] * t / 4 * (left.Fyf - right.Fyf) * jnp.sin(flow.u.delta)
+    moment = p[0] * t / 4 * (left.Fyf - right.Fyf) * sin(flow.u.delta)
     front, rear = mixed(flow.Fyf, left.Fyf, right.Fyf), mixed(flow.Fyr, left.Fyr, right.Fyr)
     return flow._replace(Fyf=front, Fyr=rear, N=flow.N + moment)
 
