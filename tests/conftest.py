@@ -22,7 +22,9 @@ FLAGS = (
 os.environ.setdefault("DRIFTJAX_FUSED_RESULTS", "0")  # which these emitters do not know
 os.environ["XLA_FLAGS"] = f"{FLAGS} {os.environ.get('XLA_FLAGS', '')}"
 # Functions whose programs run for longer than they compile.
-LONG = "drive_batch solve_from _expansion batched_rollouts sample_derivatives _follow propagate_pieces run_predictions"
+LONG = (
+    "drive_batch solve_from _expansion batched_rollouts sample_derivatives observe_runs propagate_pieces predict_ahead"
+)
 os.environ.setdefault("DRIFTJAX_OPTIMISED", LONG.replace(" ", ","))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy is here before the package, which sets it else
 os.environ.setdefault("JAX_PLATFORMS", "cpu")

@@ -18,7 +18,6 @@ from driftjax.diagnosis.fit import (
     information,
     initial_problem,
     linearise,
-    refit_to_convergence,
     time_lost,
     with_estimated_noise,
     with_noise,
@@ -28,6 +27,7 @@ from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_
 from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
 from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation, resolved_log
 from driftjax.diagnosis.score import Scores, scores, spread_of
 from driftjax.diagnosis.serialise import extended_car, gain_json

@@ -13,8 +13,9 @@ from scipy.stats import t as student
 
 from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
 from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
-from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise
 from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
     CONDITION,

@@ -15,8 +15,9 @@ from driftjax.diagnosis.beam import (
     quadratic_cost,
 )
 from driftjax.diagnosis.curves import AxleCurve, axle_curve
-from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fit, information, refine
+from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fits, information
 from driftjax.diagnosis.prediction_fit import PredictionFit
+from driftjax.diagnosis.refine import refine_together
 from driftjax.diagnosis.score import (
     CONDITION,
     ParameterSpread,
@@ -28,7 +29,7 @@ from driftjax.diagnosis.score import (
     scores,
     spread_of,
 )
-from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, Selection, Significance
+from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, ROUGH, Selection, Significance
 from driftjax.diagnosis.shapley import ErrorShare, shapley_shares
 from driftjax.vehicle.effect.families import FAMILY_OF
 
@@ -244,34 +245,53 @@ def effect_probabilities(problem: Problem, selection: Selection, model: Quadrati
     """Return the probabilities (E,) that `member` or another effect acts in its place."""
     sizes = np.bincount(problem.owner)
     known = selection.replacements
-    costs = known[member] if known else replacement_costs(problem, selection, model, member)
+    costs = (known or replacement_costs(problem, selection, model, (member,)))[member]
     return hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
 
 
-def replacement_costs(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
-    """Return the cost (E,) with `member` replaced by each effect in turn, infinite for the other members.
+def replacement_costs(
+    problem: Problem, selection: Selection, model: QuadraticCost, members: tuple[int, ...], refitted: int = REFITTED
+) -> dict[int, np.ndarray]:
+    """Return for each of `members` the cost (E,) with every effect in its place, infinite for the other members.
 
-    They follow from the quadratic model about the fit; those of credible rivals are refitted, and so is in any case
-    what is predicted to be more probable than `member`. Infinite too for what ends at its bound.
+    They follow from the quadratic model about the fit; those of credible rivals, at most `refitted`, are refitted, and
+    so is in any case what is predicted to be more probable than the member. Infinite too for what ends at its bound.
     """
-    rest = tuple(i for i in selection.selected if i != member)
+    if not members:  # whose dispersion would be that of nothing
+        return {}
+    rest = {member: tuple(i for i in selection.selected if i != member) for member in members}
+    costs = {member: model.cost - rival_gains(model, rest[member]) for member in members}
+    for member in members:
+        costs[member][member] = selection.fit.cost
     sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
-    costs = model.cost - rival_gains(model, rest)
-    costs[member] = selection.fit.cost
-    promised = set(range(len(costs))) - {member}
-    for num in range(len(promised)):
-        share = hypothesis_probabilities(costs, sizes, excess)
-        best = max(promised, key=lambda i: share[i])
-        if share[best] <= share[member] and (num >= REFITTED or share[best] <= CREDIBLE):
-            break
-        promised.remove(best)
-        one, costs[best] = minimise_over(model, (*rest, best)), np.inf
-        if one is not None:
-            start = evaluate_fit(problem, problem.start + one.psi)
-            fit = refine(problem, start, problem.columns(one.effects), selection.linearisation)
-            ends = at_bound(problem, fit.theta)[problem.columns((best,))].any()
-            costs[best] = np.inf if ends else fit.cost
-    return costs
+    known: dict[int, list[int]] = {member: [] for member in members}
+    while True:
+        share = {member: hypothesis_probabilities(costs[member], sizes, excess) for member in members}
+        new = [(i, j) for i in members for j in _rivals_to_refit(share[i], i, known[i], refitted)]
+        if not new:
+            return costs
+        for member, rival in new:
+            known[member].append(rival)
+            costs[member][rival] = np.inf
+        minima = [(member, rival, minimise_over(model, (*rest[member], rival))) for member, rival in new]
+        sets = [(member, rival, one) for member, rival, one in minima if one is not None]
+        starts = evaluate_fits(problem, [problem.start + one.psi for *_, one in sets])
+        columns = [problem.columns(one.effects) for *_, one in sets]
+        fits = refine_together(problem, starts, columns, selection.linearisation, tolerance=ROUGH)
+        for (member, rival, _), fit in zip(sets, fits, strict=True):
+            if not at_bound(problem, fit.theta)[problem.columns((rival,))].any():
+                costs[member][rival] = fit.cost
+
+
+def _rivals_to_refit(share: np.ndarray, member: int, known: list[int], refitted: int) -> list[int]:
+    """Return the rivals to refit by their probabilities `share` (E,), but those `known`, the most probable first.
+
+    They are all that are more probable than `member`, and credible ones until `refitted` are known.
+    """
+    order = [int(i) for i in np.argsort(-share) if i != member and i not in known]
+    more = [i for i in order if share[i] > share[member]]
+    credible = [i for i in order if CREDIBLE < share[i] <= share[member]]
+    return more + credible[: max(refitted - len(known) - len(more), 0)]
 
 
 def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""Fit hypotheses: Gauss-Newton on the active parameters, through the observer's innovations."""
+"""Problems and hypotheses: the cost of parameters by the observer's innovations, and its derivatives."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +28,7 @@ from driftjax.diagnosis.noise import (
     observed_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
-from driftjax.diagnosis.observer import Gains, samples_in_run
-from driftjax.diagnosis.quadratic import minimise_quadratic
+from driftjax.diagnosis.observer import Gains, Path, samples_in_run
 from driftjax.diagnosis.runs import (
     Linearisation,
     Pieces,
@@ -37,6 +37,7 @@ from driftjax.diagnosis.runs import (
     observer_gains,
     pieces,
     run_observer,
+    run_observers,
     step_derivatives,
     take,
     whiten,
@@ -48,16 +49,13 @@ from driftjax.vehicle.effect.families import DRIVE, FAMILY_OF
 from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import Universal, universal_car
 
-STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)  # of Gauss-Newton steps tried
-TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
+MOST_ROWS = 512  # pieces times hypotheses evaluated together: those of a long log fill the memory
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
 SIDESLIPS = 2  # times that a force is estimated again for the sideslip which the observer infers with it
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
 MOST_LOST = 0.5  # share of the time in which it may lose the car
-REFITS = 6  # refinements, each about derivatives of its own, at most
-REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 
 
 class Problem(NamedTuple):
@@ -118,6 +116,7 @@ class Fit(NamedTuple):
     theta: np.ndarray  # (K,) in typical sizes
     cost: float  # sum of squares of whitened innovations, prior included
     e: np.ndarray  # (P, T, c) whitened innovations of V, beta, r, and residuals of pose and accelerations if they count
+    path: Path | None = None  # of the observer (P, T, ...), where known
 
 
 def initial_problem(
@@ -231,7 +230,7 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:
     """Return whitened innovations and their derivatives at `fit`, and those of pose and accelerations that count."""
-    linearisation = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active)
+    linearisation = differentiate(problem.model, problem.data, fit.theta, problem.gains, problem.active, fit.path)
     if (
         problem.data.skip and (lost := lost_samples(np.asarray(linearisation.J))).any()
     ):  # a measured sideslip holds the observer
@@ -267,12 +266,27 @@ def time_lost(problem: Problem, linearisation: Linearisation) -> float:
 
 
 def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
-    """Evaluate the cost of the hypothesis `theta`, infinite where the observer diverges.
+    """Evaluate the cost of the hypothesis `theta` (K,), infinite where the observer diverges."""
+    return evaluate_fits(problem, [theta])[0]
+
+
+def evaluate_fits(problem: Problem, thetas: Sequence[np.ndarray]) -> list[Fit]:
+    """Evaluate the costs of hypotheses in batches, infinite where the observer diverges.
 
     A delay assigns the first measurements to times before the run; these cost what noise costs, since leaving them out
     would reward the delay.
     """
-    path = run_observer(problem.model, problem.data, theta, problem.gains)
+    num, fits = len(problem.data.run), []
+    for k in range(0, len(thetas), together := max(MOST_ROWS // num, 1)):
+        some = np.asarray(thetas[k : k + together])
+        row = np.arange(len(some) * num)
+        path = run_observers(problem.model, problem.data, some[row // num], row % num, problem.gains)
+        fits += [_fit_of(problem, one, take(path, row // num == i)) for i, one in enumerate(some)]
+    return fits
+
+
+def _fit_of(problem: Problem, theta: np.ndarray, path: Path) -> Fit:
+    """Return the fit of the hypothesis `theta` (K,), whose observer followed `path`."""
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
     cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.informative - used))
@@ -281,7 +295,7 @@ def evaluate_fit(problem: Problem, theta: np.ndarray) -> Fit:
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing
     moved = theta - problem.start
     cost += float(moved @ problem.prior @ moved)
-    return Fit(theta, cost if np.isfinite(cost) else np.inf, e)
+    return Fit(theta, cost if np.isfinite(cost) else np.inf, e, path)
 
 
 def at_bound(problem: Problem, theta: np.ndarray) -> np.ndarray:
@@ -300,59 +314,3 @@ def information_and_score(linearisation: Linearisation) -> tuple[np.ndarray, np.
     return information(linearisation.J), np.einsum(
         "ptij,pti->j", np.asarray(linearisation.J), np.asarray(linearisation.e), optimize=True
     )
-
-
-def refine(
-    problem: Problem, fit: Fit, columns: np.ndarray, near: Linearisation, num: int = 6, tolerance: float = TOLERANCE
-) -> Fit:
-    """Improve `fit` over `columns` by at most `num` Gauss-Newton steps, until its cost falls by less than `tolerance`.
-
-    Derivatives are those of a fit `near` this one, which are kept while the cost falls fast (chord method; Kelley
-    1995, Sec. 5.4.1), for they take several times as long as the innovations.
-    """
-    if not len(columns):
-        return fit
-    last, J = np.inf, np.asarray(near.J)[..., columns]
-    for _ in range(num):
-        H = information(J) + problem.prior[np.ix_(columns, columns)]
-        score = np.einsum("ptij,pti->j", J, fit.e) - (problem.prior @ (fit.theta - problem.start))[columns]
-        here, goal = fit.theta[columns], fit.theta.copy()
-        goal[columns] = minimise_quadratic(score + H @ here, H, problem.lower[columns], problem.upper[columns])
-        step = goal[columns] - here
-        if not 2 * score @ step - step @ H @ step > tolerance:  # predicted fall of the cost
-            break
-        before, fit = fit.cost, _shorten(problem, fit, goal)
-        fall = before - fit.cost
-        if not fall > tolerance:
-            break
-        if fall > REUSE_RATIO * last:
-            J = np.asarray(linearise(problem, fit).J)[..., columns]
-        last = fall
-    return fit
-
-
-def refit_to_convergence(
-    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None
-) -> tuple[Fit, Linearisation]:
-    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
-
-    `linearisation` is that at the given `fit`, where it is known.
-    """
-    linearisation = linearise(problem, fit) if linearisation is None else linearisation
-    for _ in range(REFITS):
-        better = refine(problem, fit, columns, linearisation)
-        if better is fit:
-            break
-        fit, linearisation = better, linearise(problem, better)
-    return fit, linearisation
-
-
-def _shorten(problem: Problem, fit: Fit, goal: np.ndarray) -> Fit:
-    """Return the first of successively shorter steps to `goal` (K,) that lowers the cost, else `fit`."""
-    for length in STEP_LENGTHS:
-        # a whole step ends on a bound exactly
-        theta = goal if length == 1 else fit.theta + length * (goal - fit.theta)
-        trial = evaluate_fit(problem, theta)
-        if trial.cost < fit.cost:
-            return trial
-    return fit

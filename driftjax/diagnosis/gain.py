@@ -7,23 +7,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import PyTree
+from jaxtyping import Float, PyTree
 
 from driftjax.core import State, features
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.observer import PaddedRun
-from driftjax.diagnosis.runs import batches, error_blocks, map_pieces, padded_size, run_observer, theta_of_pieces
+from driftjax.diagnosis.observer import Path, samples_in_run
+from driftjax.diagnosis.runs import (
+    LANES,
+    batches,
+    concatenate_trees,
+    error_blocks,
+    padded_size,
+    run_observer,
+    take,
+    theta_of_pieces,
+)
 from driftjax.gp import GP
 from driftjax.parallel import call
-from driftjax.sim.rollout import actuator_response, move, sensor_reading
+from driftjax.sim.rollout import move, sensor_reading
 from driftjax.sim.step import hold_of
+from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
 SPANS = (1.0, 2.0, 4.0)  # horizons beside one step [sqrt(L/g)]: about 0.5, 1 and 2 s for a full-size car
 DECISIVE = 2  # number of the horizon, one step first, at which shares of the error are measured
 START_INTERVAL = 1.0  # time between the starts of predictions [sqrt(L/g)]
 SETTLED = 0.5  # time after the start of a piece from which its observer has settled [s]
-STARTS = 20  # starts predicted from in one call
+STARTS = 20  # starts of roll-outs in one call
 ROOM = 256  # steps that any program of predictions has room for
 RESAMPLES = 2000
 TINY = 1e-9  # below which an error over that of noise is none
@@ -67,53 +77,51 @@ def scan_rows(step: Callable, state: PyTree, num: Array, room: int) -> Array:
     return jax.lax.fori_loop(0, num, on, (state, jnp.zeros((room, *row.shape))))[1]
 
 
-def predict_run(
-    model: Universal, theta: Array, run: PaddedRun, z: Array, starts: Array, num: Array, room: int, dt: float,
-    residual: GP | None,
-) -> Array:  # fmt: skip
-    """Return V, beta, r 1..num steps after samples `starts` at states `z` (T, 6) (starts, room, 2, 3), SI.
+def predict_ahead(
+    model: Universal, theta: Float[Array, "L K"], z: Float[Array, "L 6"], u: Float[Array, "L n 4"], place: Place,
+    num: Array, dt: float, residual: GP | None,
+) -> Float[Array, "L n 2 3"]:  # fmt: skip
+    """Return V, beta, r 1..num steps after the states `z`, under inputs `u` at the places `place` (L, n), SI.
 
     They are those of the car, and those that sensors read. A `residual` is added to the rates.
     """
-    model = model.with_parameters(theta)
-    u = actuator_response(model, run.commands, run.V, dt)[-len(run.y) :]
     step = jnp.asarray(dt)
 
-    def one(k):
-        def on(j, z):
-            row = jnp.minimum(k + j, len(run.y) - 1)
-            at = features(State(*z[:3]), hold_of(u[row]).mean)
-            push = None if residual is None else State(*residual.bounded_mean(at))
-            after = move(model, z, u[row], jax.tree.map(lambda a: a[row], run.place), step, push)
-            return after.z, jnp.stack([after.z[:3], sensor_reading(model, after.z[:3], after.rates, step)])
+    def one(theta, z, u, place):
+        car = model.with_parameters(theta)
+        at = features(State(*z[:3]), hold_of(u).mean)
+        push = None if residual is None else State(*residual.bounded_mean(at))
+        after = move(car, z, u, place, step, push)
+        return after.z, jnp.stack([after.z[:3], sensor_reading(car, after.z[:3], after.rates, step)])
 
-        return scan_rows(on, z[k], num, room)
+    def on(j, z):
+        return jax.vmap(one)(theta, z, u[:, j], jax.tree.map(lambda a: a[:, j], place))
 
-    return jax.vmap(one)(starts)
-
-
-def run_predictions(model, theta, runs, z, starts, num, room, dt, residual):
-    """Apply `predict_run` to pieces one after another: as a batch with parameters (P, K) they take 40 times as long."""
-    one = lambda of: predict_run(model, of[0], of[1], of[2], starts, num, room, dt, residual)
-    return jax.lax.map(one, (theta, runs, z))
+    return jnp.moveaxis(scan_rows(on, z, num, u.shape[1]), 0, 1)
 
 
-def predict_pieces(
-    problem: Problem, theta: np.ndarray, z: Array, starts: np.ndarray, num: int, residual: GP | None = None
+def predict_path(
+    problem: Problem, theta: np.ndarray, path: Path, starts: np.ndarray, num: int, residual: GP | None = None
 ) -> np.ndarray:
-    """Apply `predict_run` to all pieces with their states `z` (P, T, 6); return (P, S, num, 2, 3).
+    """Apply `predict_ahead` at the samples `starts` (S,) of every piece of `path`; return (P, S, num, 2, 3).
 
-    `theta` is as in `predict`.
+    `theta` is as in `predict`. Zero where a run is over at the start.
     """
-    data, count, room = problem.data, jnp.asarray(num), padded_size(num, ROOM)
-
-    def some(first: Array) -> np.ndarray:
-        of = lambda theta, run, z: call(
-            run_predictions, problem.model, jnp.asarray(theta), run, z, first, count, room, data.dt, residual
-        )
-        return map_pieces(of, len(data.run), theta_of_pieces(data, theta), data.padded, z)
-
-    return map_starts(some, starts)[:, :, :num]
+    data, room = problem.data, padded_size(num, ROOM)
+    there = samples_in_run(np.asarray(data.padded.valid))[:, starts]
+    piece, start = np.nonzero(there)
+    at = np.minimum(starts[start][:, None] + np.arange(room), data.size - 1)
+    theta, z, u, place = theta_of_pieces(data, theta), *jax.tree.map(np.asarray, (path.z, path.u, data.padded.place))
+    parts = []
+    for lane in batches(len(piece), LANES):
+        p, rows = piece[lane], at[lane]
+        inputs = theta[p], z[p, rows[:, 0]], u[p[:, None], rows], take(place, (p[:, None], rows))
+        parts.append(call(predict_ahead, problem.model, *jax.tree.map(jnp.asarray, inputs), jnp.asarray(num), data.dt,
+                          residual))  # fmt: skip
+    predicted = np.zeros((*there.shape, num, 2, 3))
+    if parts:
+        predicted[piece, start] = concatenate_trees(parts, len(piece))[:, :num]
+    return predicted
 
 
 def map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
@@ -142,7 +150,7 @@ def predict(problem: Problem, theta: np.ndarray, residual: GP | None = None, las
     """
     data, (starts, num) = problem.data, prediction_starts(problem, last)
     path = run_observer(problem.model, data, theta, problem.gains)
-    predicted = predict_pieces(problem, theta, path.z, starts, num, residual)[:, :, :, 1]
+    predicted = predict_path(problem, theta, path, starts, num, residual)[:, :, :, 1]
     at = starts[:, None] + np.arange(1, num + 1)
     row = np.minimum(at, data.size - 1)
     valid = (np.asarray(path.valid)[:, row] > 0) & (at < data.size)[..., None] & data.informative[-1]

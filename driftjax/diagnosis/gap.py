@@ -10,7 +10,7 @@ import numpy as np
 
 from driftjax.diagnosis.contrast import Pair
 from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
-from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit
 from driftjax.diagnosis.gain import (
     DECISIVE,
     RESAMPLES,
@@ -23,6 +23,7 @@ from driftjax.diagnosis.gain import (
     predict,
     ratios,
 )
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import BLOCK, Linearisation
 from driftjax.logs import Run
 from driftjax.logs.columns import CHANNELS, MEASURED

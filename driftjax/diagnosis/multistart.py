@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, refit_to_convergence, with_estimated_noise
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, evaluate_fits, with_estimated_noise
 from driftjax.diagnosis.noise import observed_channels
 from driftjax.diagnosis.observer import samples_in_run
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
 
 LOST_MISFIT = (
@@ -94,22 +95,39 @@ def _search_from_delays(
     problem: Problem, close: Selection, name: str, delays: Sequence[ArrayLike], seed: int, most: int,
     report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
-    """Search from the best of `delays` [sqrt(L/g)] of the effect `name`; None if none saves the share `LATE`."""
+    """Search from the best of `delays` [sqrt(L/g)] of the effect `name`.
+
+    None if none saves the share `LATE`, or does better than lags and delays of `close` beside its other effects.
+    """
     selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
     columns = problem.columns(selected)
     if not len(columns) or not problem.active[columns].all():
         return None
-    unit, fits = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
-    for delay in delays:
-        theta = problem.start.copy()
-        theta[columns] = np.asarray(delay) * unit
-        fits.append(evaluate_fit(problem, theta))
-    best = min(fits, key=lambda fit: fit.cost)
+    best = _best_delay(problem, problem.start, columns, delays)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
+    others = tuple(i for i in close.selected if problem.effects[i].name not in TIMING)
+    if others != close.selected:
+        theta, kept = problem.start.copy(), problem.columns(others)
+        theta[kept] = close.fit.theta[kept]
+        instead = tuple(sorted((*others, *selected)))
+        beside = _best_delay(problem, theta, columns, delays)
+        fit = refit_to_convergence(problem, beside, problem.columns(instead))[0]
+        if penalised_cost(problem, fit, instead) >= penalised_cost(problem, close.fit, close.selected):
+            return None
     fit = refit_to_convergence(problem, best, columns)[0]
     selection = search(problem, fit, seed, selected, most, report)
     return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
+
+
+def _best_delay(problem: Problem, theta: np.ndarray, columns: np.ndarray, delays: Sequence[ArrayLike]) -> Fit:
+    """Return the fit of the lowest cost with one of `delays` [sqrt(L/g)] in the `columns` of `theta` (K,)."""
+    unit, thetas = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
+    for delay in delays:
+        late = theta.copy()
+        late[columns] = np.asarray(delay) * unit
+        thetas.append(late)
+    return min(evaluate_fits(problem, thetas), key=lambda fit: fit.cost)
 
 
 def with_nominal_noise(problem: Problem) -> Problem:

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from driftjax.diagnosis.beam import QuadraticCost, best_parameters, minimise_over, quadratic_cost
-from driftjax.diagnosis.evidence import fit_dispersion, replacement_costs, significance
-from driftjax.diagnosis.fit import Problem, evaluate_fit, refine, refit_to_convergence
+from driftjax.diagnosis.evidence import REFITTED, fit_dispersion, replacement_costs, significance
+from driftjax.diagnosis.fit import Problem, evaluate_fit
 from driftjax.diagnosis.multistart import search_multistart
+from driftjax.diagnosis.refine import refine, refit_to_convergence
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
 from driftjax.diagnosis.shapley import shapley_shares
@@ -76,10 +77,12 @@ def leave_out_unconfirmed(
     return left._replace(replacements=costs), gone
 
 
-def rival_costs(problem: Problem, selection: Selection) -> tuple[QuadraticCost, dict[int, np.ndarray]]:
+def rival_costs(
+    problem: Problem, selection: Selection, refitted: int = REFITTED
+) -> tuple[QuadraticCost, dict[int, np.ndarray]]:
     """Return the quadratic cost about the fit, and for each member the costs (E,) with every effect in its place."""
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
-    return model, {member: replacement_costs(problem, selection, model, member) for member in selection.selected}
+    return model, replacement_costs(problem, selection, model, selection.selected, refitted)
 
 
 def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Selection:
@@ -87,15 +90,19 @@ def prefer_probable(problem: Problem, selection: Selection, seed: int = 0) -> Se
 
     The search compares costs as if innovations were independent, probabilities count them in units of their
     dispersion. That of the first fit is kept, so that every replacement lowers the penalised cost and the loop ends.
+    Rivals that are only credible are refitted where none that is predicted to be more probable is.
     """
     if not selection.selected:
         return selection
     selection = selection._replace(dispersion=fit_dispersion(problem, selection))
     while True:
-        model, costs = rival_costs(problem, selection)
-        if (swap := most_probable_rival(problem, selection, costs)) is None:
+        for refitted in (0, REFITTED):
+            model, costs = rival_costs(problem, selection, refitted)
+            if (swap := most_probable_rival(problem, selection, costs)) is not None:
+                selection = replace_effect(problem, selection, model, *swap, seed)
+                break
+        else:
             return selection._replace(replacements=costs)
-        selection = replace_effect(problem, selection, model, *swap, seed)
 
 
 def most_probable_rival(

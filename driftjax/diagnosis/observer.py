@@ -29,7 +29,9 @@ from driftjax.sim.step import slip_of
 from driftjax.vehicle.effect import Place
 from driftjax.vehicle.universal import Universal
 
-TOGETHER = 40  # samples differentiated at once: derivatives of many more leave the processor's cache, 6 times slower
+TOGETHER = (
+    100  # samples differentiated at once, a divisor of those of a call: fewer wait for each other, more leave the cache
+)
 
 
 class PaddedRun(NamedTuple):
@@ -74,7 +76,8 @@ def in_run(valid: Float[Array, "T 3"]) -> Array:
 
 def samples_in_run(valid: np.ndarray) -> np.ndarray:
     """Return whether each sample (P, T) is within its run rather than padding after its last measurement."""
-    return np.asarray(jax.jit(jax.vmap(in_run))(valid))
+    last_first = np.flip(np.asarray(valid).max(axis=2), axis=1)
+    return np.flip(np.maximum.accumulate(last_first, axis=1), axis=1) > 0
 
 
 def slip_angles(model: Universal, x: Float[Array, "3"], u: Float[Array, "4"]) -> Float[Array, "2"]:
@@ -108,31 +111,79 @@ def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, A
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
-def observe_run(model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float) -> Path:
-    """Run the observer along one run; its padding costs nothing where runs are not in a batch (`jax.lax.map`)."""
-    model, step = model.with_parameters(theta), jnp.asarray(dt)
+class _Row(NamedTuple):
+    """What the observer reads at one sample."""
+
+    u: Float[Array, "4"]
+    place: Place
+    y: Float[Array, "3"]
+    valid: Float[Array, "3"]
+    L: Float[Array, "9 3"]
+    alive: Array  # whether the run has not ended
+
+
+class _Estimate(NamedTuple):
+    """Estimates before a sample is read."""
+
+    z: Float[Array, "6"]
+    d: Float[Array, "3"]
+    c: Float[Array, "3"]
+    rates: Float[Array, "3 3"]
+
+
+class _Update(NamedTuple):
+    """What the observer makes of one sample."""
+
+    e: Float[Array, "3"]
+    z: Float[Array, "6"]  # after the update
+    d: Float[Array, "3"]  # likewise
+    before: _Estimate
+
+
+def observe_runs(model: Universal, theta: Float[Array, "R K"], runs: PaddedRun, gains: Gains, dt: float) -> Path:
+    """Run the observer along a batch of runs, with parameters of their own; it ends with the longest of them."""
+    aligned, rows, first = jax.vmap(lambda theta, run, gains: _prepare(model, theta, run, gains, dt))(
+        theta, runs, gains
+    )
+    num = jnp.max(jnp.sum(rows.alive, axis=1))
+    one = jax.vmap(lambda theta, decay, now, row: _observe_sample(model, theta, decay, now, row, dt))
+    start = jax.vmap(lambda now: _Update(jnp.zeros(3), now.z, now.d, now))(first)
+    updates = jax.tree.map(lambda a: jnp.repeat(a[:, None], rows.alive.shape[1], axis=1), start)
+
+    def on(k, carry):
+        now, updates = carry
+        after, update = one(theta, gains.decay, now, jax.tree.map(lambda a: a[:, k], rows))
+        return after, jax.tree.map(lambda all, new: all.at[:, k].set(new), updates, update)
+
+    e, z, d, before = jax.lax.fori_loop(0, num, on, (first, updates))[1]
+    return Path(e, z, before.z, before.rates, rows.u, d, before.c, aligned.y, aligned.valid)
+
+
+def _prepare(
+    model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float
+) -> tuple[PaddedRun, _Row, _Estimate]:
+    """Return the run with its sensors' whole delays removed, its rows (T, ...), and the first estimate."""
+    model = model.with_parameters(theta)
     run = align_measurements(model, run, dt)
     u, z = initial_state(model, run, dt)
+    rows = _Row(u, run.place, run.y, run.valid, gains.L, in_run(run.valid))
+    return run, rows, _Estimate(z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3)))
 
-    def on(carry, row):
-        z, d, c, rates = carry
-        u, place, y, valid, L, alive = row
 
-        def sample():
-            e = valid * (y - sensor_reading(model, z[:3], rates, step) - c)
-            update = L @ e
-            trend = d + update[3:6]
-            after = set_state(model, z, z[:3] + update[:3], u)
-            ahead = move(model, after, u, place, step, State(trend[0], trend[1], trend[2]))
-            later = gains.decay.disturbance * trend, gains.decay.slow * (c + update[6:])
-            return (ahead.z, *later, ahead.rates), (e, after, z, rates, trend, c)
-
-        return jax.lax.cond(alive, sample, lambda: (carry, (jnp.zeros(3), z, z, rates, d, c)))
-
-    first = z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3))
-    rows = (u, run.place, run.y, run.valid, gains.L, in_run(run.valid))
-    e, z, predicted, rates, d, c = jax.lax.scan(on, first, rows)[1]
-    return Path(e, z, predicted, rates, u, d, c, run.y, run.valid)
+def _observe_sample(
+    model: Universal, theta: Array, decay: Decay, now: _Estimate, row: _Row, dt: float
+) -> tuple[_Estimate, _Update]:
+    """Return the estimate for the next sample and the update by this one; the padding changes nothing."""
+    model, step = model.with_parameters(theta), jnp.asarray(dt)
+    e = row.valid * (row.y - sensor_reading(model, now.z[:3], now.rates, step) - now.c)
+    update = row.L @ e
+    trend = now.d + update[3:6]
+    z = set_state(model, now.z, now.z[:3] + update[:3], row.u)
+    ahead = move(model, z, row.u, row.place, step, State(trend[0], trend[1], trend[2]))
+    after = _Estimate(ahead.z, decay.disturbance * trend, decay.slow * (now.c + update[6:]), ahead.rates)
+    ended = _Update(jnp.zeros(3), now.z, now.d, now)
+    keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(row.alive, a, b), new, old)
+    return keep(after, now), keep(_Update(e, z, trend, now), ended)
 
 
 def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -8,7 +8,7 @@ from jax import Array
 
 from driftjax.core import Control, State, features
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import predict_pieces
+from driftjax.diagnosis.gain import predict_path
 from driftjax.diagnosis.runs import fixed_gain, run_observer
 from driftjax.gp import GP, fit_masked, select_dictionary
 
@@ -26,7 +26,7 @@ def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, A
     data, num = problem.data, max(round(WINDOW / problem.data.dt), 1)
     starts = np.arange(max(num, data.skip), data.size - num, num)
     path = run_observer(problem.model, data, theta, fixed_gain(data))
-    predicted = predict_pieces(problem, theta, path.z, starts, num)[:, :, -1, 0]
+    predicted = predict_path(problem, theta, path, starts, num)[:, :, -1, 0]
     missed = np.array(path.z[:, starts + num, :3] - predicted)
     missed[..., 1] = np.angle(np.exp(1j * missed[..., 1]))  # the car may spin round
     lacking = missed / (num * data.dt)  # a window is a whole number of steps, not WINDOW

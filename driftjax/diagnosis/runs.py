@@ -19,7 +19,7 @@ from driftjax.diagnosis.observer import (
     Steps,
     command_derivatives,
     kalman_gains,
-    observe_run,
+    observe_runs,
     propagate_pieces,
     sample_derivatives,
     samples_in_run,
@@ -38,6 +38,8 @@ from driftjax.vehicle.universal import Universal
 PIECE_LENGTH, SHORT_PIECE_LENGTH = 1000, 250  # samples of one piece: a longer run is followed piece by piece
 WORTHWHILE = 0.6  # share of the padded samples that short pieces may leave at most: each begins with a new observer
 BATCH_SIZE = 2  # pieces followed at once: more take longer on a CPU where runs are few
+LANES = 64  # pieces that the observer follows at once, for vector instructions
+FEW = 8  # and below which it follows them in batches of `BATCH_SIZE`
 SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
@@ -189,10 +191,6 @@ def _riccatis(A: Array, valid: Array, noise: Array, dt: float, informative: Arra
     return jax.vmap(of)(A, valid)
 
 
-def _follow(model: Universal, theta: Array, runs: PaddedRun, gains: Gains, dt: float) -> Path:
-    return jax.lax.map(lambda of: observe_run(model, of[0], of[1], of[2], dt), (theta, runs, gains))
-
-
 def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> tuple[Array, Array]:
     return eqx.filter_vmap(command_derivatives, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
@@ -260,8 +258,24 @@ def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, 
 
 def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:
     """Run the observer along every piece, with one `theta` (K,) or one for each piece (P, K)."""
-    one = lambda theta, run, gains: call(_follow, model, jnp.asarray(theta), run, gains, data.dt)
-    return map_pieces(one, len(data.run), theta_of_pieces(data, theta), data.padded, gains)
+    return run_observers(model, data, theta_of_pieces(data, theta), np.arange(len(data.run)), gains)
+
+
+def run_observers(model: Universal, data: Pieces, theta: np.ndarray, piece: np.ndarray, gains: Gains) -> Path:
+    """Run the observer with the parameters `theta` (R, K) along the pieces with the numbers `piece` (R,).
+
+    Pieces of like length are followed together: a batch takes as long as its longest.
+    """
+    length = samples_in_run(np.asarray(data.padded.valid)).sum(axis=1)
+    order = np.argsort(-length[piece], kind="stable")
+    rest = len(order) % LANES
+    wide = len(order) - rest if rest < FEW else len(order)
+    few = [wide + batch for batch in batches(len(order) - wide, BATCH_SIZE)]
+    parts = []
+    for batch in [*batches(wide, LANES), *few]:
+        runs, its_gains = take((data.padded, gains), piece[order[batch]])
+        parts.append(call(observe_runs, model, jnp.asarray(theta[order[batch]]), runs, its_gains, data.dt))
+    return take(concatenate_trees(parts, len(order)), np.argsort(order))
 
 
 def theta_of_pieces(data: Pieces, theta: np.ndarray | Array) -> np.ndarray:
@@ -306,9 +320,14 @@ def step_derivatives(model: Universal, data: Pieces, theta: np.ndarray, path: Pa
     return Steps(one.A, C, one.D, F, one.slip, one.push, one.delay, path.valid, only * first)
 
 
-def differentiate(model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, active: np.ndarray) -> Linearisation:
-    """Return whitened innovations and their derivatives by the `active` (K,) parameters."""
-    path = run_observer(model, data, theta, gains)
+def differentiate(
+    model: Universal, data: Pieces, theta: np.ndarray, gains: Gains, active: np.ndarray, path: Path | None = None
+) -> Linearisation:
+    """Return whitened innovations and their derivatives by the `active` (K,) parameters, along the observer's `path`.
+
+    That is run where it is omitted.
+    """
+    path = run_observer(model, data, theta, gains) if path is None else path
     steps = step_derivatives(model, data, theta, path, active)
     return Linearisation(whiten(gains, path.e), whitened_derivatives(steps, gains, data), path, steps)
 

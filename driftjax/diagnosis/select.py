@@ -9,8 +9,9 @@ import numpy as np
 
 from driftjax.diagnosis.beam import EffectSet, beam_search, best_parameters, ends_at_bound, gain_of, quadratic_cost
 from driftjax.diagnosis.cross_validate import change_of, held_out_errors
-from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate_fit, linearise, refine, refit_to_convergence
+from driftjax.diagnosis.fit import Fit, Problem, at_bound, evaluate_fit, evaluate_fits, linearise
 from driftjax.diagnosis.gain import Errors
+from driftjax.diagnosis.refine import refine, refine_together, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import Scores, pair_p_value, scores
 from driftjax.logs.columns import MEASURED
@@ -99,17 +100,18 @@ def search(
     now = fitted(problem, start, selected, first_at)
     remaining = scores(problem, now.linearisation, now.fit.theta, selected, seed) if selected else first
     excluded: frozenset[int] = frozenset()
+    known: dict[tuple[int, ...], float] = {}
     while True:
         if now.selected:
             report(f"naming: {', '.join(problem.effects[i].name for i in now.selected)}")
         rejected = remaining.p_value < LEVEL or pair_p_value(remaining.effective, remaining.seed) < PAIR_LEVEL
         more = STRIDE if rejected or bounded(now) else 0
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
-        new = extend_selection(now, (now.fit, now.linearisation), limit, free, excluded)
+        new = extend_selection(now, (now.fit, now.linearisation), limit, free, excluded, known)
         if new is None and more and now.selected:  # a local optimum, perhaps: search about the nominal car too
-            new = extend_selection(now, (start, first_at), limit, free, excluded)
+            new = extend_selection(now, (start, first_at), limit, free, excluded, known)
         if new is None:
-            new, excluded = drop_bounded(now, free, excluded)
+            new, excluded = drop_bounded(now, free, excluded, known)
         if new is None:
             return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, first, free)
         now = new
@@ -131,14 +133,15 @@ def bounded(step: SelectionStep) -> list[int]:
 
 
 def extend_selection(
-    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, excluded: frozenset[int]
-) -> SelectionStep | None:
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, free: int, excluded: frozenset[int],
+    known: dict[tuple[int, ...], float],
+) -> SelectionStep | None:  # fmt: skip
     """Return the best set without `excluded` effects that costs less than that of `now`, None where there is none.
 
     One with more than `free` effects that has more than before must predict parts left out of its fit better. The first
     effects need not: on an unstable drift even the true car predicts no better, and the test has its own error rate.
     """
-    for effects, trial in better_sets(now, about, limit, excluded):
+    for effects, trial in better_sets(now, about, limit, excluded, known):
         after = fitted(now.problem, trial, effects)
         if len(effects) <= max(len(now.selected), free) or after.improves(now):
             return after
@@ -146,7 +149,7 @@ def extend_selection(
 
 
 def drop_bounded(
-    now: SelectionStep, free: int, excluded: frozenset[int]
+    now: SelectionStep, free: int, excluded: frozenset[int], known: dict[tuple[int, ...], float]
 ) -> tuple[SelectionStep | None, frozenset[int]]:
     """Remove or replace an effect at its bound; return the step and the excluded effects.
 
@@ -160,7 +163,7 @@ def drop_bounded(
         less, out = fitted(problem, evaluate_fit(problem, theta), rest), excluded | {i}
         if not now.improves(less):
             return less, out
-        other = extend_selection(less, (less.fit, less.linearisation), len(now.selected), free, out)
+        other = extend_selection(less, (less.fit, less.linearisation), len(now.selected), free, out, known)
         if other is not None and not now.improves(other):
             return other, out
     return None, excluded
@@ -191,23 +194,29 @@ def motion_effects(problem: Problem, start: Fit, linearisation: Linearisation, s
 
 
 def better_sets(
-    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, excluded: frozenset[int]
-) -> list[tuple[tuple[int, ...], Fit]]:
+    now: SelectionStep, about: tuple[Fit, Linearisation], limit: int, excluded: frozenset[int],
+    known: dict[tuple[int, ...], float],
+) -> list[tuple[tuple[int, ...], Fit]]:  # fmt: skip
     """Return sets of at most `limit` effects with less penalised cost than `now` after refitting, the lowest first.
 
-    Of the sets with a lower cost in the quadratic model `about` a fit, those with the lowest are refitted.
+    Of the sets with a lower cost in the quadratic model `about` a fit, those with the lowest are refitted. `known`
+    holds the penalised costs of sets refitted so far, which are not refitted again in vain.
     """
-    problem, trials, linearisation = now.problem, [], about[1]
-    for one in promising_sets(now, about, limit, excluded):
-        trial = refine(problem, step_to(problem, now.fit, one), problem.columns(one.effects), linearisation, num=1)
-        trials.append((one.effects, trial))
+    problem, linearisation = now.problem, about[1]
+    sets = promising_sets(now, about, limit, excluded)
+    columns = [problem.columns(one.effects) for one in sets]
+    begun = refine_together(problem, starts_of(problem, now.fit, sets), columns, linearisation, num=1)
     penalised = lambda item: penalised_cost(problem, item[1], item[0])
-    trials.sort(key=penalised)
-    refitted = {}
-    for effects, trial in trials[:REFITS]:
-        trial, effects = refine_material(problem, trial, effects, linearisation)
-        refitted[effects] = min(refitted.get(effects, trial), trial, key=lambda fit: fit.cost)
     cost_limit = penalised((now.selected, now.fit)) - MARGIN
+    trials = sorted(((one.effects, trial) for one, trial in zip(sets, begun, strict=True)), key=penalised)[:REFITS]
+    trials = [(effects, trial) for effects, trial in trials if known.get(effects, -np.inf) < cost_limit]
+    columns = [problem.columns(effects) for effects, _ in trials]
+    fits = refine_together(problem, [trial for _, trial in trials], columns, linearisation, tolerance=ROUGH)
+    refitted = {}
+    for (effects, _), fit in zip(trials, fits, strict=True):
+        fit, left = refine_material(problem, fit, effects, linearisation)
+        known[effects] = penalised((left, fit))
+        refitted[left] = min(refitted.get(left, fit), fit, key=lambda one: one.cost)
     return sorted((item for item in refitted.items() if penalised(item) < cost_limit), key=penalised)
 
 
@@ -236,14 +245,15 @@ def promising_sets(
     return leading
 
 
-def step_to(problem: Problem, fit: Fit, one: EffectSet) -> Fit:
-    """Return the better of two starts for the set `one`: the minimum of its quadratic model, or its values in `fit`."""
-    columns = problem.columns(one.effects)
-    kept = problem.start.copy()
-    kept[columns] = fit.theta[columns]
-    return min(
-        (evaluate_fit(problem, theta) for theta in (problem.start + one.psi, kept)), key=lambda trial: trial.cost
-    )
+def starts_of(problem: Problem, fit: Fit, sets: list[EffectSet]) -> list[Fit]:
+    """Return for each set the better of two starts: the minimum of its quadratic model, or its values in `fit`."""
+    thetas = []
+    for one in sets:
+        kept, columns = problem.start.copy(), problem.columns(one.effects)
+        kept[columns] = fit.theta[columns]
+        thetas += [problem.start + one.psi, kept]
+    fits = evaluate_fits(problem, thetas)
+    return [min(pair, key=lambda trial: trial.cost) for pair in zip(fits[::2], fits[1::2], strict=True)]
 
 
 def refine_material(

@@ -11,18 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.fit import (
-    Fit,
-    Problem,
-    evaluate_fit,
-    information,
-    refit_to_convergence,
-    with_estimated_noise,
-)
+from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, with_estimated_noise
 from driftjax.diagnosis.identifiability import DEAD
 from driftjax.diagnosis.motion import window_ends
 from driftjax.diagnosis.multistart import require_finite_cost
 from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation, take
 from driftjax.diagnosis.score import overdispersion, sums_by_block
 from driftjax.diagnosis.stretches import Stretch, find_stretches

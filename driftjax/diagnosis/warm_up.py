@@ -4,13 +4,14 @@ Compiling takes longer than all else in the first diagnosis on a machine, and le
 compiles, the other finds ready.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import ROOM, STARTS, prediction_starts, run_predictions
+from driftjax.diagnosis.gain import ROOM, STARTS, predict_ahead, prediction_starts
 from driftjax.diagnosis.noise_floor import batched_rollouts
-from driftjax.diagnosis.runs import BATCH_SIZE, by_commands, padded_size, take
+from driftjax.diagnosis.runs import BATCH_SIZE, LANES, by_commands, padded_size, take
 from driftjax.parallel import compile_ahead
 
 
@@ -24,5 +25,8 @@ def compile_programs(problem: Problem) -> None:
     first, noise = jnp.arange(STARTS), jnp.asarray(problem.noise.as_vector())
     number = np.arange(BATCH_SIZE)
     compile_ahead(batched_rollouts, model, theta, runs, z, P, ahead, number, first, num, noise, dt, jnp.asarray(0))
-    compile_ahead(run_predictions, model, jnp.tile(theta, (BATCH_SIZE, 1)), runs, z, first, num, room, dt, None)
+    lanes, rows = np.zeros(LANES, int), np.zeros((LANES, room), int)
+    place = jax.tree.map(jnp.asarray, take(problem.data.padded.place, (lanes[:, None], rows)))
+    many = jnp.tile(theta, (LANES, 1)), jnp.zeros((LANES, 6)), jnp.zeros((LANES, room, 4))
+    compile_ahead(predict_ahead, model, *many, place, num, dt, None)
     compile_ahead(by_commands, model, theta, runs, dt)

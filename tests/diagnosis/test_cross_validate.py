@@ -5,9 +5,9 @@ import pytest
 from diagnosis.toy import BLOCKS, toy_problem
 
 from driftjax.diagnosis.cross_validate import change_of, fits_left_out, left_out_blocks
-from driftjax.diagnosis.fit import refit_to_convergence
 from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.noise import PRIOR
+from driftjax.diagnosis.refine import refit_to_convergence
 
 K = 3
 

@@ -9,7 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.core import BadInput
 from driftjax.diagnosis import multistart
-from driftjax.diagnosis.fit import Fit, evaluate_fit, initial_noise, refit_to_convergence, with_noise
+from driftjax.diagnosis.fit import Fit, evaluate_fit, initial_noise, with_noise
 from driftjax.diagnosis.multistart import (
     LEAST_DISTURBANCE,
     LOST_MISFIT,
@@ -19,6 +19,7 @@ from driftjax.diagnosis.multistart import (
     search_from_far,
     search_multistart,
 )
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 
@@ -74,21 +75,31 @@ def test_data_that_no_car_can_have_made_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("true", "saved", "named", "begins"),
-    [(0.16, 0.3, (), 0.15), (0.21, 0.3, (), 0.2), (0.16, 0.04, (), None), (0.16, 0.3, (1,), None)],
-    ids=["the middle one", "the latest", "none saves enough", "named already"],
+    ("true", "saved", "named", "left", "begins"),
+    [
+        (0.16, 0.3, (), 100.0, 0.15),
+        (0.21, 0.3, (), 100.0, 0.2),
+        (0.16, 0.04, (), 100.0, None),
+        (0.16, 0.3, (1,), 100.0, None),
+        (0.16, 0.3, (0, 2), 80.0, 0.15),
+        (0.16, 0.3, (0, 2), 60.0, None),
+    ],
+    ids=["the middle one", "the latest", "none saves enough", "named already", "better than a lag", "worse than a lag"],
 )
-def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, true, saved, named, begins):
-    """On a made-up cost with its least value at a delay `true` [s], of a car whose unit of time is 0.2 s."""
-    effects = [SimpleNamespace(name="friction"), SimpleNamespace(name="steer_delay")]
-    model = SimpleNamespace(effects=effects, base=SimpleNamespace(unit_time=0.2), scale=np.array([0.1, 0.02]))
+def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, true, saved, named, left, begins):
+    """On a made-up cost with its least value at a delay `true` [s], of a car whose unit of time is 0.2 s.
+
+    The effects named before leave the cost `left`.
+    """
+    effects = [SimpleNamespace(name=name) for name in ("friction", "steer_delay", "steer_lag")]
+    model = SimpleNamespace(effects=effects, base=SimpleNamespace(unit_time=0.2), scale=np.array([0.1, 0.02, 0.02]))
     problem = SimpleNamespace(
-        model=model, effects=effects, start=np.zeros(2), active=np.ones(2, bool), owner=np.arange(2),
+        model=model, effects=effects, start=np.zeros(3), active=np.ones(3, bool), owner=np.arange(3),
         columns=lambda which: np.array(which, int),
     )  # fmt: skip
     cost = lambda theta: 100.0 * (1 - saved * np.exp(-(((theta[1] * 0.02 - true) / 0.05) ** 2)))
     fit = lambda problem, theta: Fit(theta, cost(theta), np.zeros(1))
-    monkeypatch.setattr(multistart, "evaluate_fit", fit)
+    monkeypatch.setattr(multistart, "evaluate_fits", lambda problem, thetas: [fit(problem, one) for one in thetas])
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
     searched = []
 
@@ -98,7 +109,8 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
 
     monkeypatch.setattr(multistart, "search", search)
     start, scores = fit(problem, problem.start), object()
-    close: Any = SimpleNamespace(nominal=start, nominal_scores=scores, selected=named)
+    fitted = Fit(np.array([0.5, 0.0, 1.0]), left, np.zeros(1))
+    close: Any = SimpleNamespace(nominal=start, nominal_scores=scores, selected=named, fit=fitted)
     selection: Any = multistart.search_from_late(problem, close, 0, 8, print)  # pyright: ignore[reportArgumentType]
     assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])
     assert selection is None if begins is None else (selection.nominal, selection.nominal_scores) == (start, scores)
@@ -127,7 +139,7 @@ def test_where_a_delay_is_named_the_search_begins_at_late_sensors_too(monkeypatc
     )  # fmt: skip
     off = lambda theta: np.sum(((theta * scale)[1:] - true) ** 2) / 0.01**2
     fit = lambda problem, theta: Fit(theta, 100.0 * (1 - saved * np.exp(-off(theta))), np.zeros(1))
-    monkeypatch.setattr(multistart, "evaluate_fit", fit)
+    monkeypatch.setattr(multistart, "evaluate_fits", lambda problem, thetas: [fit(problem, one) for one in thetas])
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
     searched = []
 
@@ -136,6 +148,7 @@ def test_where_a_delay_is_named_the_search_begins_at_late_sensors_too(monkeypatc
         return SimpleNamespace(_replace=lambda **changes: SimpleNamespace(**changes))
 
     monkeypatch.setattr(multistart, "search", search)
-    close: Any = SimpleNamespace(nominal=fit(problem, problem.start), nominal_scores=object(), selected=named)
+    start = fit(problem, problem.start)
+    close: Any = SimpleNamespace(nominal=start, nominal_scores=object(), selected=named, fit=start)
     multistart.search_from_late_sensors(problem, close, 0, 8, print)
     assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, problem_of, recorded, sedan
 
-import driftjax.diagnosis.fit as fitting
+import driftjax.diagnosis.refine as refining
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
-from driftjax.diagnosis.fit import TOLERANCE, evaluate_fit, information_and_score, refine, refit_to_convergence
+from driftjax.diagnosis.fit import evaluate_fit, information_and_score
 from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
 from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
+from driftjax.diagnosis.refine import TOLERANCE, refine, refit_to_convergence
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection, Significance
 from driftjax.diagnosis.verdict import Verdict, describe_cause
@@ -87,7 +88,7 @@ def test_beside_a_parameter_at_its_bound_the_others_are_fitted_to_the_end(monkey
     slope = score - problem.prior @ (fit.theta - problem.start)
     assert fit.theta[lag] == 0.5 and slope[lag] > 0, "the data ask for more"
     assert slope[gain] ** 2 / H[gain, gain] < TOLERANCE
-    monkeypatch.delattr(fitting, "evaluate_fit")
+    monkeypatch.delattr(refining, "evaluate_fits")
     assert refine(problem, fit, np.array([lag, gain]), at) is fit
 
 

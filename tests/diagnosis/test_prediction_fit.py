@@ -11,10 +11,11 @@ from scipy.signal import lfilter
 
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.evidence import spread_with
-from driftjax.diagnosis.fit import Problem, evaluate_fit, initial_problem, refit_to_convergence, with_noise
+from driftjax.diagnosis.fit import Problem, evaluate_fit, initial_problem, with_noise
 from driftjax.diagnosis.gain import at_horizons, open_loop_errors, predict, ratios
 from driftjax.diagnosis.held_out import DiagnoseConfig, refit_extended
 from driftjax.diagnosis.prediction_fit import HUBER, fit_to_predictions
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.logs import Log, Run

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from driftjax.diagnosis.diagnose import Evidence
-from driftjax.diagnosis.fit import Problem, evaluate_fit, refit_to_convergence
+from driftjax.diagnosis.fit import Problem, evaluate_fit
+from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.select import penalised_cost
 
 
