@@ -38,8 +38,7 @@ from driftjax.vehicle.universal import Universal
 PIECE_LENGTH, SHORT_PIECE_LENGTH = 1000, 250  # samples of one piece: a longer run is followed piece by piece
 WORTHWHILE = 0.6  # share of the padded samples that short pieces may leave at most: each begins with a new observer
 BATCH_SIZE = 2  # pieces followed at once: more take longer on a CPU where runs are few
-LANES = 64  # pieces that the observer follows at once, for vector instructions
-FEW = 8  # and below which it follows them in batches of `BATCH_SIZE`
+LANES = 16  # pieces that the observer follows at once: each costs a third of one alone
 SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
@@ -268,11 +267,8 @@ def run_observers(model: Universal, data: Pieces, theta: np.ndarray, piece: np.n
     """
     length = samples_in_run(np.asarray(data.padded.valid)).sum(axis=1)
     order = np.argsort(-length[piece], kind="stable")
-    rest = len(order) % LANES
-    wide = len(order) - rest if rest < FEW else len(order)
-    few = [wide + batch for batch in batches(len(order) - wide, BATCH_SIZE)]
     parts = []
-    for batch in [*batches(wide, LANES), *few]:
+    for batch in batches(len(order), LANES):
         runs, its_gains = take((data.padded, gains), piece[order[batch]])
         parts.append(call(observe_runs, model, jnp.asarray(theta[order[batch]]), runs, its_gains, data.dt))
     return take(concatenate_trees(parts, len(order)), np.argsort(order))
