@@ -207,6 +207,7 @@ def _elementwise(name: str, polynomial: Callable[..., Any], own: Callable[..., A
 
     def lowered(context: Any, *operands: Any) -> Any:
         few = math.prod(context.avals_in[0].shape) < MIN_VECTOR_SIZE
+        # without the barrier XLA computes a polynomial again for each of its uses
         once = lambda *x: lax.optimization_barrier(polynomial(*x))
         return mlir.lower_fun(own if few else once, multiple_results=several)(context, *operands)
 
