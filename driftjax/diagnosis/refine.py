@@ -52,9 +52,10 @@ def refine_together(
     going, J = list(range(len(fits))), np.asarray(near.J)
     for k in range(num):
         of = lambda i: own[i] if i in own else J[..., columns[i]]
-        goals = {i: gauss_newton_goal(problem, fits[i], columns[i], of(i), tolerance) for i in going}
-        going = [i for i in going if goals[i] is not None]
-        trials = _line_search(problem, [fits[i] for i in going], [goals[i] for i in going])
+        each = ((i, gauss_newton_goal(problem, fits[i], columns[i], of(i), tolerance)) for i in going)
+        goals = {i: goal for i, goal in each if goal is not None}
+        going = list(goals)
+        trials = _line_search(problem, [fits[i] for i in going], list(goals.values()))
         falls = {i: fits[i].cost - trial.cost for i, trial in zip(going, trials, strict=True)}
         for i, trial in zip(going, trials, strict=True):
             fits[i] = trial
