@@ -33,7 +33,6 @@ SPANS = (1.0, 2.0, 4.0)  # horizons beside one step [sqrt(L/g)]: about 0.5, 1 an
 DECISIVE = 2  # number of the horizon, one step first, at which shares of the error are measured
 START_INTERVAL = 1.0  # time between the starts of predictions [sqrt(L/g)]
 SETTLED = 0.5  # time after the start of a piece from which its observer has settled [s]
-STARTS = 20  # starts of roll-outs in one call
 ROOM = 256  # steps that any program of predictions has room for
 RESAMPLES = 2000
 TINY = 1e-9  # below which an error over that of noise is none
@@ -122,12 +121,6 @@ def predict_path(
     if parts:
         predicted[piece, start] = concatenate_trees(parts, len(piece))[:, :num]
     return predicted
-
-
-def map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
-    """Apply `function` to `STARTS` starts at a time; return its values (P, S, ...) for all."""
-    parts = [function(jnp.asarray(starts[batch])) for batch in batches(len(starts), STARTS)]
-    return np.concatenate(parts, axis=1)[:, : len(starts)]
 
 
 def horizon_steps(problem: Problem) -> np.ndarray:

@@ -3,6 +3,8 @@
 Each drive starts where the car may have been when the prediction was made, and its rates are disturbed at random.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,14 +14,15 @@ from jaxtyping import Float
 
 from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import ROOM, Predictions, map_starts, scan_rows
+from driftjax.diagnosis.gain import ROOM, Predictions, scan_rows
 from driftjax.diagnosis.noise_model import Noise, decay_of, stationary_deviations
 from driftjax.diagnosis.observer import PaddedRun, set_state
-from driftjax.diagnosis.runs import map_pieces, padded_size
+from driftjax.diagnosis.runs import batches, map_pieces, padded_size
 from driftjax.parallel import call
 from driftjax.sim.rollout import actuator_response, move, sensor_reading
 from driftjax.vehicle.universal import Universal
 
+STARTS = 20  # starts of roll-outs in one call
 DRAWS = 16  # drives from each start
 ROUNDING = 1e-9  # added to correlations, so that they have a root
 
@@ -97,4 +100,10 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
         )
         return map_pieces(of, len(data.run), data.padded, ahead.z, problem.gains.P, there, number)
 
-    return np.where(problem.measured, map_starts(some, ahead.starts)[:, :, :num], np.nan)
+    return np.where(problem.measured, _map_starts(some, ahead.starts)[:, :, :num], np.nan)
+
+
+def _map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
+    """Apply `function` to `STARTS` starts at a time; return its values (P, S, ...) for all."""
+    parts = [function(jnp.asarray(starts[batch])) for batch in batches(len(starts), STARTS)]
+    return np.concatenate(parts, axis=1)[:, : len(starts)]

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import ROOM, STARTS, predict_ahead, prediction_starts
-from driftjax.diagnosis.noise_floor import batched_rollouts
+from driftjax.diagnosis.gain import ROOM, predict_ahead, prediction_starts
+from driftjax.diagnosis.noise_floor import STARTS, batched_rollouts
 from driftjax.diagnosis.observer import observe_runs
 from driftjax.diagnosis.runs import BATCH_SIZE, LANES, by_commands, padded_size, take
 from driftjax.parallel import compile_ahead

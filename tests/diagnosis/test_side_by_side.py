@@ -19,7 +19,7 @@ from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.sim.rollout import move
 
-ROUNDING = 1e-9  # relative; lanes of vector instructions have polynomials of their own for sine and arc tangent
+ROUNDING = 1e-9  # relative
 
 
 @pytest.fixture(scope="module")
