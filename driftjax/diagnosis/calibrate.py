@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from driftjax.core import BadInput, require
+from driftjax.diagnosis.comparison import Comparison
 from driftjax.diagnosis.evidence import half_widths
-from driftjax.diagnosis.findings import Comparison
 from driftjax.diagnosis.fit import (
     Fit,
     Problem,

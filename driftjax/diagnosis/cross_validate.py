@@ -15,7 +15,7 @@ from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps
 from driftjax.diagnosis.runs import BLOCK, Linearisation, Pieces
 
 MIN_RUNS = 4  # runs from which total runs are left out
-MIN_SHARE = 0.5  # of the blocks of time that every fit must keep
+MIN_SHARE = 0.4  # of the blocks of time that every fit must keep: either of two runs may be left out
 MIN_FALL = 0.02  # of the error by which more effects must predict better
 MAX_RISE = 0.05  # of the error of one channel that is tolerated
 LOST = 0.1  # share of the predictions that late sensors may leave without a measurement
@@ -57,6 +57,12 @@ def left_out_blocks(data: Pieces, buffer: int) -> np.ndarray | None:
     return next((out for out in ways if out.mean(axis=1).max() <= 1 - MIN_SHARE), None)
 
 
+def left_out(problem: Problem) -> np.ndarray | None:
+    """Return the blocks of time (P, C) left out for each piece, with a buffer as long as predictions last, or None."""
+    steps = horizon_steps(problem)
+    return left_out_blocks(problem.data, int(np.ceil(steps[DECISIVE] * problem.data.dt / BLOCK)))
+
+
 def fits_left_out(
     problem: Problem, fit: Fit, linearisation: Linearisation, selected: tuple[int, ...], out: np.ndarray
 ) -> np.ndarray:
@@ -87,8 +93,7 @@ def held_out_errors(
     They are those after 1 step, and up to the horizon at which shares of the error are measured. None where the log is
     too short to leave any out.
     """
-    steps = horizon_steps(problem)
-    out = left_out_blocks(problem.data, int(np.ceil(steps[DECISIVE] * problem.data.dt / BLOCK)))
+    out = left_out(problem)
     if out is None:
         return None
     theta = fits_left_out(problem, fit, linearisation, selected, out)

@@ -7,26 +7,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from driftjax.core import BadInput
+from driftjax.diagnosis.comparison import Comparison, compare_on_own_runs, comparison_shares
 from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_effects, spread_with, with_sizes
 from driftjax.diagnosis.figure_data import figure_data
-from driftjax.diagnosis.findings import Comparison, Findings, describe_errors
+from driftjax.diagnosis.findings import Findings, describe_errors
 from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
     PredictionGain,
-    compare_on_own_runs,
-    comparison_shares,
     fit_sizes,
     measure_gain,
     refit_extended,
     refit_retuned,
     retuned_effects,
+    split_runs,
 )
 from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable
-from driftjax.diagnosis.naming import leave_out_unconfirmed, name_effects
+from driftjax.diagnosis.naming import leave_out_unconfirmed
 from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.prediction_fit import PredictionFit
+from driftjax.diagnosis.predictive_naming import Naming, name_by_predictions, name_by_steps, name_by_the_better
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
 from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.select import Selection
@@ -39,7 +40,7 @@ from driftjax.diagnosis.verdict import (
     Verdict,
     decide_verdict,
     describe_answer,
-    describe_sizes,
+    describe_fit,
     explained_by,
 )
 from driftjax.diagnosis.warm_up import compile_programs
@@ -57,8 +58,7 @@ from driftjax.vehicle.effect import Effect, default_catalogue
 class Evidence:
     """Evidence for a verdict."""
 
-    problem: Problem
-    selection: Selection
+    naming: Naming
     causes: list[Cause]
     unexplained: Unexplained
     proposal: Proposal | None
@@ -70,6 +70,16 @@ class Evidence:
     sizes: PredictionFit | None  # of the named effects on all runs, where the likelihood leaves an excess error
     unidentifiable: Unidentifiable  # what the log leaves unidentifiable, since channels are missing
     unconfirmed: tuple[str, ...]  # effects named from all runs, left out again: neither size nor other runs show them
+
+    @property
+    def problem(self) -> Problem:
+        """Return the problem from the states of whose observer predictions start."""
+        return self.naming.problem
+
+    @property
+    def selection(self) -> Selection:
+        """Return the named effects, fitted."""
+        return self.naming.selection
 
 
 @dataclass(frozen=True)
@@ -145,6 +155,8 @@ class Diagnosis:
             return None
         evidence, runs = self.evidence, self.log.runs
         refitted = evidence.sizes.theta if evidence.sizes else None
+        if evidence.naming.by_predictions and refitted is None:  # the path of another observer
+            refitted = evidence.selection.fit.theta
         return describe_errors(
             self.vehicle, evidence.problem, runs, evidence.selection, evidence.comparison, self.config.seed, refitted
         )
@@ -210,53 +222,64 @@ def diagnose(
         measure = processes.submit(measure_gain, initial, names, config)
         measured = threads.submit(measure)  # without a worker the thread computes, else it waits
         compiled = threads.submit(compile_programs, initial)
-        named = _name_causes(initial, config, report)
+        held_out = len(split_runs(len(names), config.held_out)[1]) > 0
+        named = _name_causes(initial, config, held_out, report)
         report("gain")
         gain = measured.result()
         compiled.result()  # raises what went wrong there
-    return _conclude(vehicle, log, config, duration, _without_unconfirmed(named, gain, config), gain)
+    return _conclude(vehicle, log, config, duration, _judged_by_gain(named, gain, config, report), gain)
 
 
 class _Named(NamedTuple):
-    """Result of naming effects from all runs."""
+    """Effects named from all runs, with their evidence."""
 
-    problem: Problem
-    selection: Selection
+    naming: Naming
     causes: list[Cause]
     unexplained: Unexplained
     unconfirmed: tuple[str, ...] = ()
 
 
-def _name_causes(initial: Problem, config: DiagnoseConfig, report: Callable[[str], None]) -> _Named:
-    """Name the causes from all runs of the problem, its noise estimated from all of them too."""
+def _name_causes(initial: Problem, config: DiagnoseConfig, held_out: bool, report: Callable[[str], None]) -> _Named:
+    """Name the causes from all runs of the problem, its noise estimated from all of them too.
+
+    Where runs are `held_out`, the gain on them decides whether single steps name the effects; otherwise own runs do.
+    """
     problem = with_estimated_noise(initial, initial.start, initial.active)
     report("naming")
-    problem, selection = name_effects(problem, config.seed, config.most, report)
-    return _with_evidence(problem, selection, config)
+    if held_out:
+        return _with_evidence(name_by_steps(problem, config.seed, config.most, report), config)
+    naming, _ = name_by_the_better(problem, config.seed, config.most, config.unexplained, report)
+    return _with_evidence(naming, config)
 
 
-def _with_evidence(
-    problem: Problem, selection: Selection, config: DiagnoseConfig, unconfirmed: tuple[str, ...] = ()
+def _with_evidence(naming: Naming, config: DiagnoseConfig, unconfirmed: tuple[str, ...] = ()) -> _Named:
+    problem, found = naming.searched, naming.found
+    return _Named(naming, find_causes(problem, found), find_unexplained(problem, found, config.seed), unconfirmed)
+
+
+def _judged_by_gain(
+    named: _Named, gain: PredictionGain | None, config: DiagnoseConfig, report: Callable[[str], None]
 ) -> _Named:
-    causes = find_causes(problem, selection)
-    return _Named(problem, selection, causes, find_unexplained(problem, selection, config.seed), unconfirmed)
+    """Name by predictions where these named better without the held-out runs; leave out what nothing confirms.
 
-
-def _without_unconfirmed(named: _Named, gain: PredictionGain | None, config: DiagnoseConfig) -> _Named:
-    """Leave out effects that neither predictions nor the runs without those held out confirm."""
-    problem, selection = named.problem, named.selection
+    That is, effects that neither predictions nor the runs without those held out confirm.
+    """
     if gain is None or "extended" not in gain.skills:
         return named
-    share = gain.skills["extended"].value
-    selection, unconfirmed = leave_out_unconfirmed(problem, selection, share, gain.named, config.seed)
-    return _with_evidence(problem, selection, config, unconfirmed) if unconfirmed else named
+    naming = name_by_predictions(named.naming, config.seed, config.most, report) if gain.by_predictions else None
+    naming, share = naming or named.naming, gain.skills["extended"].value
+    found, unconfirmed = leave_out_unconfirmed(naming.searched, naming.found, share, gain.named, config.seed)
+    if naming is named.naming and not unconfirmed:
+        return named
+    return _with_evidence(naming.with_found(found), config, unconfirmed)
 
 
 def _sizes(
-    problem: Problem, selection: Selection, gain: PredictionGain | None, config: DiagnoseConfig
+    naming: Naming, gain: PredictionGain | None, config: DiagnoseConfig
 ) -> tuple[PredictionFit | None, Comparison]:
     """Return the sizes fitted to predictions, where the likelihood does not suffice, and the comparison of the cars."""
-    if gain:  # what holds without the runs held out holds with them
+    problem, selection = naming.problem, naming.selection
+    if gain:  # as above
         sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
         return sizes, gain.comparison
     comparison = compare_on_own_runs(problem, selection, selection.fit.theta, config.seed)
@@ -275,24 +298,23 @@ def _conclude(
     gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
-    problem, selection, causes, remaining, unconfirmed = named
-    sizes, comparison = _sizes(problem, selection, gain, config)
+    naming, causes, remaining, unconfirmed = named
+    problem, selection, searched, found = naming.problem, naming.selection, naming.searched, naming.found
+    sizes, comparison = _sizes(naming, gain, config)
     causes = with_sizes(problem, causes, sizes) if sizes else causes
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
     horizon = float(horizon_steps(problem)[DECISIVE] * problem.data.dt)
     explained = explained_by(shares, horizon, gain is not None)
-    judgement = decide_verdict(
-        problem, selection, causes, remaining, duration, explained, config.unexplained, unconfirmed
-    )
+    judgement = decide_verdict(searched, found, causes, remaining, duration, explained, config.unexplained, unconfirmed)
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
-    unidentifiable = find_unidentifiable(problem, selection, {one.effect: tuple(one.rivals) for one in causes})
+    unidentifiable = find_unidentifiable(searched, found, {one.effect: tuple(one.rivals) for one in causes})
     other = describe_answer(answer, problem, retuned, shares)
-    words = f"{other}{judgement.sentence}", describe_sizes(sizes, horizon), unidentifiable.sentence
+    words = f"{other}{judgement.sentence}", describe_fit(naming.by_predictions, sizes, horizon), unidentifiable.sentence
     judgement = judgement._replace(sentence=" ".join(one for one in words if one))
-    proposal = propose_manoeuvre(vehicle, problem, selection, causes, judgement, config.seed)
+    proposal = propose_manoeuvre(vehicle, searched, found, causes, judgement, config.seed)
     evidence = Evidence(
-        problem, selection, causes, remaining, proposal, gain, comparison, explained, answer, retuned, sizes,
-        unidentifiable, unconfirmed,
+        naming, causes, remaining, proposal, gain, comparison, explained, answer, retuned, sizes, unidentifiable,
+        unconfirmed,
     )  # fmt: skip
     return Diagnosis(vehicle, log, config, judgement, evidence)

@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from driftjax.diagnosis.comparison import Comparison
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.force_bins import ForceSummary, best_variable, describe_worst, summarise_forces
-from driftjax.diagnosis.gain import Errors, Predictions, open_loop_errors, root_mean_square
+from driftjax.diagnosis.gain import Errors, open_loop_errors, root_mean_square
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Path
 from driftjax.diagnosis.parity import CHANNELS as RATES
@@ -35,14 +36,6 @@ class Autocorrelation(NamedTuple):
 
     correlation: np.ndarray  # (L, 3)
     band: float  # within which 95 % of them lie if the model is right
-
-
-class Comparison(NamedTuple):
-    """Open-loop predictions of the compared models, on the held-out runs, or on all where there are none."""
-
-    problem: Problem
-    predictions: dict[str, Predictions]  # `nominal` and `extended` among them
-    least: np.ndarray  # (P, S, N, 3) squares of the errors that a right model would have
 
 
 class Findings(NamedTuple):

@@ -7,12 +7,12 @@ import numpy as np
 
 from driftjax.core import require
 from driftjax.diagnosis.beam import best_parameters, quadratic_cost
-from driftjax.diagnosis.findings import Comparison
+from driftjax.diagnosis.comparison import Comparison, comparison_errors
 from driftjax.diagnosis.fit import Problem, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
-from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.prediction_fit import PredictionFit, fit_to_predictions
+from driftjax.diagnosis.predictive_naming import leaves_errors, name_by_the_better
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
@@ -73,6 +73,7 @@ class PredictionGain:
     noise_floor: Errors  # what noise alone makes
     skills: dict[str, Share]  # of each, at the decisive horizon; empty where no run lasts that long
     ratios: dict[str, np.ndarray]  # (horizons, 3) of errors over those of the nominal car, with intervals
+    by_predictions: bool  # whether an observer of long memory named the effects
     refitted: bool  # whether the sizes of the named effects are fitted to predictions
     without: dict[str, np.ndarray]  # (3, 3) per channel: error without one of `named`, over that with all; intervals
 
@@ -113,15 +114,13 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
     if not len(held):
         return None
     train, test = split_problem(problem, use, held)
-    near, selection = name_effects(train, config.seed, config.most)
+    naming, own = name_by_the_better(train, config.seed, config.most, config.unexplained)
+    near, selection = naming.problem, naming.selection
     followed = test
     if near is not train:
         followed = with_noise(test, selection.nominal.theta, selection.base.noise)
         test = with_noise(test, selection.fit.theta, near.noise)
-    sizes = None
-    if selection.selected:
-        own = compare_on_own_runs(near, selection, selection.fit.theta, config.seed)
-        sizes = fit_sizes(near, selection, own, config)
+    sizes = fit_sizes(near, selection, own, config) if own else None
     extended = sizes.theta if sizes else selection.fit.theta
     thetas = {"nominal": selection.nominal.theta, "retuned": refit_retuned(selection).theta, "extended": extended}
     tests = {"nominal": followed, "retuned": followed, "extended": test}
@@ -133,7 +132,7 @@ def measure_gain(problem: Problem, names: tuple[str, ...], config: DiagnoseConfi
         Comparison(test, ahead, noise), tuple(names[i] for i in held), selection.selected, config.seed
     )
     without = leave_one_out(near, selection, sizes, test, gain.errors["extended"], config.seed)
-    return dataclasses.replace(gain, refitted=sizes is not None, without=without)
+    return dataclasses.replace(gain, by_predictions=naming.by_predictions, refitted=sizes is not None, without=without)
 
 
 def retuned_effects(problem: Problem) -> tuple[int, ...]:
@@ -159,11 +158,10 @@ def fit_sizes(
     They do where they leave more than the tolerated share of the error as an excess, on the runs of `comparison` from
     which the effects were named, and other sizes lower the error by as much: those of a right car do not.
     """
-    shares, tolerated = comparison_shares(comparison, config.seed), config.unexplained
-    if "extended" not in shares or shares["extended"].remaining <= tolerated:
+    if not leaves_errors(comparison, config.unexplained, config.seed):
         return None
     sizes = refit_extended(problem, selection)
-    return sizes if sizes.lowered < 1 - tolerated else None
+    return sizes if sizes.lowered < 1 - config.unexplained else None
 
 
 def refit_extended(problem: Problem, selection: Selection) -> PredictionFit:
@@ -207,23 +205,14 @@ def compare_models(
     shares = excess_shares(errors, least, seed)
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
     return PredictionGain(
-        held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative, False, {}
+        held,
+        tuple(problem.effects[i].name for i in selected),
+        comparison,
+        errors,
+        least,
+        shares,
+        relative,
+        False,
+        False,
+        {},
     )
-
-
-def comparison_errors(comparison: Comparison) -> tuple[dict[str, Errors], Errors]:
-    """Return the errors of every model at the horizons, and those that a right model would make."""
-    problem = comparison.problem
-    errors = {name: at_horizons(problem, one.error**2) for name, one in comparison.predictions.items()}
-    return errors, at_horizons(problem, comparison.least)
-
-
-def comparison_shares(comparison: Comparison, seed: int) -> dict[str, Share]:
-    """Return the share of the excess error that each model of `comparison` removes."""
-    return excess_shares(*comparison_errors(comparison), seed)
-
-
-def compare_on_own_runs(problem: Problem, selection: Selection, theta: np.ndarray, seed: int) -> Comparison:
-    """Compare the nominal car and the extended car `theta` (K,) on the runs that its effects were named from."""
-    ahead = {"nominal": predict(selection.base, selection.nominal.theta), "extended": predict(problem, theta)}
-    return Comparison(problem, ahead, noise_floor(problem, theta, ahead["extended"], seed))

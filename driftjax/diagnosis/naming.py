@@ -25,13 +25,18 @@ def name_effects(
     the effects named at each step.
     """
     problem, selection = search_multistart(problem, seed, most, report)
+    return problem, settle_names(problem, selection, seed)
+
+
+def settle_names(problem: Problem, selection: Selection, seed: int) -> Selection:
+    """Replace the effects of a search by more probable rivals, and leave out those that are not significant."""
     while True:
         selection = prefer_probable(problem, selection, seed)
         model = quadratic_cost(problem, selection.fit, selection.linearisation)
         shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
         selection = selection._replace(significance=significance(problem, selection, model, shares))
         if (weak := unsupported(selection, shares)) is None:
-            return problem, selection
+            return selection
         selection = leave_out(problem, selection, model, (weak,), seed)
 
 

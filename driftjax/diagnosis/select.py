@@ -85,20 +85,20 @@ class SelectionStep:
 
 def search(
     problem: Problem, start: Fit, seed: int = 0, selected: tuple[int, ...] = (), most: int = MAX_EFFECTS,
-    report: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None, first: int = FIRST,
 ) -> Selection:  # fmt: skip
     """Name more effects, at most `most`, while the test rejects; replace, merge and drop them where that is better.
 
-    Steps beyond the first effects must predict parts left out of the fit better.
+    Steps beyond the `first` effects must predict parts left out of the fit better.
     The search begins with the effects `selected` of `start`; without any, with those that pose and accelerations name.
     `report` is called with the effects named at each step.
     """
-    first_at = linearise(problem, start)
-    first = scores(problem, first_at, start.theta, (), seed)
-    motion = () if selected else motion_effects(problem, start, first_at, seed, most)
-    selected, free = selected or motion, FIRST + len(motion)
-    now = fitted(problem, start, selected, first_at)
-    remaining = scores(problem, now.linearisation, now.fit.theta, selected, seed) if selected else first
+    start_at = linearise(problem, start)
+    nominal = scores(problem, start_at, start.theta, (), seed)
+    motion = () if selected else motion_effects(problem, start, start_at, seed, most)
+    selected, free = selected or motion, first + len(motion)
+    now = fitted(problem, start, selected, start_at)
+    remaining = scores(problem, now.linearisation, now.fit.theta, selected, seed) if selected else nominal
     excluded: frozenset[int] = frozenset()
     known: dict[tuple[int, ...], float] = {}
     while True:
@@ -109,11 +109,11 @@ def search(
         limit = min(len(now.selected) + more, max(most, len(now.selected)))
         new = extend_selection(now, (now.fit, now.linearisation), limit, free, excluded, known)
         if new is None and more and now.selected:  # a local optimum, perhaps: search about the nominal car too
-            new = extend_selection(now, (start, first_at), limit, free, excluded, known)
+            new = extend_selection(now, (start, start_at), limit, free, excluded, known)
         if new is None:
             new, excluded = drop_bounded(now, free, excluded, known)
         if new is None:
-            return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, first, free)
+            return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, nominal, free)
         now = new
         remaining = scores(problem, now.linearisation, now.fit.theta, now.selected, seed + len(now.selected))
 

@@ -26,7 +26,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
     content = {
         "schema": 1, "verdict": str(diagnosis.verdict), "sentence": diagnosis.sentence,
         "causes": [cause._asdict() for cause in diagnosis.causes],
-        "explained": None, "answer": None, "sizes_fitted_to": None, "unconfirmed": [],
+        "explained": None, "answer": None, "named_by": None, "sizes_fitted_to": None, "unconfirmed": [],
         "unexplained": {"p_value": None, "channel": None, "drivers": []}, "gain": gain_json(diagnosis.gain),
         "next_manoeuvre": diagnosis.proposal._asdict() if diagnosis.proposal else None,
         "show": None, "closed_loop": None,
@@ -38,6 +38,7 @@ def diagnosis_json(diagnosis: "Diagnosis", findings: Findings | None) -> dict[st
         return content
     noise = evidence.problem.noise
     content["explained"] = evidence.explained._asdict() if evidence.explained else None
+    content["named_by"] = "predictions" if evidence.naming.by_predictions else "single steps"
     content["sizes_fitted_to"] = "predictions" if evidence.sizes else "likelihood"
     content["answer"], content["unconfirmed"] = evidence.answer, list(evidence.unconfirmed)
     content["unexplained"] = unexplained_json(evidence.unexplained)

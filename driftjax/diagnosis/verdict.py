@@ -189,8 +189,13 @@ def describe_answer(answer: str, problem: Problem, retuned: PredictionFit | None
     return f"{text}{explains}. "
 
 
-def describe_sizes(sizes: PredictionFit | None, horizon: float) -> str:
-    """Describe what the sizes of the named effects are fitted to, where that is not the likelihood."""
+def describe_fit(by_predictions: bool, sizes: PredictionFit | None, horizon: float) -> str:
+    """Describe what effects and sizes are named from, where that is not the likelihood of single steps."""
+    if by_predictions:
+        text = (
+            f"Single steps mislead here: the effects are those that an observer with a memory of {horizon:.2g} s names"
+        )
+        return f"{text}, and their sizes predict best." if sizes else f"{text}."
     if sizes is None:
         return ""
     return f"The named effects leave errors, so their sizes are those that predict best up to {horizon:.2g} s ahead."

@@ -82,7 +82,9 @@ def test_a_sensor_that_smooths_misleads_single_steps_but_not_predictions():
     assert likely > 1.0 > 0.85 > ahead, "about 1 s ahead, on runs that neither has seen"
 
 
-def test_the_sizes_of_the_verdict_are_those_of_the_car_and_of_its_gain():
+def test_the_sizes_of_the_verdict_are_those_of_the_car_and_of_its_gain(monkeypatch):
+    """Where no observer of longer memory names effects that predict better."""
+    monkeypatch.setattr("driftjax.diagnosis.predictive_naming.with_long_memory", lambda problem: None)
     result = diagnose(sedan(), Log(smooth_runs(1)), DiagnoseConfig(gp=False, without=OTHERS), effects=EFFECTS)
     content, gain = result.content(), result.gain
     assert content["sizes_fitted_to"] == "predictions" and "predict best up to 1.1 s ahead" in result.sentence
