@@ -119,9 +119,8 @@ def diagnose_question(question: Question, cfg: Config) -> dict[str, Any]:
     content, versions = (
         json.loads((out / f"{name}.json").read_text(encoding="utf-8")) for name in ("diagnosis", "versions")
     )
-    return {
-        key: content[key] for key in ("verdict", "sentence", "causes", "sizes_fitted_to", "gain", "closed_loop")
-    } | {
+    kept = "verdict", "sentence", "causes", "named_by", "sizes_fitted_to", "gain", "closed_loop"
+    return {key: content[key] for key in kept} | {
         "measured": {key: versions[key] for key in ("created", "commit")},
         "answer_car": content["answer"],
         "answer": answer(question, content, {one.effect: one.value for one in car.effects}),

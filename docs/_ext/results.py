@@ -39,7 +39,8 @@ def learn_tables(docs: Path) -> str:
     return "\n".join([f"Measured {_origin(versions)}.", "", *tables])
 
 
-SIZES = {"likelihood": "single steps (the likelihood)", "predictions": "predictions"}
+NAMED_BY = {"single steps": "single steps", "predictions": "an observer of long memory"}
+SIZES = {"likelihood": "the likelihood", "predictions": "predictions"}
 
 
 def real_log_tables(docs: Path) -> str:
@@ -53,8 +54,9 @@ def real_log_tables(docs: Path) -> str:
         else:
             removed = with_interval(*(_percent(gain[key]["extended"]) for key in ("skill", "ci95")), ".0f")
             explained = f"the named effects remove {removed} % of the excess error {ahead:g} s ahead"
-        parts += [f"### `{name}`\n", f"Measured {_origin(entry['measured'])}. Verdict {entry['verdict']}; "
-                  f"sizes are fitted to {SIZES[entry['sizes_fitted_to']]}; {explained}.\n"]  # fmt: skip
+        parts += [f"### `{name}`\n", f"Measured {_origin(entry['measured'])}. Verdict {entry['verdict']}; effects are "
+                  f"named by {NAMED_BY[entry['named_by']]}, sizes fitted to {SIZES[entry['sizes_fitted_to']]}; "
+                  f"{explained}.\n"]  # fmt: skip
         parts += [f"To compare with other work: `{key}` {with_interval(one['value'], one['ci95'])}, "
                   f"{'inside' if one['as_known'] else 'outside'} its range.\n"
                   for key, one in entry["answer"].items() if one["as_known"] is not None]  # fmt: skip

@@ -25,19 +25,20 @@ def name_effects(
     the effects named at each step.
     """
     problem, selection = search_multistart(problem, seed, most, report)
-    return problem, settle_names(problem, selection, seed)
-
-
-def settle_names(problem: Problem, selection: Selection, seed: int) -> Selection:
-    """Replace the effects of a search by more probable rivals, and leave out those that are not significant."""
     while True:
-        selection = prefer_probable(problem, selection, seed)
-        model = quadratic_cost(problem, selection.fit, selection.linearisation)
+        selection = with_significance(problem, prefer_probable(problem, selection, seed))
         shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
-        selection = selection._replace(significance=significance(problem, selection, model, shares))
         if (weak := unsupported(selection, shares)) is None:
-            return selection
+            return problem, selection
+        model = quadratic_cost(problem, selection.fit, selection.linearisation)
         selection = leave_out(problem, selection, model, (weak,), seed)
+
+
+def with_significance(problem: Problem, selection: Selection) -> Selection:
+    """Return the selection with the significance of each named effect."""
+    model = quadratic_cost(problem, selection.fit, selection.linearisation)
+    shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
+    return selection._replace(significance=significance(problem, selection, model, shares))
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 from driftjax.diagnosis.comparison import Comparison, compare_on_own_runs, comparison_shares
 from driftjax.diagnosis.cross_validate import change_of, fits_left_out, left_out
 from driftjax.diagnosis.fit import Problem
-from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, predict
+from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.memory import with_long_memory
 from driftjax.diagnosis.multistart import nominal_fit
-from driftjax.diagnosis.naming import name_effects, settle_names
+from driftjax.diagnosis.naming import name_effects, prefer_probable, with_significance
 from driftjax.diagnosis.select import FIRST, LEVEL, Selection, search
 
 
@@ -49,16 +49,17 @@ def name_by_predictions(
 ) -> Naming | None:
     """Name effects with an observer of long memory; None where there is none, or where it finds nothing.
 
-    Every effect must predict parts left out of the fit better, but for those of pose and accelerations.
+    Every effect must predict parts left out of the fit better, but for those of pose and accelerations. No other test
+    leaves any out; those that are not significant in their blocks of time are exploratory.
     """
     long = with_long_memory(named.problem)
     if long is None:
         return None
     found = search(long, nominal_fit(long), seed, most=most, report=report, first=0)
-    found = settle_names(long, found._replace(free=FIRST + found.free), seed)
     if not found.selected:
         return None
-    return named._replace(searched=long).with_found(found)
+    found = prefer_probable(long, found._replace(free=FIRST + found.free), seed)
+    return named._replace(searched=long).with_found(with_significance(long, found))
 
 
 def name_by_the_better(
@@ -66,8 +67,8 @@ def name_by_the_better(
 ) -> tuple[Naming, Comparison | None]:
     """Name effects by single steps, and by predictions where these leave errors; return those that predict better.
 
-    The comparison is that of the nominal and the extended car on the runs that the effects are named from; None where
-    nothing is named.
+    The comparison is that of the nominal and the extended car on the runs that the effects are named from, the latter
+    fitted without the part that it predicts; None where nothing is named.
     """
     named = name_by_steps(problem, seed, most, report)
     if not named.selection.selected and named.selection.scores.p_value >= LEVEL:
@@ -75,19 +76,25 @@ def name_by_the_better(
     own = _compare(named, seed)
     if leaves_errors(own, tolerated, seed):
         other = name_by_predictions(named, seed, most, report)
-        if other is not None and change_of(_errors(named), _errors(other)).improves:
-            named, own = other, _compare(other, seed)
+        if other is not None and change_of(_errors(own), _errors(better := _compare(other, seed))).improves:
+            named, own = other, better
     return named, own if named.selection.selected else None
 
 
 def _compare(named: Naming, seed: int) -> Comparison:
-    return compare_on_own_runs(named.problem, named.selection, named.selection.fit.theta, seed)
+    """Compare the nominal and the extended car on own runs, the latter fitted without the part that it predicts.
+
+    It is fitted to all of them where the log is too short to leave any out.
+    """
+    found, problem = named.found, named.problem
+    own, out = compare_on_own_runs(problem, named.selection, found.fit.theta, seed), left_out(problem)
+    if out is None:
+        return own
+    theta = fits_left_out(named.searched, found.fit, found.linearisation, found.selected, out)
+    return own._replace(predictions=own.predictions | {"extended": predict(problem, theta)})
 
 
-def _errors(named: Naming) -> Errors:
-    """Return open-loop errors on parts left out of the fit; of all parts where the log is too short for that."""
-    out = left_out(named.problem)
-    theta = named.found.fit.theta
-    if out is not None:
-        theta = fits_left_out(named.searched, named.found.fit, named.found.linearisation, named.found.selected, out)
-    return at_horizons(named.problem, predict(named.problem, theta, last=DECISIVE).error ** 2)
+def _errors(own: Comparison) -> Errors:
+    """Return the errors of the extended car up to the horizon at which shares of the error are measured."""
+    num = horizon_steps(own.problem)[DECISIVE]
+    return at_horizons(own.problem, own.predictions["extended"].error[:, :, :num] ** 2)

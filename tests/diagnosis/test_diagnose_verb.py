@@ -37,7 +37,8 @@ def test_a_hidden_lag_is_named_extends_the_car_and_gains_on_runs_held_out(hidden
     options = ["log.csv", "--combined-slip", "1", "--out", "diagnosed", "--without", "friction_rear"]
     assert main(["diagnose", *options]) == 0
     content = json.loads(Path("diagnosed/diagnosis.json").read_text())
-    assert (content["schema"], content["verdict"], content["sizes_fitted_to"]) == (1, "NAMED", "likelihood")
+    assert (content["schema"], content["verdict"]) == (1, "NAMED")
+    assert (content["named_by"], content["sizes_fitted_to"]) == ("single steps", "likelihood")
     assert [cause["effect"] for cause in content["causes"]] == ["steer_lag"]
     assert content["causes"][0]["exploratory"] is False and content["data"]["outliers"] == {"V": 0, "beta": 0, "r": 0}
     estimate = content["causes"][0]["parameters"]["tau"]

@@ -31,6 +31,7 @@ def diagnosis(effect: str, parameter: str, value: float, half: float) -> dict:
         "verdict": "NAMED",
         "sentence": "",
         "causes": [cause],
+        "named_by": "single steps",
         "sizes_fitted_to": "likelihood",
         "gain": gain,
         "closed_loop": None,
