@@ -279,7 +279,7 @@ def _sizes(
 ) -> tuple[PredictionFit | None, Comparison]:
     """Return the sizes fitted to predictions, where the likelihood does not suffice, and the comparison of the cars."""
     problem, selection = naming.problem, naming.selection
-    if gain:  # as above
+    if gain:  # what holds without the runs held out holds with them
         sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
         return sizes, gain.comparison
     comparison = compare_on_own_runs(problem, selection, selection.fit.theta, config.seed)
