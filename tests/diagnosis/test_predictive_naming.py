@@ -14,6 +14,7 @@ from driftjax.diagnosis.held_out import DiagnoseConfig
 from driftjax.diagnosis.memory import memory_of, with_long_memory
 from driftjax.diagnosis.predictive_naming import Naming, name_by_predictions, name_by_steps, name_by_the_better
 from driftjax.logs import Log
+from driftjax.studies.hidden_effects.against_truth import costs_against
 
 OTHERS = tuple(name for name in ORDER if name not in {*HIDDEN, "yaw_inertia", "drive_gain"})
 
@@ -110,6 +111,8 @@ def test_the_verdict_says_what_named_the_effects():
     assert {cause.effect for cause in result.causes} == set(HIDDEN)
     assert not any(cause.exploratory for cause in result.causes)
     assert result.evidence is not None
+    costs = costs_against(result.evidence, hidden(**HIDDEN), result.evidence.naming.found.selected)
+    assert costs["truth"] == pytest.approx(costs["named"], abs=0.2), "both by the same observer"
     evidence, scale = result.evidence, np.asarray(result.evidence.problem.model.scale)
     theta = evidence.sizes.theta if evidence.sizes else evidence.selection.fit.theta
     assert {one.effect: one.value for one in result.extended.effects} == pytest.approx(

@@ -41,8 +41,11 @@ def penalised_costs(
 
 
 def costs_against(evidence: Evidence, start: np.ndarray, members: tuple[int, ...]) -> dict[str, float]:
-    """Return the penalised costs of the `named` effects and of the true `members`, refitted from `start` (K,)."""
-    problem, selection = evidence.problem, evidence.selection
+    """Return the penalised costs of the `named` effects and of the true `members`, refitted from `start` (K,).
+
+    Both are those of the observer that named the effects.
+    """
+    problem, selection = evidence.naming.searched, evidence.naming.found
     fit = evaluate_fit(problem, start)
     fit = refit_to_convergence(problem, fit, problem.columns(members))[0] if members else fit
     return {

@@ -16,9 +16,9 @@ def test_a_hidden_effect_ranks_first_and_its_truth_costs_less_than_the_nominal_c
     problem = problem_of(31, 1, stiffness_front=-0.8)
     nominal = evaluate_fit(problem, np.zeros(len(ORDER)))
     at = scores(problem, linearise(problem, nominal), nominal.theta, (), 0)
-    evidence: Any = SimpleNamespace(
-        problem=problem, selection=SimpleNamespace(nominal_scores=at, fit=nominal, selected=())
-    )
+    selection = SimpleNamespace(nominal_scores=at, fit=nominal, selected=())
+    naming = SimpleNamespace(searched=problem, found=selection)
+    evidence: Any = SimpleNamespace(problem=problem, selection=selection, naming=naming)
     content = nominal_scores(evidence, {"stiffness_front", "steer_lag"})
     assert set(content) == {"stiffness_front", "steer_lag"} and content["stiffness_front"]["rank"] == 0
     size = -0.8 * float(problem.model.scale[ORDER.index("stiffness_front")])
