@@ -260,10 +260,7 @@ def _with_evidence(naming: Naming, config: DiagnoseConfig, unconfirmed: tuple[st
 def _judged_by_gain(
     named: _Named, gain: PredictionGain | None, config: DiagnoseConfig, report: Callable[[str], None]
 ) -> _Named:
-    """Name by predictions where these named better without the held-out runs; leave out what nothing confirms.
-
-    That is, effects that neither predictions nor the runs without those held out confirm.
-    """
+    """Name by predictions where that was better without the held-out runs, leave out what nothing confirms."""
     if gain is None or "extended" not in gain.skills:
         return named
     naming = name_by_predictions(named.naming, config.seed, config.most, report) if gain.by_predictions else None

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnosis.contrast import Pair
-from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
+from driftjax.diagnosis.cross_validate import fits_left_out, left_out
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit
 from driftjax.diagnosis.gain import (
     DECISIVE,
@@ -19,12 +19,11 @@ from driftjax.diagnosis.gain import (
     Share,
     at_horizons,
     channel_ratios,
-    horizon_steps,
     predict,
     ratios,
 )
 from driftjax.diagnosis.refine import refit_to_convergence
-from driftjax.diagnosis.runs import BLOCK, Linearisation
+from driftjax.diagnosis.runs import Linearisation
 from driftjax.logs import Run
 from driftjax.logs.columns import CHANNELS, MEASURED
 
@@ -49,8 +48,7 @@ class Gap(NamedTuple):
 def measure_gap(pair: Pair, where: int, selected: tuple[int, ...], seed: int) -> Gap:
     """Measure the errors on log number `where` of `pair` (0 or 1); `selected` are the named differences."""
     problem, theta = pair.problems[where], pair.fits[1 - where].theta
-    buffer = int(np.ceil(horizon_steps(problem)[DECISIVE] * problem.data.dt / BLOCK))
-    out = left_out_blocks(problem.data, buffer)
+    out = left_out(problem)
     about = problem._replace(start=theta)
     corrected, linearisation = refit_to_convergence(about, evaluate_fit(about, theta), problem.columns(selected))
     thetas = {

@@ -156,7 +156,8 @@ def fit_sizes(
     """Fit the sizes of the named effects to predictions where those by the likelihood mislead; None elsewhere.
 
     They do where they leave more than the tolerated share of the error as an excess, on the runs of `comparison` from
-    which the effects were named, and other sizes lower the error by as much: those of a right car do not.
+    which the effects were named (fitted without each part, where that can be), and other sizes lower the error by as
+    much: those of a right car do not.
     """
     if not leaves_errors(comparison, config.unexplained, config.seed):
         return None
@@ -205,14 +206,6 @@ def compare_models(
     shares = excess_shares(errors, least, seed)
     relative = {name: ratios(errors["nominal"], one, seed) for name, one in others.items()}
     return PredictionGain(
-        held,
-        tuple(problem.effects[i].name for i in selected),
-        comparison,
-        errors,
-        least,
-        shares,
-        relative,
-        False,
-        False,
-        {},
-    )
+        held, tuple(problem.effects[i].name for i in selected), comparison, errors, least, shares, relative,
+        by_predictions=False, refitted=False, without={},
+    )  # fmt: skip

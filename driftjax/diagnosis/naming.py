@@ -26,19 +26,17 @@ def name_effects(
     """
     problem, selection = search_multistart(problem, seed, most, report)
     while True:
-        selection = with_significance(problem, prefer_probable(problem, selection, seed))
-        shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
+        selection, model, shares = with_significance(problem, prefer_probable(problem, selection, seed))
         if (weak := unsupported(selection, shares)) is None:
             return problem, selection
-        model = quadratic_cost(problem, selection.fit, selection.linearisation)
         selection = leave_out(problem, selection, model, (weak,), seed)
 
 
-def with_significance(problem: Problem, selection: Selection) -> Selection:
-    """Return the selection with the significance of each named effect."""
+def with_significance(problem: Problem, selection: Selection) -> tuple[Selection, QuadraticCost, dict[int, float]]:
+    """Return the selection with the significance of each effect, the quadratic cost about its fit, and the shares."""
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
     shares = {i: one.share for i, one in shapley_shares(problem, selection).items()}
-    return selection._replace(significance=significance(problem, selection, model, shares))
+    return selection._replace(significance=significance(problem, selection, model, shares)), model, shares
 
 
 def unsupported(selection: Selection, shares: dict[int, float]) -> int | None:

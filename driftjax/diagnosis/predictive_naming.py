@@ -59,7 +59,7 @@ def name_by_predictions(
     if not found.selected:
         return None
     found = prefer_probable(long, found._replace(free=FIRST + found.free), seed)
-    return named._replace(searched=long).with_found(with_significance(long, found))
+    return named._replace(searched=long).with_found(with_significance(long, found)[0])
 
 
 def name_by_the_better(
