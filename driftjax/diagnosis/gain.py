@@ -36,6 +36,7 @@ SETTLED = 0.5  # time after the start of a piece from which its observer has set
 ROOM = 256  # steps that any program of predictions has room for
 RESAMPLES = 2000
 TINY = 1e-9  # below which an error over that of noise is none
+SMALL = 0.1  # share of the nominal car's squared error from which an excess matters
 
 
 class Predictions(NamedTuple):
@@ -187,35 +188,50 @@ def excess_shares(errors: dict[str, Errors], least: Errors, seed: int = 0, at: i
     """Return the `Share` of every model at the horizon number `at`; `nominal` is one of them.
 
     The error of a right model is `least`, or that of the best of these models where it is smaller, so that an
-    overestimated noise floor cannot hide what a model explains. Errors are scaled by the mean of `least` over their
-    piece of a run, since on a drift some starts spin and others do not; intervals are over blocks of time. Empty where
-    no run lasts that long.
+    overestimated noise floor cannot hide what a model explains. Whether there is an excess is in doubt unless the
+    nominal car is surely worse than the best of them in each channel, on the same starts, and by more than `SMALL`.
+    Intervals are over blocks of time. Empty where no run lasts that long.
+    """
+    mean = _resampled_squares(errors, least, seed, at)
+    if mean is None:
+        return {}
+    names, nominal = list(errors), list(errors).index("nominal")
+    all_models = np.insert(mean, len(names), 1.0, axis=1)  # `least` among them
+    excess = mean.sum(axis=2) - all_models.min(axis=1).sum(axis=1, keepdims=True)
+    best = np.take_along_axis(all_models, all_models[:1].argmin(axis=1)[:, None], axis=1).sum(axis=(1, 2))
+    worse = 1 - best / np.maximum(mean[:, nominal].sum(axis=1), TINY)
+    doubtful = worse[0] < SMALL or np.percentile(worse[1:], 2.5) <= 0
+    interval = lambda values: (float(values[0]), tuple(np.percentile(values[1:], [2.5, 97.5]).tolist()))
+    removed = 1 - excess / np.maximum(excess[:, [nominal]], TINY)
+    remaining = excess / np.maximum(mean.sum(axis=2), TINY)
+    unknown = np.nan, (np.nan, np.nan)
+    return {
+        name: Share(*(unknown if doubtful else interval(removed[:, i])), *interval(remaining[:, i]))
+        for i, name in enumerate(names)
+    }
+
+
+def _resampled_squares(errors: dict[str, Errors], least: Errors, seed: int, at: int) -> np.ndarray | None:
+    """Return mean squared errors (1 + draws, models, channels) of the data, and of draws of their blocks of time.
+
+    They are scaled by the mean of `least` over their piece of a run, since on a drift some starts spin and others do
+    not. None where no run lasts as long as the horizon.
     """
     squares = np.stack([one.squares[:, at] for one in (least, *errors.values())])
     squares = squares[..., np.isfinite(squares).any(axis=1).all(axis=0)]  # channels that the log has
     keep = np.isfinite(squares).all(axis=(0, 2))
     if not squares.shape[2] or not keep.any():
-        return {}
-    first = errors["nominal"]
-    piece = np.unique(first.piece[keep], return_inverse=True)[1]
+        return None
+    piece = np.unique(least.piece[keep], return_inverse=True)[1]
     unit = np.stack([np.bincount(piece, column) for column in squares[0][keep].T], axis=1) / np.bincount(piece)[:, None]
     scaled = squares[1:, keep] / unit[piece]
-    block = np.unique(first.block[keep], return_inverse=True)[1]
+    block = np.unique(least.block[keep], return_inverse=True)[1]
     sums = np.zeros((block.max() + 1, *scaled.shape[::2]))
     np.add.at(sums, block, scaled.transpose(1, 0, 2))
     count = np.bincount(block)
     draws = np.random.default_rng(seed).integers(0, len(count), (RESAMPLES, len(count)))
-    rows = np.concatenate([np.arange(len(count))[None], draws])  # the data themselves first
-    mean = sums[rows].sum(axis=1) / count[rows].sum(axis=1)[:, None, None]  # (draws, models, channels)
-    excess = (mean - np.minimum(mean.min(axis=1, keepdims=True), 1.0)).sum(axis=2)
-    names, whole = list(errors), excess[:, list(errors).index("nominal")]
-    doubtful = np.percentile((mean[1:, names.index("nominal")] - 1.0).sum(axis=1), 2.5) <= 0
-    interval = lambda values: (float(values[0]), tuple(np.percentile(values[1:], [2.5, 97.5]).tolist()))
-    shares = {}
-    for i, name in enumerate(names):
-        value, ci95 = (np.nan, (np.nan, np.nan)) if doubtful else interval(1 - excess[:, i] / np.maximum(whole, TINY))
-        shares[name] = Share(value, ci95, *interval(excess[:, i] / np.maximum(mean[:, i].sum(axis=1), TINY)))
-    return shares
+    rows = np.concatenate([np.arange(len(count))[None], draws])
+    return sums[rows].sum(axis=1) / count[rows].sum(axis=1)[:, None, None]
 
 
 def ratios(before: Errors, after: Errors, seed: int = 0) -> np.ndarray:

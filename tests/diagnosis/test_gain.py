@@ -59,6 +59,16 @@ def test_a_floor_above_what_a_model_reaches_makes_no_share_above_one():
     assert value == pytest.approx(1.0) and low <= high <= 1.0 and left == pytest.approx(0.0)
 
 
+def test_no_floor_hides_that_the_nominal_car_errs_more_than_another_one():
+    """What a wrong car gets wrong counts as its disturbances: the floor may be above all errors."""
+    loud, before = FLOOR._replace(squares=FLOOR.squares * 100.0), errors(5.0)
+    assert skill(before, errors(0.0, seed=1), loud)[0] == pytest.approx(1.0)
+    assert skill(before, before._replace(squares=before.squares * 0.85), loud)[0] == pytest.approx(1.0)
+    assert np.isnan(skill(before, before._replace(squares=before.squares * 0.95), loud)[0])  # too little to matter
+    once = before._replace(squares=before.squares * np.where(before.block == 0, 50.0, 1.0)[:, None, None])
+    assert np.isnan(skill(once, before, loud)[0])  # in one block of time alone
+
+
 def test_what_is_left_is_reported_over_the_error_of_the_model_itself():
     value, _, left, (low, high) = skill(errors(5.0), errors(1.0, seed=1), FLOOR)
     assert value == pytest.approx(24 / 25, abs=0.02) and low < left < high
