@@ -50,14 +50,9 @@ class MotionNoise(NamedTuple):
     used: np.ndarray  # (P, n, 5) windows that count
 
 
-def central_difference(f: Array) -> Array:
-    """Return the change of `f` (n,) from one sample to the next, central."""
-    return jnp.asarray(jnp.gradient(f))
-
-
 def central_difference_of_first(f: Array, num: Array) -> Array:
-    """Return the `central_difference` of the first `num` values of `f` (n,); later values are meaningless."""
-    return central_difference(f).at[num - 1].set(f[num - 1] - f[num - 2])
+    """Return the central difference of the first `num` values of `f` (n,); later values are meaningless."""
+    return jnp.asarray(jnp.gradient(f)).at[num - 1].set(f[num - 1] - f[num - 2])
 
 
 def window_size(model: Universal, dt: float) -> int:
@@ -65,14 +60,42 @@ def window_size(model: Universal, dt: float) -> int:
     return max(round(SPAN * float(model.base.unit_time) / dt), 2)
 
 
-def true_motion(model: Universal, run: PaddedRun, dt: float) -> tuple[State, Array]:
-    """Return the motion (T,) behind the measured `run`, sensor errors removed, and where it is known (T, 3)."""
-    aligned = align_measurements(model, run, dt)
-    sensors, y = model.split_delays(dt)[1], State(*aligned.y.T)
-    rate = jax.tree.map(lambda a: central_difference(a) / dt, y)
-    x = y
+def local_lines(f: Float[Array, " T"], valid: Float[Array, " T"], half: Array) -> tuple[Array, Array]:
+    """Return value and slope (T,), per sample, of the line through the valid values up to `half` samples either way."""
+    k = jnp.arange(len(f)) - len(f) / 2
+    moments = valid * jnp.stack([jnp.ones_like(k), k, k**2, f, k * f])
+    sums = jnp.pad(jnp.cumsum(moments, axis=1), ((0, 0), (1, 0)))
+    first, last = (jnp.clip(jnp.arange(len(f)) + end, 0, len(f)) for end in (-half, half + 1))
+    num, at, squares, value, product = sums[:, last] - sums[:, first]
+    several, mean = num > 1, at / jnp.maximum(num, 1)
+    slope = jnp.where(several, (product - mean * value) / jnp.where(several, squares - mean * at, 1.0), 0.0)
+    return value / jnp.maximum(num, 1) + slope * (k - mean), slope
+
+
+def line_size(W: Array | int) -> Array:
+    """Return how many samples to either side of one belong to its line, for windows of `W` samples."""
+    return jnp.maximum(jnp.asarray(W) // 4, 1)
+
+
+def shift(f: Array, slope: Array, share: Array) -> Array:
+    """Return `f` (T,) a `share` of a sample later: the mean of the lines at both samples, weighted by nearness."""
+    following, its_slope = (jnp.append(a[1:], a[-1]) for a in (f, slope))
+    return (1 - share) * (f + share * slope) + share * (following - (1 - share) * its_slope)
+
+
+def true_motion(model: Universal, run: PaddedRun, W: Array, dt: float) -> tuple[State, Array]:
+    """Return the motion (T,) behind the measured `run`, sensor errors removed, and where it is known (T, 3).
+
+    Values are those of local lines, and change continuously with a delay. Single samples would each bring their noise,
+    so that residuals jumped wherever a delay is a whole number of samples, and a search ended there.
+    """
+    aligned, half = align_measurements(model, run, dt), line_size(W)
+    share = model.split_delays(dt)[1].sensor_delays() / dt
+    lines = [local_lines(y, valid, half) for y, valid in zip(aligned.y.T, aligned.valid.T, strict=True)]
+    y = State(*(shift(*line, late) for line, late in zip(lines, share, strict=True)))
+    sensors, x, still = model.without_delays(), y, jax.tree.map(jnp.zeros_like, y)
     for _ in range(INVERSIONS):
-        x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, rate))
+        x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, still))
     beside = jnp.pad(aligned.valid, ((1, 1), (0, 0)), mode="edge")
     return x, aligned.valid * beside[:-2] * beside[2:]
 
@@ -114,7 +137,7 @@ def motion_residuals(
     There are `room` rows; those from the first window on that the run does not hold whole count for nothing.
     """
     model = model.with_parameters(theta)
-    (V, beta, r), known = true_motion(model, run, dt)
+    (V, beta, r), known = true_motion(model, run, W, dt)
     windows = _consecutive(W, room, len(V) - 1, W * dt)
     n, T, change, mean, slope = room, windows.duration, windows.change, windows.mean, windows.slope
     psi, x, y, ax, ay = motion.y.T
@@ -275,7 +298,8 @@ def noise_of_sensors(data: Pieces, W: int, sigma: np.ndarray) -> np.ndarray:
     """Return the noise (5,) that the noise `sigma` of V, beta and r alone gives the residuals of windows."""
     V = np.asarray(data.padded.y)[..., 0][np.asarray(data.padded.valid)[..., 0] > 0]
     velocity = np.array([sigma[0], np.sqrt(np.mean(V**2)) * sigma[1]])
-    return np.r_[sigma[2] / np.sqrt(W), velocity / np.sqrt(W), np.sqrt(2) * velocity / (W * data.dt)]
+    ends = np.sqrt(2 / (2 * float(line_size(W)) + 1)) / (W * data.dt)
+    return np.r_[sigma[2] / np.sqrt(W), velocity / np.sqrt(W), ends * velocity]
 
 
 def orthonormal(own: np.ndarray) -> np.ndarray:

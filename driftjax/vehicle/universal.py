@@ -134,6 +134,10 @@ class Universal(eqx.Module):
         whole = jnp.floor(self.theta[at] * self.scale[at] / dt)
         return whole, self.with_parameters(self.theta.at[at].add(-whole * dt / self.scale[at]))
 
+    def without_delays(self) -> "Universal":
+        """Return the car with sensors that are not late."""
+        return self.with_parameters(self.theta.at[self._delays].set(0.0)) if len(self._delays) else self
+
     def sensor_delays(self) -> Float[Array, "3"]:
         """Return the sensor delays of V, beta and r [s]."""
         at = self._delays

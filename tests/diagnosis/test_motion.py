@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import nominal_car
 
 from driftjax.diagnosis.fit import Problem, evaluate_fit, initial_problem, linearise, with_motion_noise
-from driftjax.diagnosis.motion import piece_derivatives, piece_residuals
+from driftjax.diagnosis.motion import piece_derivatives, piece_residuals, whitened_residuals
 from driftjax.diagnosis.select import motion_effects
 from driftjax.logs import Run
 from driftjax.vehicle.effect import effects_by_name
@@ -117,6 +117,25 @@ def test_a_heading_that_was_integrated_from_the_yaw_rate_is_not_used():
     run.extra["psi"] = np.r_[0.0, np.cumsum((run.r[1:] + run.r[:-1]) / 2) * DT]
     run = Run(run.name, run.t, run.V, run.beta, run.r, run.delta, run.Fxr, DT, {"psi": run.extra["psi"]})
     assert problem_of(run).motion is None
+
+
+@pytest.mark.parametrize("channel", ["V", "beta"])
+def test_the_cost_of_a_delay_has_no_minimum_but_at_its_value(channel: str):
+    """Where samples were compared one by one, it had one at each of them, at which a search by derivatives ended."""
+    late = {channel: 0.075}
+    problem = problem_of(run_of(8, late))
+    assert problem.motion is not None
+    scale, column, delays = np.asarray(problem.model.scale), NAMES.index(f"channel_delay.d_{channel}"), np.arange(60)
+    costs = []
+    for delay in DT / 8 * delays:
+        theta = np.zeros(len(scale))
+        theta[column] = delay / scale[column]
+        e, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
+        costs.append(np.sum(e**2) + missing)
+    turns = np.flatnonzero((np.diff(costs[:-1]) < 0) & (np.diff(costs[1:]) > 0)) + 1
+    assert len(turns) > 0
+    assert (np.abs(DT / 8 * turns - late[channel]) < DT).all()  # a window at the end may come or go
+    assert DT / 8 * np.argmin(costs) == pytest.approx(late[channel], abs=DT / 4)
 
 
 def test_derivatives_agree_with_finite_differences():
