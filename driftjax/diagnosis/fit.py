@@ -9,7 +9,8 @@ from jax.typing import ArrayLike
 from numpy.lib.stride_tricks import sliding_window_view
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.channel_estimates import has_force, inertial_force, sideslip
+from driftjax.diagnosis.acceleration import inertial_forces
+from driftjax.diagnosis.channel_estimates import has_force
 from driftjax.diagnosis.motion import (
     MotionNoise,
     estimate_motion_noise,
@@ -24,8 +25,8 @@ from driftjax.diagnosis.noise import (
     SILENT_DISTURBANCE,
     SLOW_CORRELATION,
     estimate_noise,
+    measured_channels,
     measurement_noise,
-    observed_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, Path, samples_in_run
@@ -51,7 +52,6 @@ from driftjax.vehicle.universal import Universal, universal_car
 
 MOST_ROWS = 512  # pieces times hypotheses evaluated together: those of a long log fill the memory
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
-SIDESLIPS = 2  # times that a force is estimated again for the sideslip which the observer infers with it
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
@@ -130,7 +130,7 @@ def initial_problem(
     known = all(map(has_force, runs))
     model = universal_car(vehicle, effects, stable_substeps(vehicle, runs), by_acceleration=not known)
     start = initial_theta(vehicle, model)
-    data = pieces(vehicle, runs) if known else pieces_by_acceleration(vehicle, model, start, runs)
+    data = pieces(vehicle, runs) if known else pieces_by_acceleration(vehicle, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
@@ -146,17 +146,10 @@ def depends_on_force(effect: Effect) -> bool:
     return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
 
 
-def pieces_by_acceleration(
-    vehicle: VehicleConfig, model: Universal, start: np.ndarray, runs: tuple[Run, ...]
-) -> Pieces:
-    """Return the pieces of runs whose acceleration stands for a drive force, at the observer's sideslip."""
-    slip = [sideslip(vehicle, run) for run in runs]
-    assume = lambda run, beta: dataclasses.replace(run, Fxr=inertial_force(vehicle, run, beta))
-    data = pieces(vehicle, tuple(map(assume, runs, slip)))
-    for _ in range(SIDESLIPS if data.skip else 0):
-        beta = run_observer(model, data, start, fixed_gain(data)).z[..., 1]
-        slip = [np.concatenate(beta[data.run == i])[: len(run.t)] for i, run in enumerate(runs)]
-        data = pieces(vehicle, tuple(map(assume, runs, slip)))
+def pieces_by_acceleration(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
+    """Return the pieces of runs whose acceleration stands for a drive force."""
+    forces = zip(runs, inertial_forces(vehicle, runs), strict=True)
+    data = pieces(vehicle, tuple(dataclasses.replace(run, Fxr=Fxr) for run, Fxr in forces))
     return data._replace(force_known=False)
 
 
@@ -192,7 +185,7 @@ def initial_noise(data: Pieces) -> Noise:
     """Return the noise assumed before any model is fitted."""
     valid = np.asarray(data.padded.valid)
     sigma = measurement_noise(np.asarray(data.padded.y), valid)
-    disturbance = np.where(observed_channels(valid, data.informative), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
+    disturbance = np.where(measured_channels(valid), FIRST_DISTURBANCE, SILENT_DISTURBANCE) * sigma
     return Noise(sigma, disturbance, CORRELATION, FIRST_SLOW * sigma, SLOW_CORRELATION)
 
 

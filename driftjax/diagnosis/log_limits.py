@@ -86,6 +86,6 @@ def information_with_sideslip(problem: Problem, selection: Selection) -> np.ndar
     noise = problem.noise.as_vector()
     noise[1] = SENSOR
     steps = steps._replace(valid=jnp.asarray(valid))
-    gains = gains_along(data, np.asarray(steps.A)[..., :3, :3], valid, noise)
+    gains = gains_along(data, steps, valid, noise)
     of_pose = information(np.asarray(selection.linearisation.J)[:, :, 3:])
     return information(np.asarray(whitened_derivatives(steps, gains, data))) + of_pose

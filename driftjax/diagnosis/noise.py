@@ -28,8 +28,8 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
-SILENT_DISTURBANCE = 0.5  # that of a channel that does not determine it, in the same unit
-UNOBSERVED = 10.0  # largest disturbance of such a channel, over the assumed one
+SILENT_DISTURBANCE = 0.5  # that of a channel that is not measured, in the same unit
+UNMEASURED_RISE = 10.0  # largest disturbance of such a channel, over the assumed one
 CORRELATION = 0.3  # correlation time of disturbances assumed before any is known [s]
 UNMEASURED = 0.15  # standard deviation of an unmeasured channel: of a sideslip, half at the start [rad]
 LINEAR = 0.1  # slow errors over measurement noise, disturbances over first ones, below which variances are searched
@@ -65,9 +65,17 @@ def robust_deviation(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
+def measured_channels(valid: np.ndarray) -> np.ndarray:
+    """Return which channels (3,) are measured, by `valid` (P, T, 3): those whose disturbance is determined.
+
+    That of a speed from which the drive force was estimated is the error of this force, which the others show.
+    """
+    return valid.any(axis=(0, 1))
+
+
 def observed_channels(valid: np.ndarray, informative: np.ndarray) -> np.ndarray:
-    """Return which channels (3,) determine their noise: measured, by `valid` (P, T, 3), with innovations that count."""
-    return np.logical_and(informative.any(axis=0), valid.any(axis=(0, 1)))
+    """Return which channels (3,) determine the noise of their sensor: measured, with innovations that count."""
+    return informative.any(axis=0) & measured_channels(valid)
 
 
 def restricted_likelihood(
@@ -81,7 +89,7 @@ def restricted_likelihood(
     known = Noise.from_vector(noise)
 
     def piece(steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, known, dt, informative)
+        gains = kalman_gains(steps.A[:, :3, :3], steps.push[:, :3], steps.valid, known, dt, informative)
         J = propagate_derivatives(steps, gains, dt)
         e = innovations_with_gains(steps, e, L, gains, dt)
         return (
@@ -132,7 +140,9 @@ def information_of_noise(
     """
 
     def whitened(x, steps, e, L):
-        gains = kalman_gains(steps.A[:, :3, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, informative)
+        gains = kalman_gains(
+            steps.A[:, :3, :3], steps.push[:, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, informative
+        )
         return (gains.whitening, innovations_with_gains(steps, e, L, gains, dt)), gains.whitening
 
     def piece(steps, e, L):
@@ -225,8 +235,9 @@ def estimate_noise(
         x, value = fisher_scoring(expand, lower, upper)
         return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(x)))), value
 
-    observed = observed_channels(np.asarray(steps.valid), informative)
-    low, high = noise_bounds(start, observed, dt)
+    valid = np.asarray(steps.valid)
+    observed = observed_channels(valid, informative)
+    low, high = noise_bounds(start, measured_channels(valid), observed, dt)
     least = start if slow_known else start._replace(slow=low.slow)
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
     white, cost = minimise(least, low._replace(**fixed), high._replace(**fixed))
@@ -236,13 +247,16 @@ def estimate_noise(
     return slow if lower_cost < cost - SLOW_EVIDENCE else white
 
 
-def noise_bounds(start: Noise, observed: np.ndarray, dt: float) -> tuple[Noise, Noise]:
-    """Return the bounds of the noise; channels that are not `observed` (3,) keep their white errors alone."""
+def noise_bounds(start: Noise, measured: np.ndarray, observed: np.ndarray, dt: float) -> tuple[Noise, Noise]:
+    """Return the bounds of the noise; sensors that are not `observed` (3,) keep their white errors alone.
+
+    The disturbances of channels that are not `measured` (3,) stay small.
+    """
     low = Noise(
         np.where(observed, 0.2, 1.0) * start.sigma, 1e-4 * start.disturbance, 2 * dt, NO_SLOW * start.sigma, 2 * dt
     )
     high = Noise(
-        np.where(observed, 5.0, 1.0) * start.sigma, np.where(observed, 1e3, UNOBSERVED) * start.disturbance, 5.0,
+        np.where(observed, 5.0, 1.0) * start.sigma, np.where(measured, 1e3, UNMEASURED_RISE) * start.disturbance, 5.0,
         np.where(observed, MOST_SLOW, NO_SLOW) * start.sigma, LONGEST_SLOW,
     )  # fmt: skip
     return low, high

@@ -61,10 +61,12 @@ def stationary_deviations(noise: Noise) -> Float[Array, "6"]:
     return jnp.concatenate([jnp.asarray(noise.disturbance), jnp.asarray(noise.slow)])
 
 
-def transition(A: Float[Array, "3 3"], decay: Decay, dt: float) -> Float[Array, "9 9"]:
-    """Return the transition matrix of w over one step, for the transition `A` of the state."""
-    eye = jnp.eye(3)
-    return jnp.zeros((9, 9)).at[:3, :3].set(A).at[:3, 3:6].set(dt * (eye + A) / 2).at[3:, 3:].set(jnp.diag(decay.all))
+def transition(A: Float[Array, "3 3"], push: Float[Array, "3 3"], decay: Decay) -> Float[Array, "9 9"]:
+    """Return the transition matrix of w over one step.
+
+    `A` and `push` are the derivatives of the state by that one step before, and by the disturbances during the step.
+    """
+    return jnp.zeros((9, 9)).at[:3, :3].set(A).at[:3, 3:6].set(push).at[3:, 3:].set(jnp.diag(decay.all))
 
 
 def process_covariance(noise: Noise, decay: Decay) -> Float[Array, "9 9"]:

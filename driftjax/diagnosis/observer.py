@@ -202,8 +202,10 @@ def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack([jnp.asarray(value) for value in row]) for row in rows])
 
 
-def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array) -> Gains:
-    """Return the Kalman gains of one run for transitions `A` and this `noise`.
+def kalman_gains(
+    A: Float[Array, "T 3 3"], push: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array
+) -> Gains:
+    """Return the Kalman gains of one run for this `noise`, and derivatives `A` and `push` as `transition` takes them.
 
     All measurements update the state, but only innovations where `informative` (T, 3) is 1 are whitened: the others are
     conditioned on.
@@ -212,18 +214,18 @@ def kalman_gains(A: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float
     R, Q = jnp.diag(noise.sigma**2), process_covariance(noise, decay)
 
     def on(P, row):
-        A, valid, alive, informative = row
+        A, push, valid, alive, informative = row
         HP = valid[:, None] * (P[:3] + P[6:])  # H = valid * (1, 0, 1)
         S = valid * (HP[:, :3] + HP[:, 6:] + R) + jnp.diag(1 - valid)
         whitening = inverse_factor(S)
         scaled = whitening @ HP
         L, known = scaled.T @ whitening, P - scaled.T @ scaled
-        F = transition(A, decay, dt)
+        F = transition(A, push, decay)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
         log_det = -jnp.sum(informative * jnp.log(jnp.diagonal(whitening)))
         return (P + P.T) / 2, (L, informative[:, None] * whitening * valid, known, log_det)
 
-    rows = A, valid, in_run(valid), informative
+    rows = A, push, valid, in_run(valid), informative
     L, whitening, known, log_det = jax.lax.scan(on, initial_covariance(noise), rows)[1]
     return Gains(L, whitening, decay, known, jnp.sum(log_det))
 

@@ -185,9 +185,9 @@ def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> Pa
     )
 
 
-def _riccatis(A: Array, valid: Array, noise: Array, dt: float, informative: Array) -> Gains:
-    of = lambda A, valid: kalman_gains(A, valid, Noise.from_vector(noise), dt, informative)
-    return jax.vmap(of)(A, valid)
+def _riccatis(A: Array, push: Array, valid: Array, noise: Array, dt: float, informative: Array) -> Gains:
+    of = lambda A, push, valid: kalman_gains(A, push, valid, Noise.from_vector(noise), dt, informative)
+    return jax.vmap(of)(A, push, valid)
 
 
 def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> tuple[Array, Array]:
@@ -243,16 +243,16 @@ def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.
     gains = first
     for _ in range(2):
         path = run_observer(model, data, theta, gains)
-        A = _each_sample(model, jnp.asarray(theta), path, data).A[..., :3, :3]
-        gains = gains_along(data, A, path.valid, noise)
+        gains = gains_along(data, _each_sample(model, jnp.asarray(theta), path, data), path.valid, noise)
     return gains
 
 
-def gains_along(data: Pieces, A: Array | np.ndarray, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
-    """Return the gains for transitions `A` (P, T, 3, 3) and measurements that are `valid` (P, T, 3)."""
+def gains_along(data: Pieces, along: SampleDerivatives | Steps, valid: Array | np.ndarray, noise: np.ndarray) -> Gains:
+    """Return the gains along pieces (P, T, ...) with these derivatives and measurements that are `valid` (P, T, 3)."""
     informative = jnp.asarray(data.informative, float)
-    riccati_of = lambda A, valid: call(_riccatis, A, valid, jnp.asarray(noise), data.dt, informative)
-    return map_pieces(riccati_of, len(data.run), A, valid)
+    riccati_of = lambda A, push, valid: call(_riccatis, A, push, valid, jnp.asarray(noise), data.dt, informative)
+    A, push = (np.asarray(by)[..., :3, :3] for by in (along.A, along.push))
+    return map_pieces(riccati_of, len(data.run), A, push, valid)
 
 
 def run_observer(model: Universal, data: Pieces, theta: np.ndarray | Array, gains: Gains) -> Path:

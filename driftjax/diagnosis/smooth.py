@@ -43,14 +43,14 @@ class Filtered(NamedTuple):
     filtered_covariance: np.ndarray
 
 
-def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: Decay, dt: float) -> LinearModel:
+def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: Decay) -> LinearModel:
     """Build the linear model along the observer's `path` from `steps`; lags of the tyres stay as on the path."""
-    A, D = np.asarray(steps.A)[..., :3, :3], np.asarray(steps.D)
+    A, push, D = (np.asarray(by) for by in (steps.A[..., :3, :3], steps.push[..., :3, :], steps.D))
     e, z, before, d = (np.asarray(a) for a in (path.e, path.z, path.predicted, path.d))
     alive = samples_in_run(valid)
     corrected = z[..., :3] - before[..., :3]
     each = lambda function, *rows: np.asarray(jax.vmap(jax.vmap(function))(*map(jnp.asarray, rows)))
-    F = each(lambda A: transition(A, decay, dt), A)
+    F = each(lambda A, push: transition(A, push, decay), A, push)
     F = np.where(alive[..., None, None], F, np.diag([1, 1, 1, *np.asarray(decay.all)]))
     c = np.zeros((*alive.shape, 9))
     c[:, :-1, :3] = corrected[:, 1:] + np.einsum("ptij,ptj->pti", F[..., :3, 3:6], d)[:, :-1]
@@ -88,7 +88,7 @@ def smooth_disturbances(
 
     They are expectations: where the data have little information, a disturbance is underestimated.
     """
-    model = linear_model(path, steps, valid, decay_of(noise, dt), dt)
+    model = linear_model(path, steps, valid, decay_of(noise, dt))
     went = kalman_filter(model, noise, dt)
     w = [went.filtered[:, -1]]
     for k in range(model.y.shape[1] - 2, -1, -1):

@@ -79,11 +79,9 @@ def decide_verdict(
     """Decide the verdict on a search by the size of the unexplained error, and state the reason.
 
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
-    and no run is long enough to measure its size. Where the drive force was estimated, the verdict is UNKNOWN too:
-    the errors of such a force are not modelled, and were named as effects (docs/results/hidden-effects.md).
-    Names are certain only where no generic term that remains explains more than the share `tolerated` of the misfit
-    that effects and term explain together; else they may stand for a cause that the catalogue lacks. `unconfirmed` are
-    the effects that were left out again.
+    and no run is long enough to measure its size. Names are certain only where no generic term that remains explains
+    more than the share `tolerated` of the misfit that effects and term explain together; else they may stand for a
+    cause that the catalogue lacks. `unconfirmed` are the effects that were left out again.
     """
     large = (
         explained.unexplained_exceeds(tolerated)
@@ -103,9 +101,6 @@ def decide_verdict(
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     words += [one for one in (doubt, _left_out(unconfirmed)) if one]
     verdict = Verdict.NAMED if all(map(sure, claimed)) and not doubt else Verdict.SET
-    if not problem.data.force_known:
-        words.append("The drive force was estimated, and its errors may stand for these effects.")
-        verdict = Verdict.UNKNOWN
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
 

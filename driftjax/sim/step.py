@@ -195,6 +195,9 @@ def lagged_step(
     start = jnp.stack(x)
     nothing = jnp.zeros_like(start)
     added = nothing if push is None else jnp.stack(push)
+    if model.by_acceleration:  # the force is that with which the speed changes so
+        hold = hold._replace(mean=hold.mean._replace(Fxr=hold.mean.Fxr + model.base.m * added[0]))
+        added = added.at[0].set(0.0)
     begun = lambda known: StepStart(x, lagged, hold, known[:2], known[2])
 
     def on(carry, row):

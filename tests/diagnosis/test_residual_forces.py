@@ -70,7 +70,8 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     full = np.zeros((6, 6))
     full[:3, :3] = A
     first = jnp.zeros((1, 6, 1))
-    C, slip, push = many(np.zeros((6, 1))), many(np.zeros((2, 3))), many(np.eye(6, 3) * DT)
+    C, slip = many(np.zeros((6, 1))), many(np.zeros((2, 3)))
+    push = many(np.vstack([DT * (np.eye(3) + A) / 2, np.zeros((3, 3))]))
     return path, Steps(many(full), C, many(D), many(none), slip, push, jnp.asarray(still), path.valid, first), valid
 
 
@@ -80,7 +81,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
     decays = np.exp(-DT / np.repeat([NOISE.correlation, NOISE.slow_correlation], 3))
     sizes, slow = np.concatenate([NOISE.disturbance, NOISE.slow]), np.diag(NOISE.slow**2)
     F, Q = np.zeros((9, 9)), np.diag([0, 0, 0, *((1 - decays**2) * sizes**2)])
-    F[:3, :3], F[:3, 3:6], F[3:, 3:] = A, DT * (np.eye(3) + A) / 2, np.diag(decays)
+    F[:3, :3], F[:3, 3:6], F[3:, 3:] = A, np.asarray(steps.push)[0, 0, :3], np.diag(decays)
     C = np.zeros((T, 9, T, 9))  # covariance of w at all times
     C[0, :, 0] = np.diag([*(4 * NOISE.sigma**2 + NOISE.slow**2), *sizes**2])
     C[0, :3, 0, 6:] = C[0, 6:, 0, :3] = -slow  # the first state is the measured one
@@ -106,7 +107,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     A[..., :3, :3] = [[1.0, -1.0, 0.2], [0.0, 1.05, 0.1], [0.1, 3.0, 1.1]]
     assert np.abs(np.linalg.eigvals(A[0, 0, :3, :3])).max() > 1.15
     steps = steps._replace(A=jnp.asarray(A))
-    spread = kalman_filter(linear_model(path, steps, valid, decay_of(NOISE, DT), DT), NOISE, DT).filtered_covariance
+    spread = kalman_filter(linear_model(path, steps, valid, decay_of(NOISE, DT)), NOISE, DT).filtered_covariance
     np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
     driven = samples_in_run(valid)
     assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2
