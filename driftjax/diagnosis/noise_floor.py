@@ -16,10 +16,10 @@ from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import ROOM, Predictions, scan_rows
 from driftjax.diagnosis.noise_model import Noise, decay_of, stationary_deviations
-from driftjax.diagnosis.observer import PaddedRun, set_state
+from driftjax.diagnosis.observer import PaddedRun, acting_commands, set_state
 from driftjax.diagnosis.runs import batches, map_pieces, padded_size
 from driftjax.parallel import call
-from driftjax.sim.rollout import actuator_response, move, sensor_reading
+from driftjax.sim.rollout import move, sensor_reading
 from driftjax.vehicle.universal import Universal
 
 STARTS = 20  # starts of roll-outs in one call
@@ -44,7 +44,7 @@ def disturbed_rollouts(
     disturbance.
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
-    u = actuator_response(model, run.commands, run.V, dt)[-len(run.y) :]
+    u = acting_commands(model, run, dt)[-len(run.y) :]
     known = Noise.from_vector(noise)
     decay, size = decay_of(known, dt).all, stationary_deviations(known)
     kick = jnp.sqrt(1 - decay**2) * size

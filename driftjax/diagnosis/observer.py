@@ -103,9 +103,24 @@ def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun
     return run._replace(y=y, valid=valid, start=jnp.where(known, jnp.median(y[:3], axis=0), run.start))
 
 
+def acting_commands(model: Universal, run: PaddedRun, dt: float) -> Float[Array, "w+T 4"]:
+    """Return the response of the actuators to the commands of a run.
+
+    A drive force that was estimated from the speed is as late as that: the one of a later sample acts.
+    """
+    delta, Fxr = run.commands.T
+    if model.by_acceleration:
+        late = model.sensor_delays()[0] / dt
+        whole, last = jax.lax.stop_gradient(jnp.floor(late)), len(Fxr) - 1
+        here = jnp.arange(len(Fxr)) + whole.astype(int)
+        first, following = (Fxr[jnp.minimum(at, last)] for at in (here, here + 1))
+        Fxr = first + (late - whole) * (following - first)
+    return actuator_response(model, jnp.stack([delta, Fxr], axis=1), run.V, dt)
+
+
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
     """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
-    u = actuator_response(model, run.commands, run.V, dt)
+    u = acting_commands(model, run, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
@@ -316,8 +331,8 @@ def sample_derivatives(model: Universal, theta: Array, path: Path, place: Place,
 
 def command_derivatives(model: Universal, theta: Array, run: PaddedRun, dt: float) -> tuple[Array, Array]:
     """Return the derivatives by theta of the acting commands (T, 4, K) and of the initial augmented state (6, K)."""
-    stations = [effect.station for effect in model.effects for _ in effect.parameters]
-    columns = np.flatnonzero(np.array(stations) == "command")  # only effects of the actuators move commands
+    moves = lambda effect: effect.station == "command" or (model.by_acceleration and effect.sensor_delay)
+    columns = np.flatnonzero([moves(effect) for effect in model.effects for _ in effect.parameters])
     run = align_measurements(model.with_parameters(theta), run, dt)
     value = lambda p: initial_state(model.with_parameters(p), run, dt)
     each = jax.vmap(lambda d: jax.jvp(lambda p: value(p)[0], (theta,), (d,))[1])(jnp.eye(len(theta))[columns])

@@ -16,9 +16,11 @@ from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
-from driftjax.diagnosis.runs import resolved_log, run_observer
+from driftjax.diagnosis.observer import acting_commands, command_derivatives
+from driftjax.diagnosis.runs import resolved_log, run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.effect import effects_by_name
 from driftjax.vehicle.effect.flow import Aux, Place
 
 EXACT = ("psi", "s")  # columns that stay: they do not tell the sideslip
@@ -112,6 +114,23 @@ def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
     (no_slip,) = inertial_forces(sedan(), (run,))
     assert size(estimated - run.Fxr) < 0.8 * size(no_slip - run.Fxr)
+
+
+def test_a_force_estimated_from_a_late_speed_acts_earlier():
+    (run,), effects, late = measured()[:1], effects_by_name(("steer_gain", "channel_delay")), 2
+    delayed = replace(run, V=np.r_[np.full(late, np.nan), run.V[:-late]])
+    on_time, problem = (initial_problem(sedan(), effects, without((one,), "Fxr")) for one in (run, delayed))
+    theta = np.array([0.0, late * DT, 0.0, 0.0]) / np.asarray(problem.model.scale)
+    piece = take(problem.data.padded, 0)
+    force = lambda theta: acting_commands(problem.model.with_parameters(jnp.asarray(theta)), piece, DT)[:, 1]
+    expected = acting_commands(on_time.model, take(on_time.data.padded, 0), DT)[:, 1]
+    size = lambda a: float(np.sqrt(np.mean(np.square(a[-len(piece.y) :][20 : len(run.t) - 20]))))
+    assert size(force(theta) - expected) < 0.1 * size(force(0 * theta) - expected)
+    theta[1:] += 0.3 * DT / np.asarray(problem.model.scale)[1:]
+    by_u = np.asarray(command_derivatives(problem.model, jnp.asarray(theta), piece, DT)[0])[:, 1]
+    for k, step in enumerate(1e-4 * np.eye(4)):
+        slope = np.asarray(force(theta + step) - force(theta - step)) / 2e-4
+        np.testing.assert_allclose(by_u[:, k], slope[-len(by_u) :], atol=1e-6 * size(expected))
 
 
 def test_samples_that_do_not_resolve_the_car_any_better_are_left_out():
