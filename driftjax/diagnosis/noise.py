@@ -70,7 +70,7 @@ def measured_channels(valid: np.ndarray) -> np.ndarray:
 
     That of a speed from which the drive force was estimated is the error of this force, which the others show.
     """
-    return valid.any(axis=(0, 1))
+    return np.asarray(valid.any(axis=(0, 1)))
 
 
 def observed_channels(valid: np.ndarray, informative: np.ndarray) -> np.ndarray:
