@@ -77,7 +77,7 @@ def line_size(W: Array | int) -> Array:
     return jnp.maximum(jnp.asarray(W) // 4, 1)
 
 
-def shift(f: Array, slope: Array, share: Array) -> Array:
+def blend_lines(f: Array, slope: Array, share: Array) -> Array:
     """Return `f` (T,) a `share` of a sample later: the mean of the lines at both samples, weighted by nearness."""
     following, its_slope = (jnp.append(a[1:], a[-1]) for a in (f, slope))
     return (1 - share) * (f + share * slope) + share * (following - (1 - share) * its_slope)
@@ -92,7 +92,7 @@ def true_motion(model: Universal, run: PaddedRun, W: Array, dt: float) -> tuple[
     aligned, half = align_measurements(model, run, dt), line_size(W)
     share = model.split_delays(dt)[1].sensor_delays() / dt
     lines = [local_lines(y, valid, half) for y, valid in zip(aligned.y.T, aligned.valid.T, strict=True)]
-    y = State(*(shift(*line, late) for line, late in zip(lines, share, strict=True)))
+    y = State(*(blend_lines(*line, late) for line, late in zip(lines, share, strict=True)))
     sensors, x, still = model.without_delays(), y, jax.tree.map(jnp.zeros_like, y)
     for _ in range(INVERSIONS):
         x = jax.tree.map(lambda y, x, read: y - (read - x), y, x, sensors.sense(x, still))

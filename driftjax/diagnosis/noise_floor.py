@@ -16,7 +16,7 @@ from driftjax.core import State
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import ROOM, Predictions, scan_rows
 from driftjax.diagnosis.noise_model import Noise, decay_of, stationary_deviations
-from driftjax.diagnosis.observer import PaddedRun, acting_commands, set_state
+from driftjax.diagnosis.observer import PaddedRun, command_response, set_state
 from driftjax.diagnosis.runs import batches, map_pieces, padded_size
 from driftjax.parallel import call
 from driftjax.sim.rollout import move, sensor_reading
@@ -44,7 +44,7 @@ def disturbed_rollouts(
     disturbance.
     """
     model, step = model.with_parameters(theta), jnp.asarray(dt)
-    u = acting_commands(model, run, dt)[-len(run.y) :]
+    u = command_response(model, run, dt)[-len(run.y) :]
     known = Noise.from_vector(noise)
     decay, size = decay_of(known, dt).all, stationary_deviations(known)
     kick = jnp.sqrt(1 - decay**2) * size

@@ -103,7 +103,7 @@ def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun
     return run._replace(y=y, valid=valid, start=jnp.where(known, jnp.median(y[:3], axis=0), run.start))
 
 
-def acting_commands(model: Universal, run: PaddedRun, dt: float) -> Float[Array, "w+T 4"]:
+def command_response(model: Universal, run: PaddedRun, dt: float) -> Float[Array, "w+T 4"]:
     """Return the response of the actuators to the commands of a run.
 
     A drive force that was estimated from the speed is as late as that: the one of a later sample acts.
@@ -120,7 +120,7 @@ def acting_commands(model: Universal, run: PaddedRun, dt: float) -> Float[Array,
 
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:
     """Return the acting commands (T, 4), and the augmented state (6,) at the first sample."""
-    u = acting_commands(model, run, dt)
+    u = command_response(model, run, dt)
     T, still = len(run.y), jnp.zeros((3, 3))
     x = 2 * run.start - sensor_reading(model, run.start, still, jnp.asarray(dt))  # what sensors tell so, to first order
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))

@@ -16,7 +16,7 @@ from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
-from driftjax.diagnosis.observer import acting_commands, command_derivatives
+from driftjax.diagnosis.observer import command_derivatives, command_response
 from driftjax.diagnosis.runs import resolved_log, run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -122,8 +122,8 @@ def test_a_force_estimated_from_a_late_speed_acts_earlier():
     on_time, problem = (initial_problem(sedan(), effects, without((one,), "Fxr")) for one in (run, delayed))
     theta = np.array([0.0, late * DT, 0.0, 0.0]) / np.asarray(problem.model.scale)
     piece = take(problem.data.padded, 0)
-    force = lambda theta: acting_commands(problem.model.with_parameters(jnp.asarray(theta)), piece, DT)[:, 1]
-    expected = acting_commands(on_time.model, take(on_time.data.padded, 0), DT)[:, 1]
+    force = lambda theta: command_response(problem.model.with_parameters(jnp.asarray(theta)), piece, DT)[:, 1]
+    expected = command_response(on_time.model, take(on_time.data.padded, 0), DT)[:, 1]
     size = lambda a: float(np.sqrt(np.mean(np.square(a[-len(piece.y) :][20 : len(run.t) - 20]))))
     assert size(force(theta) - expected) < 0.1 * size(force(0 * theta) - expected)
     theta[1:] += 0.3 * DT / np.asarray(problem.model.scale)[1:]
