@@ -27,6 +27,7 @@ from driftjax.diagnosis.noise import (
     estimate_noise,
     measured_channels,
     measurement_noise,
+    observed_channels,
 )
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import Gains, Path, samples_in_run
@@ -87,7 +88,7 @@ class Problem(NamedTuple):
     @property
     def measured(self) -> np.ndarray:
         """Return which of V, beta, r (3,) predictions can be compared with."""
-        return np.asarray(self.data.padded.valid).any(axis=(0, 1)) & self.data.informative[-1]
+        return observed_channels(np.asarray(self.data.padded.valid), self.data.informative)
 
     @property
     def unidentifiable_effects(self) -> tuple[int, ...]:
