@@ -39,6 +39,8 @@ MOST_SLOW = 100.0  # largest slow errors: in a filtered log white errors nearly 
 SLOW_CORRELATION = 0.3  # correlation time of slow errors assumed before any are known [s]
 LONGEST_SLOW = 1.0  # largest correlation time of slow errors: what lasts longer has a cause to be named, as a bias [s]
 SLOW_EVIDENCE = 18.5  # least rise of twice the log-likelihood by slow errors: 0.999 quantile of chi^2 of 4 parameters
+FIRST_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of disturbances, the best of which begins the search
+FIRST_CORRELATIONS = (0.1, 0.3, 1.0, 3.0)  # and with which correlation time [s]
 SEARCHED = 8000  # samples that the noise is estimated from
 CUT = 250  # samples by which padding is cut off
 ITERATIONS = 30  # of the search, at most
@@ -106,6 +108,11 @@ def restricted_likelihood(
     parameters = 2 * jnp.sum(jnp.log(jnp.diagonal(factor)))
     theta = -jax.scipy.linalg.solve_triangular(factor, b, lower=True, trans=1)
     return jnp.sum(e_w**2) - jnp.sum(b**2) + 2 * jnp.sum(log_det) + parameters, theta
+
+
+def likelihoods(noises: Float[Array, "n 11"], steps: Steps, e: Array, L: Array, dt: float, informative: Array) -> Array:
+    """Return `restricted_likelihood` (n,) of several noises, one after the other."""
+    return jax.lax.map(lambda noise: restricted_likelihood(noise, steps, e, L, dt, informative)[0], noises)
 
 
 class NoiseScale(NamedTuple):
@@ -218,7 +225,8 @@ def estimate_noise(
     It is estimated from `SEARCHED` samples, in pieces spread over the log; fewer are padded with pieces that hold no
     measurement: eleven numbers need no more, and one program serves all logs. Only innovations where `informative`
     (T, 3) is true do; a channel of which none does, or that is not measured, keeps the noise of `start`. Sensors have
-    slow errors where the data ask for them; where they are `slow_known`, those of `start`.
+    slow errors where the data ask for them; where they are `slow_known`, those of `start`. The search begins at the
+    most likely of `first_noises`.
     """
     steps, e, gains = spread_pieces(steps, e, gains)
     informative = informative[: e.shape[1]]
@@ -240,11 +248,25 @@ def estimate_noise(
     low, high = noise_bounds(start, measured_channels(valid), observed, dt)
     least = start if slow_known else start._replace(slow=low.slow)
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
-    white, cost = minimise(least, low._replace(**fixed), high._replace(**fixed))
+    several = first_noises(least, measured_channels(valid))
+    costs = call(likelihoods, jnp.stack([one.as_vector() for one in several]), steps, e, gains.L, dt, use)
+    white, cost = minimise(several[int(np.nanargmin(costs))], low._replace(**fixed), high._replace(**fixed))
     if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
     slow, lower_cost = minimise(white._replace(slow=np.where(observed, start.slow, low.slow)), low, high)
     return slow if lower_cost < cost - SLOW_EVIDENCE else white
+
+
+def first_noises(start: Noise, measured: np.ndarray) -> list[Noise]:
+    """Return noises to begin a search from: disturbances of several sizes, where `measured` (3,), and durations.
+
+    The likelihood has several minima: long disturbances, or short ones whose parameters explain what they leave.
+    """
+    return [
+        start._replace(disturbance=np.where(measured, factor, 1.0) * start.disturbance, correlation=time)
+        for factor in FIRST_FACTORS
+        for time in FIRST_CORRELATIONS
+    ]
 
 
 def noise_bounds(start: Noise, measured: np.ndarray, observed: np.ndarray, dt: float) -> tuple[Noise, Noise]:
