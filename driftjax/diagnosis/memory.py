@@ -3,8 +3,9 @@
 The disturbances of the observer stand for what the car gets wrong. Where sensors are smooth and the car is wrong they
 are large: the observer forgets within a few samples, and its innovations show only what one sample gets wrong. With
 smaller disturbances it follows the car for as long as predictions last, and its innovations are the errors that
-predictions make. The assumed noise decides which errors a fit weighs (Ljung 1999, Sec. 8.5); where the car is right,
-both lead to the same parameters.
+predictions make. Such disturbances are white: those that last would themselves be estimated, and take in what the car
+gets wrong, while predictions carry none ahead. The assumed noise decides which errors a fit weighs (Ljung 1999,
+Sec. 8.5); where the car is right, both lead to the same parameters.
 """
 
 import numpy as np
@@ -15,26 +16,27 @@ from driftjax.diagnosis.noise_model import Noise
 from driftjax.logs.columns import MEASURED
 
 NO_SLOW = 1e-3  # slow errors of the sensors beside white ones: they would take in what the car gets wrong
-LEAST = 1e-3  # least disturbances, over the estimated ones
+WHITE = 2.0  # correlation time of the disturbances, in samples: the least that noise is estimated with
+LEAST = 1e-3  # least disturbances, over those of the same power as the estimated ones
 HALVINGS = 8  # of the interval in which the disturbances are searched, by the logarithm
 
 
 def with_long_memory(problem: Problem) -> Problem | None:
     """Return the problem with an observer that remembers as long as shares of the error are measured ahead.
 
-    None where it does already, or where it loses the nominal car. All disturbances are reduced by one factor, and
-    sensors have white errors alone. Innovations within a memory depend on each other, and count as one: the noise is
-    scaled so that what no effect explains costs 1 for each channel and memory.
+    None where it does already, or where it loses the nominal car. All disturbances are white and reduced by one factor,
+    and sensors have white errors alone. Innovations within a memory depend on each other, and count as one: the noise
+    is scaled so that what no effect explains costs 1 for each channel and memory.
     """
     horizon = float(horizon_steps(problem)[DECISIVE])
     if memory_of(problem) >= horizon:
         return None
-    low, high = np.log(LEAST), 0.0
+    white, low, high = _with_white_errors(problem.noise, WHITE * problem.data.dt), np.log(LEAST), 0.0
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        long = with_noise(problem, problem.start, _reduced(problem.noise, float(np.exp(middle))))
+        long = with_noise(problem, problem.start, _reduced(white, float(np.exp(middle))))
         low, high = (middle, high) if memory_of(long) >= horizon else (low, middle)
-    noise = _reduced(problem.noise, float(np.exp(low)))
+    noise = _reduced(white, float(np.exp(low)))
     long = with_noise(problem, problem.start, noise)
     nominal = evaluate_fit(long, long.start)
     if not np.isfinite(nominal.cost):
@@ -50,9 +52,18 @@ def memory_of(problem: Problem) -> float:
     return float(np.exp(-np.mean(np.log(own[own > 0]))))
 
 
+def _with_white_errors(noise: Noise, correlation: float) -> Noise:
+    """Return the noise with all errors of the sensors white, and disturbances of this correlation time [s] and power.
+
+    Power is the variance times the correlation time: it is what they add to the variance of the state in a second.
+    """
+    disturbance = np.sqrt(noise.correlation / correlation) * noise.disturbance
+    return Noise(noise.total, disturbance, correlation, NO_SLOW * noise.sigma, noise.slow_correlation)
+
+
 def _reduced(noise: Noise, share: float) -> Noise:
-    """Return the noise with this share of the disturbances, and all errors of the sensors white."""
-    return noise._replace(sigma=noise.total, disturbance=share * noise.disturbance, slow=NO_SLOW * noise.sigma)
+    """Return the noise with this share of the disturbances."""
+    return noise._replace(disturbance=share * noise.disturbance)
 
 
 def _scaled(noise: Noise, by: float) -> Noise:

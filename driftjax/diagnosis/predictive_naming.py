@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from driftjax.diagnosis.comparison import Comparison, compare_on_own_runs, comparison_shares
 from driftjax.diagnosis.cross_validate import change_of, fits_left_out, left_out
 from driftjax.diagnosis.fit import Problem
@@ -67,8 +69,9 @@ def name_by_the_better(
 ) -> tuple[Naming, Comparison | None]:
     """Name effects by single steps, and by predictions where these leave errors; return those that predict better.
 
-    The comparison is that of the nominal and the extended car on the runs that the effects are named from, the latter
-    fitted without the part that it predicts; None where nothing is named.
+    Predictions must lower the error by more than the share `tolerated` of it: of a right car, single steps give the
+    more precise sizes. The comparison is that of the nominal and the extended car on the runs that the effects are
+    named from, the latter fitted without the part that it predicts; None where nothing is named.
     """
     named = name_by_steps(problem, seed, most, report)
     if not named.selection.selected and named.selection.scores.p_value >= LEVEL:
@@ -76,7 +79,7 @@ def name_by_the_better(
     own = _compare(named, seed)
     if leaves_errors(own, tolerated, seed):
         other = name_by_predictions(named, seed, most, report)
-        if other is not None and change_of(_errors(own), _errors(better := _compare(other, seed))).improves:
+        if other is not None and _lowers(own, better := _compare(other, seed), tolerated):
             named, own = other, better
     return named, own if named.selection.selected else None
 
@@ -92,6 +95,12 @@ def _compare(named: Naming, seed: int) -> Comparison:
         return own
     theta = fits_left_out(named.searched, found.fit, found.linearisation, found.selected, out)
     return own._replace(predictions=own.predictions | {"extended": predict(problem, theta)})
+
+
+def _lowers(own: Comparison, other: Comparison, least: float) -> bool:
+    """Return whether the extended car of `other` improves on that of `own`, by more than the share `least`."""
+    change = change_of(_errors(own), _errors(other))
+    return change.improves and change.total < np.log1p(-least)
 
 
 def _errors(own: Comparison) -> Errors:

@@ -48,6 +48,22 @@ def test_the_memory_is_as_long_as_shares_of_the_error_are_measured_ahead():
     assert with_long_memory(long) is None, "it remembers as long already"
 
 
+def test_the_long_memory_does_not_depend_on_how_long_disturbances_last():
+    """Those that last would be estimated, and take in what the car gets wrong; predictions carry none ahead."""
+    problem = smooth_problem()
+
+    def gains(correlation):
+        share = np.sqrt(problem.noise.correlation / correlation)  # of the same power
+        noise = problem.noise._replace(correlation=correlation, disturbance=share * problem.noise.disturbance)
+        long = with_long_memory(with_noise(problem, problem.start, noise))
+        assert long is not None
+        valid = np.asarray(long.data.padded.valid) > 0
+        return np.asarray(long.gains.L)[..., :3, :][valid.all(axis=-1)]
+
+    short, lasting = gains(0.1), gains(5.0)
+    np.testing.assert_allclose(lasting, short, atol=0.05 * np.abs(short).max())
+
+
 def test_what_no_effect_explains_costs_one_for_each_memory():
     long = with_long_memory(smooth_problem())
     assert long is not None
