@@ -21,7 +21,7 @@ from driftjax.report import gain_table
 from driftjax.store import RunFolder
 from driftjax.vehicle import load_vehicle
 
-STEPS = {"noise and nominal car": 21, "fit": 25, "what decides each parameter": 1, "gain": 53, "done": 0}
+STEPS = {"noise and nominal car": 21, "gain": 53, "fit": 25, "what decides each parameter": 1, "done": 0}
 FITTED = (
     f"Effects of the catalogue to fit; left out: {', '.join(DEFAULT_EFFECTS)}, and with `--staged` also "
     f"{', '.join(name for name in STAGED_EFFECTS if name not in DEFAULT_EFFECTS)}."

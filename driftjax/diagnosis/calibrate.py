@@ -1,38 +1,27 @@
 """Fit chosen effects of the nominal car to data, without testing whether they are present."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from driftjax.core import BadInput, require
+from driftjax.diagnosis.calibration_fit import CalibrationFit, fit_by_predictions, fit_by_steps, fit_by_the_better
 from driftjax.diagnosis.comparison import Comparison
 from driftjax.diagnosis.evidence import half_widths
-from driftjax.diagnosis.fit import (
-    Fit,
-    Problem,
-    at_bound,
-    evaluate_fit,
-    information,
-    initial_problem,
-    linearise,
-    time_lost,
-    with_estimated_noise,
-    with_noise,
-)
-from driftjax.diagnosis.gain import predict
+from driftjax.diagnosis.fit import Problem, at_bound, information, initial_problem, time_lost, with_noise
+from driftjax.diagnosis.gain import DECISIVE, horizon_steps, predict
 from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_models, split_runs
-from driftjax.diagnosis.identifiability import DEAD, Identifiability, identifiability
-from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost, with_nominal_noise
+from driftjax.diagnosis.identifiability import Identifiability, identifiability
+from driftjax.diagnosis.multistart import with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
-from driftjax.diagnosis.refine import refit_to_convergence
-from driftjax.diagnosis.runs import Linearisation, resolved_log
+from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.score import Scores, scores, spread_of
 from driftjax.diagnosis.serialise import extended_car, gain_json
-from driftjax.diagnosis.stages import STAGES, fit_staged, least_samples
-from driftjax.diagnosis.stretches import Stretch, durations, find_stretches
+from driftjax.diagnosis.stages import STAGES, least_samples
+from driftjax.diagnosis.stretches import Stretch, durations
 from driftjax.environment import require_float64
 from driftjax.logs import Log
 from driftjax.store import RunFolder
@@ -82,18 +71,20 @@ class Calibration:
 
     nominal: VehicleConfig
     log: Log
-    problem: Problem  # with noise and observer of the fitted car
     selected: tuple[int, ...]  # effects that were fitted, numbers in the catalogue
-    fit: Fit
+    car: CalibrationFit
     scores: Scores  # with the precision of the parameters for information
     half_width: np.ndarray  # (k,) of the 95 % intervals, in typical sizes
     identifiability: tuple[Identifiability, ...]  # of each parameter
-    moved: np.ndarray  # (k,) by later stages, in standard deviations
-    stretch: np.ndarray  # (P, T) kind of stretch of each sample
     staged: bool
     held_out: int  # every so many-th run was
     gain: PredictionGain | None  # on runs held out, of a car fitted without them; None where there are too few
     lost_s: float  # of the runs, in which the observer loses the car [s]
+
+    @property
+    def problem(self) -> Problem:
+        """Return the problem with noise and observer of the fitted car."""
+        return self.car.problem
 
     @property
     def vehicle(self) -> VehicleConfig:
@@ -101,7 +92,7 @@ class Calibration:
         alive = dict(zip(self.problem.columns(self.selected), self.identifiability, strict=True))
         identified = tuple(i for i in self.selected if not all(alive[k].dead for k in self.problem.columns((i,))))
         spread = spread_of(self.scores.H, self.scores.blocks, self.problem.columns(identified))
-        return extended_car(self.nominal, self.problem, identified, self.fit.theta, spread)
+        return extended_car(self.nominal, self.problem, identified, self.car.fit.theta, spread)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
@@ -109,24 +100,24 @@ class Calibration:
         problem = self.problem
         columns, scale = problem.columns(self.selected), np.asarray(problem.model.scale)
         parameters = [(problem.effects[i], p) for i in self.selected for p in problem.effects[i].parameters]
-        names, bound = [f"{effect.name}.{p.name}" for effect, p in parameters], at_bound(problem, self.fit.theta)
+        names, bound = [f"{effect.name}.{p.name}" for effect, p in parameters], at_bound(problem, self.car.fit.theta)
         return tuple(
             FittedParameter(
-                name, float(self.fit.theta[k] * scale[k]), float(half * scale[k]), p.unit, bool(bound[k]),
+                name, float(self.car.fit.theta[k] * scale[k]), float(half * scale[k]), p.unit, bool(bound[k]),
                 dict(zip([kind.label for kind in Stretch] + ["prior"], map(float, one.shares), strict=True)),
                 one.dead, one.flat,
                 tuple(names[i] for i in one.trades_off_with), float(moved),
             )
             for name, (_, p), k, half, one, moved in zip(
-                names, parameters, columns, self.half_width, self.identifiability, self.moved, strict=True
+                names, parameters, columns, self.half_width, self.identifiability, self.car.moved[columns], strict=True
             )
         )  # fmt: skip
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """Return a sentence for each kind of stretch of less than 10 sqrt(L/g) in the runs, and for lost time."""
+        """Return sentences on kinds of stretch of less than 10 sqrt(L/g), on lost time, and on what the fit follows."""
         least, names = least_samples(self.problem), []
-        missing = [kind for kind in Stretch if np.sum(self.stretch == kind) < least]
+        missing = [kind for kind in Stretch if np.sum(self.car.stretch == kind) < least]
         for kind in missing:
             stage = next(stage for stage in STAGES if kind in stage.stretches)
             own = [self.problem.effects[i].name for i in self.selected if self.problem.effects[i].name in stage.effects]
@@ -134,6 +125,10 @@ class Calibration:
         if self.lost_s:
             names.append(f"{self.lost_s:.1f} s do not count, in which the observer loses the car: start from a car "
                          "nearer to the real one, such as with the delay that `inspect` prints")  # fmt: skip
+        if self.car.by_predictions:
+            memory = horizon_steps(self.problem)[DECISIVE] * self.problem.data.dt
+            names.append(f"single steps mislead here: the parameters are those that an observer with a memory of "
+                         f"{memory:.2g} s gives")  # fmt: skip
         return tuple(f"{sentence}." for sentence in names if sentence)
 
     def content(self) -> dict[str, Any]:
@@ -142,7 +137,8 @@ class Calibration:
         return {
             "parameters": [one._asdict() for one in self.parameters],
             "staged": self.staged,
-            "stretches_s": durations(self.stretch, self.problem.data.dt),
+            "fitted_by": "predictions" if self.car.by_predictions else "single steps",
+            "stretches_s": durations(self.car.stretch, self.problem.data.dt),
             "lacking": list(self.lacking),
             "lost_s": self.lost_s,
             "gain": gain_json(self.gain),
@@ -163,7 +159,7 @@ class Calibration:
         return folder
 
     def __str__(self) -> str:
-        times = durations(self.stretch, self.problem.data.dt).items()
+        times = durations(self.car.stretch, self.problem.data.dt).items()
         lines = [f"stretches: {', '.join(f'{name} {time:.1f} s' for name, time in times)}", *self.lacking]
         lines.append(f"{'parameter':28}{'value':>12}{'':3}{'95 %':>9}{'':11}{'decided by':40}remarks")
         for one in self.parameters:
@@ -207,26 +203,25 @@ def calibrate(
         raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
     report("noise and nominal car: compile roll-outs")
     loose, columns = with_nominal_noise(problem), problem.columns(selected)
-    report("fit: compile derivatives")
-    if staged:
-        problem, fit, stages = fit_staged(loose, selected, lambda text: report(f"fit: {text}"))
-        linearisation = stages.weigh(linearise(problem, fit))
-        stretch, precision, prior, moved = stages.stretch, stages.precision, stages.prior, stages.moved
-    else:
-        problem, fit, linearisation = fit_effects(loose, selected)
-        stretch, prior, moved = find_stretches(loose), np.diag(problem.prior), np.zeros(len(problem.owner))
-        precision = information(linearisation.J) + DEAD * problem.prior
+    report("gain: fit without the runs held out, compile derivatives")
+    names, words = tuple(run.name for run in log.runs), lambda text: report(f"fit: {text}")
+    gain = calibration_gain(problem, selected, names, held_out, seed, staged)
+    report("fit: to all runs")
+    if gain is None:
+        car = fit_by_the_better(loose, selected, staged, seed, words)
+    else:  # what predicts better without the runs held out does so with them
+        steps = fit_by_steps(loose, selected, staged, words)
+        car = (fit_by_predictions(steps, selected, staged, words) if gain.by_predictions else None) or steps
     report("what decides each parameter")
-    lost_s = time_lost(problem, linearisation)
-    last = scores(problem, linearisation, fit.theta, selected, seed)._replace(H=precision)
-    half_width, square = half_widths(problem, last, selected), np.ix_(columns, columns)
-    known = np.stack([information(np.asarray(linearisation.J)[stretch == kind][None])[square] for kind in Stretch])
-    identifiable = identifiability(known, prior[columns], precision[square], half_width)
-    report("gain: fit once more without the runs held out")
-    gain = calibration_gain(problem, selected, tuple(run.name for run in log.runs), held_out, seed, staged)
+    searched, linearisation = car.searched, car.linearisation
+    lost_s = time_lost(searched, linearisation)
+    last = scores(searched, linearisation, car.fit.theta, selected, seed)._replace(H=car.precision)
+    half_width, square = half_widths(searched, last, selected), np.ix_(columns, columns)
+    J = np.asarray(linearisation.J)
+    known = np.stack([information(J[car.stretch == kind][None])[square] for kind in Stretch])
+    identifiable = identifiability(known, car.prior[columns], car.precision[square], half_width)
     return Calibration(
-        vehicle, log, problem, selected, fit, last, half_width, identifiable, moved[columns], stretch, staged, held_out,
-        gain, lost_s,
+        vehicle, log, selected, car, last, half_width, identifiable, staged, held_out, gain, lost_s
     )  # fmt: skip
 
 
@@ -251,19 +246,10 @@ def calibration_gain(
     if not len(held):
         return None
     loose, apart = with_nominal_noise(problem.subset(use)), problem.subset(held)
-    near, fit, _ = (fit_staged if staged else fit_effects)(loose, selected)
-    bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, fit.theta, near.noise)
-    ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, fit.theta)}
-    comparison = Comparison(test, ahead, noise_floor(test, fit.theta, ahead["fitted"], seed))
-    return compare_models(comparison, tuple(names[i] for i in held), selected, seed)
-
-
-def fit_effects(loose: Problem, selected: tuple[int, ...]) -> tuple[Problem, Fit, Linearisation]:
-    """Fit the effects `selected`; return the problem with noise re-estimated at the fit, the fit, its linearisation.
-
-    The first car may be far off: in the problem `loose` it is followed with the disturbances that it needs for itself.
-    """
-    columns = loose.columns(selected)
-    rough, _ = refit_to_convergence(loose, require_finite_cost(nominal_fit(loose)), columns)
-    again = with_estimated_noise(loose, rough.theta, np.isin(np.arange(len(loose.owner)), columns))
-    return again, *refit_to_convergence(again, require_finite_cost(evaluate_fit(again, rough.theta)), columns)
+    car = fit_by_the_better(loose, selected, staged, seed)
+    theta = car.fit.theta
+    bare, test = with_noise(apart, problem.start, loose.noise), with_noise(apart, theta, car.problem.noise)
+    ahead = {"nominal": predict(bare, bare.start), "fitted": predict(test, theta)}
+    comparison = Comparison(test, ahead, noise_floor(test, theta, ahead["fitted"], seed))
+    gain = compare_models(comparison, tuple(names[i] for i in held), selected, seed)
+    return replace(gain, by_predictions=car.by_predictions)

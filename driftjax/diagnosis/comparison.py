@@ -7,7 +7,6 @@ import numpy as np
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Errors, Predictions, Share, at_horizons, excess_shares, predict
 from driftjax.diagnosis.noise_floor import noise_floor
-from driftjax.diagnosis.select import Selection
 
 
 class Comparison(NamedTuple):
@@ -30,7 +29,9 @@ def comparison_shares(comparison: Comparison, seed: int) -> dict[str, Share]:
     return excess_shares(*comparison_errors(comparison), seed)
 
 
-def compare_on_own_runs(problem: Problem, selection: Selection, theta: np.ndarray, seed: int) -> Comparison:
-    """Compare the nominal car and the extended car `theta` (K,) on the runs that its effects were named from."""
-    ahead = {"nominal": predict(selection.base, selection.nominal.theta), "extended": predict(problem, theta)}
+def compare_on_own_runs(
+    base: Problem, nominal: np.ndarray, problem: Problem, theta: np.ndarray, seed: int
+) -> Comparison:
+    """Compare the `nominal` car (K,) of the problem `base` and the extended car `theta` (K,) on the runs of both."""
+    ahead = {"nominal": predict(base, nominal), "extended": predict(problem, theta)}
     return Comparison(problem, ahead, noise_floor(problem, theta, ahead["extended"], seed))

@@ -279,10 +279,13 @@ def _sizes(
     if gain:  # what holds without the runs held out holds with them
         sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
         return sizes, gain.comparison
-    comparison = compare_on_own_runs(problem, selection, selection.fit.theta, config.seed)
+    compare = lambda theta: compare_on_own_runs(
+        selection.base, selection.nominal.theta, problem, theta, config.seed
+    )  # fmt: skip
+    comparison = compare(selection.fit.theta)
     sizes = fit_sizes(problem, selection, comparison, config) if selection.selected else None
     if sizes:
-        comparison = compare_on_own_runs(problem, selection, sizes.theta, config.seed)
+        comparison = compare(sizes.theta)
     return sizes, comparison
 
 

@@ -7,11 +7,12 @@ import numpy as np
 
 from driftjax.diagnosis.comparison import Comparison, compare_on_own_runs, comparison_shares
 from driftjax.diagnosis.cross_validate import change_of, fits_left_out, left_out
-from driftjax.diagnosis.fit import Problem
+from driftjax.diagnosis.fit import Fit, Problem
 from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.memory import with_long_memory
 from driftjax.diagnosis.multistart import nominal_fit
 from driftjax.diagnosis.naming import name_effects, prefer_probable, with_significance
+from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.select import FIRST, LEVEL, Selection, search
 
 
@@ -79,25 +80,34 @@ def name_by_the_better(
     own = _compare(named, seed)
     if leaves_errors(own, tolerated, seed):
         other = name_by_predictions(named, seed, most, report)
-        if other is not None and _lowers(own, better := _compare(other, seed), tolerated):
+        if other is not None and lowers_errors(own, better := _compare(other, seed), tolerated):
             named, own = other, better
     return named, own if named.selection.selected else None
 
 
 def _compare(named: Naming, seed: int) -> Comparison:
-    """Compare the nominal and the extended car on own runs, the latter fitted without the part that it predicts.
+    """Compare the nominal and the extended car on own runs, the latter fitted without the part that it predicts."""
+    selection, found = named.selection, named.found
+    own = compare_on_own_runs(selection.base, selection.nominal.theta, named.problem, found.fit.theta, seed)
+    return without_own_parts(own, named.searched, found.fit, found.linearisation, found.selected)
 
-    It is fitted to all of them where the log is too short to leave any out.
+
+def without_own_parts(
+    own: Comparison, searched: Problem, fit: Fit, linearisation: Linearisation, selected: tuple[int, ...]
+) -> Comparison:
+    """Return the comparison with an extended car that is fitted without the part that it predicts.
+
+    The effects `selected` were fitted in the problem `searched`. They stay fitted to all parts where the log is too
+    short to leave any out.
     """
-    found, problem = named.found, named.problem
-    own, out = compare_on_own_runs(problem, named.selection, found.fit.theta, seed), left_out(problem)
+    out = left_out(own.problem)
     if out is None:
         return own
-    theta = fits_left_out(named.searched, found.fit, found.linearisation, found.selected, out)
-    return own._replace(predictions=own.predictions | {"extended": predict(problem, theta)})
+    theta = fits_left_out(searched, fit, linearisation, selected, out)
+    return own._replace(predictions=own.predictions | {"extended": predict(own.problem, theta)})
 
 
-def _lowers(own: Comparison, other: Comparison, least: float) -> bool:
+def lowers_errors(own: Comparison, other: Comparison, least: float) -> bool:
     """Return whether the extended car of `other` improves on that of `own`, by more than the share `least`."""
     change = change_of(_errors(own), _errors(other))
     return change.improves and change.total < np.log1p(-least)

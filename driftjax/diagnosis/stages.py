@@ -81,16 +81,19 @@ class StagedFit(NamedTuple):
 
 
 def fit_staged(
-    loose: Problem, selected: tuple[int, ...], report: Callable[[str], None] = lambda text: None
-) -> tuple[Problem, Fit, StagedFit]:
+    loose: Problem, selected: tuple[int, ...], near: Problem | None = None,
+    report: Callable[[str], None] = lambda text: None,
+) -> tuple[Problem, Fit, StagedFit]:  # fmt: skip
     """Fit the effects `selected` by stages; return the problem with noise re-estimated at the fit, and the fit.
 
-    `loose` has the noise of the nominal car, as for a fit at once. `report` is called at every pass and stage.
+    `loose` has the noise of the nominal car, as for a fit at once. `near` is the problem of all passes but the first
+    where its noise is known. `report` is called at every pass and stage.
     """
     words = lambda number: lambda stage: report(f"pass {number}, {stage.label}")
     stretch, columns = find_stretches(loose), loose.columns(selected)
     last = run_stages(loose, stretch, columns, loose.start, np.ones(len(Stretch)), words(1))
-    near = with_estimated_noise(loose, last.theta, np.isin(np.arange(len(loose.owner)), columns))
+    if near is None:
+        near = with_estimated_noise(loose, last.theta, np.isin(np.arange(len(loose.owner)), columns))
     for number in range(2, PASSES + 2):
         before, last = last, run_stages(near, stretch, columns, last.theta, last.dispersion, words(number))
         spread = np.sqrt(np.diag(np.linalg.inv(last.precision)))
