@@ -106,5 +106,5 @@ def _of_stages(problem: Problem, searched: Problem, fit: Fit, stages: StagedFit)
 
 def _compare(loose: Problem, car: CalibrationFit, selected: tuple[int, ...], seed: int) -> Comparison:
     """Compare the nominal and the fitted car on own runs, the latter fitted without the part that it predicts."""
-    own = compare_on_own_runs(loose, loose.start, car.problem, car.fit.theta, seed)
+    own = compare_on_own_runs(loose, loose.start, car.problem, car.fit.theta, seed, disturbed=False)
     return without_own_parts(own, car.searched, car.fit, car.linearisation, selected)

@@ -30,8 +30,11 @@ def comparison_shares(comparison: Comparison, seed: int) -> dict[str, Share]:
 
 
 def compare_on_own_runs(
-    base: Problem, nominal: np.ndarray, problem: Problem, theta: np.ndarray, seed: int
+    base: Problem, nominal: np.ndarray, problem: Problem, theta: np.ndarray, seed: int, *, disturbed: bool = True
 ) -> Comparison:
-    """Compare the `nominal` car (K,) of the problem `base` and the extended car `theta` (K,) on the runs of both."""
+    """Compare the `nominal` car (K,) of the problem `base` and the extended car `theta` (K,) on the runs of both.
+
+    A right car errs by the noise of sensors and, where it is `disturbed`, by the estimated disturbances.
+    """
     ahead = {"nominal": predict(base, nominal), "extended": predict(problem, theta)}
-    return Comparison(problem, ahead, noise_floor(problem, theta, ahead["extended"], seed))
+    return Comparison(problem, ahead, noise_floor(problem, theta, ahead["extended"], seed, disturbed=disturbed))

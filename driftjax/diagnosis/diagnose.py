@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -279,14 +280,11 @@ def _sizes(
     if gain:  # what holds without the runs held out holds with them
         sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
         return sizes, gain.comparison
-    compare = lambda theta: compare_on_own_runs(
-        selection.base, selection.nominal.theta, problem, theta, config.seed
-    )  # fmt: skip
-    comparison = compare(selection.fit.theta)
-    sizes = fit_sizes(problem, selection, comparison, config) if selection.selected else None
-    if sizes:
-        comparison = compare(sizes.theta)
-    return sizes, comparison
+    compare = partial(compare_on_own_runs, selection.base, selection.nominal.theta, problem, seed=config.seed)
+    likely, sizes = selection.fit.theta, None
+    if selection.selected:
+        sizes = fit_sizes(problem, selection, compare(likely, disturbed=False), config)
+    return sizes, compare(sizes.theta if sizes else likely)
 
 
 def _conclude(

@@ -30,7 +30,8 @@ ROUNDING = 1e-9  # added to correlations, so that they have a root
 def covariance_root(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Return a matrix root of the covariance `M`, which maps white noise to noise of covariance `M`."""
     size = jnp.sqrt(jnp.diagonal(M))
-    return size[:, None] * jnp.linalg.cholesky(M / (size[:, None] * size) + ROUNDING * jnp.eye(len(M)))
+    unit = jnp.where(size > 0, size, 1.0)
+    return size[:, None] * jnp.linalg.cholesky(M / (unit[:, None] * unit) + ROUNDING * jnp.eye(len(M)))
 
 
 def disturbed_rollouts(
@@ -84,13 +85,19 @@ def batched_rollouts(model, theta, runs, z, P, ahead, number, starts, num, noise
     )
 
 
-def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int) -> np.ndarray:
+def noise_floor(
+    problem: Problem, theta: np.ndarray, ahead: Predictions, seed: int, *, disturbed: bool = True
+) -> np.ndarray:
     """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right.
 
-    NaN in channels that were not measured.
+    NaN in channels that were not measured. Unless the car is `disturbed`, they are those of its sensors alone: the
+    estimated disturbances also hold what a wrong car gets wrong.
     """
     data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
-    noise, number = jnp.asarray(problem.noise.as_vector()), np.arange(len(data.run))
+    share = np.repeat([1.0, float(disturbed), 1.0], 3)  # of the state, disturbances and slow errors
+    known = problem.noise._replace(disturbance=share[3:6] * problem.noise.disturbance)
+    noise, number = jnp.asarray(known.as_vector()), np.arange(len(data.run))
+    P = np.asarray(problem.gains.P) * np.outer(share, share)
     readings = np.pad(ahead.readings, ((0, 0), (0, 0), (0, padded_size(num, ROOM) - num), (0, 0)))
 
     def some(first: Array) -> np.ndarray:
@@ -98,7 +105,7 @@ def noise_floor(problem: Problem, theta: np.ndarray, ahead: Predictions, seed: i
         of = lambda *rows: call(
             batched_rollouts, problem.model, where, *rows, first, jnp.asarray(num), noise, data.dt, jnp.asarray(seed)
         )
-        return map_pieces(of, len(data.run), data.padded, ahead.z, problem.gains.P, there, number)
+        return map_pieces(of, len(data.run), data.padded, ahead.z, P, there, number)
 
     return np.where(problem.measured, _map_starts(some, ahead.starts)[:, :, :num], np.nan)
 

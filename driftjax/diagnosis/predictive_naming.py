@@ -42,7 +42,10 @@ def name_by_steps(problem: Problem, seed: int, most: int, report: Callable[[str]
 
 
 def leaves_errors(comparison: Comparison, tolerated: float, seed: int) -> bool:
-    """Return whether the extended car leaves more than the share `tolerated` of its error as an excess over noise."""
+    """Return whether the extended car leaves more than the share `tolerated` of its error as an excess over noise.
+
+    That noise should be the sensors' alone: estimated disturbances would excuse what the car gets wrong.
+    """
     shares = comparison_shares(comparison, seed)
     return "extended" in shares and shares["extended"].remaining > tolerated
 
@@ -88,7 +91,9 @@ def name_by_the_better(
 def _compare(named: Naming, seed: int) -> Comparison:
     """Compare the nominal and the extended car on own runs, the latter fitted without the part that it predicts."""
     selection, found = named.selection, named.found
-    own = compare_on_own_runs(selection.base, selection.nominal.theta, named.problem, found.fit.theta, seed)
+    own = compare_on_own_runs(
+        selection.base, selection.nominal.theta, named.problem, found.fit.theta, seed, disturbed=False
+    )
     return without_own_parts(own, named.searched, found.fit, found.linearisation, found.selected)
 
 

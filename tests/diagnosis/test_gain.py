@@ -110,6 +110,25 @@ def test_runs_held_out_have_no_part_in_the_noise():
     np.testing.assert_array_equal(test.noise.as_vector(), train.noise.as_vector())
 
 
+def test_the_floor_of_sensors_alone_knows_no_disturbance():
+    problem = build_problem(sedan(), EFFECTS, tuple(recorded(hidden(), seed=1, noise_seed=11)[:2]))
+    neutral, calm = np.zeros(len(ORDER)), truth()
+
+    def floors(share):
+        one = with_noise(problem, neutral, calm._replace(disturbance=share * calm.disturbance))
+        ahead = predict(one, neutral)
+        there = np.isfinite(ahead.error)  # while the runs last
+        return [
+            np.nanmean(np.where(there, noise_floor(one, neutral, ahead, 3, disturbed=disturbed), np.nan), axis=(0, 1))
+            for disturbed in (True, False)
+        ]
+
+    (disturbed, alone), (undisturbed, _) = floors(30.0), floors(1e-3)
+    assert np.all(disturbed[20] > 3 * alone[20])
+    assert np.all(alone[0] > calm.sigma**2)
+    assert np.all(alone[0] < 2.1 * undisturbed[0]), "the state is known less well, by at most the noise of its sensors"
+
+
 @pytest.mark.slow
 def test_the_floor_is_what_the_true_car_gets_wrong():
     """Predictions by the car that was driven, with its own noise: their errors are as large as the floor says."""
@@ -120,7 +139,8 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     ahead = predict(problem, neutral)
     least = at_horizons(problem, noise_floor(problem, neutral, ahead, seed=3))
     made = at_horizons(problem, ahead.error**2)
-    ratio = np.nanmean(made.squares / least.squares.mean(axis=0), axis=0)[:3]
+    expected = np.where(np.isfinite(made.squares), least.squares, np.nan)  # while the runs last
+    ratio = np.nanmean(made.squares / np.nanmean(expected, axis=0), axis=0)[:3]
     assert (0.8 < ratio[:2]).all() and (ratio[:2] < 1.3).all(), ratio
     assert (0.6 < ratio[2]).all() and (ratio[2] < 2.0).all(), ratio  # there a few that spin decide the mean
     share = excess_shares({"nominal": made}, least)["nominal"]
