@@ -10,13 +10,11 @@ from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, line
 from driftjax.diagnosis.identifiability import DEAD
 from driftjax.diagnosis.memory import with_long_memory
 from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost
-from driftjax.diagnosis.predictive_naming import leaves_errors, lowers_errors, without_own_parts
+from driftjax.diagnosis.predictive_naming import TOLERATED, leaves_errors, lowers_errors, without_own_parts
 from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.stages import StagedFit, fit_staged
 from driftjax.diagnosis.stretches import find_stretches
-
-TOLERATED = 0.1  # share of the error that single steps may leave as an excess, as in a diagnosis
 
 
 class CalibrationFit(NamedTuple):
@@ -84,8 +82,9 @@ def fit_by_the_better(
     if not leaves_errors(own, TOLERATED, seed):
         return steps
     other = fit_by_predictions(steps, selected, staged, report)
-    better = other is not None and lowers_errors(own, _compare(loose, other, selected, seed), TOLERATED)
-    return other if better else steps
+    if other is not None and lowers_errors(own, _compare(loose, other, selected, seed), TOLERATED):
+        return other
+    return steps
 
 
 def _at_once(problem: Problem, searched: Problem, theta: np.ndarray, columns: np.ndarray) -> CalibrationFit:

@@ -28,6 +28,7 @@ from driftjax.diagnosis.gap import Gap, Overlap, gap_json, measure_gap, overlaps
 from driftjax.diagnosis.held_out import check_naming
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_model import Noise
+from driftjax.diagnosis.predictive_naming import TOLERATED
 from driftjax.diagnosis.runs import resolved_log
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
@@ -62,7 +63,7 @@ class CompareConfig:
     """Effects left out of the catalogue."""
     most: int = MAX_EFFECTS
     """Differences named at most, and effects named in each log."""
-    unexplained: float = 0.1
+    unexplained: float = TOLERATED
     """Share of the gap between the logs that may stay open: the verdict is UNKNOWN only where more does."""
     seed: int = 0
     """Of the random signs of the test and of the resampling."""

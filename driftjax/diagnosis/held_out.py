@@ -12,7 +12,7 @@ from driftjax.diagnosis.fit import Problem, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, channel_ratios, excess_shares, predict, ratios
 from driftjax.diagnosis.noise_floor import noise_floor
 from driftjax.diagnosis.prediction_fit import PredictionFit, fit_to_predictions
-from driftjax.diagnosis.predictive_naming import leaves_errors, name_by_the_better
+from driftjax.diagnosis.predictive_naming import TOLERATED, leaves_errors, name_by_the_better
 from driftjax.diagnosis.residual_gp import fit_residual_gp
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.vehicle.effect import EFFECTS, effects_by_name
@@ -47,7 +47,7 @@ class DiagnoseConfig:
     """Effects left out of the catalogue."""
     most: int = MAX_EFFECTS
     """Effects named at most."""
-    unexplained: float = 0.1
+    unexplained: float = TOLERATED
     """Share of the excess open-loop error that may stay unexplained: the verdict is UNKNOWN only where more does."""
     gp: bool = True
     """Whether the gain is also measured of a GP, alone and beside the named effects."""

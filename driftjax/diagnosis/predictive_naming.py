@@ -15,6 +15,8 @@ from driftjax.diagnosis.naming import name_effects, prefer_probable, with_signif
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.select import FIRST, LEVEL, Selection, search
 
+TOLERATED = 0.1  # share of the error that may stay unexplained, unless options give another
+
 
 class Naming(NamedTuple):
     """Named effects of a log."""

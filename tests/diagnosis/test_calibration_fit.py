@@ -31,8 +31,8 @@ def error_on_other_runs(car: CalibrationFit) -> float:
     """Return the error about 1 s ahead over that of the nominal car, on runs that no fit has seen."""
     other = initial_problem(sedan(), EFFECTS, smooth_runs(5))
     other = with_noise(other, other.start, car.problem.noise)
-    errors = (open_loop_errors(other, theta) for theta in (other.start, car.fit.theta))
-    return float(ratios(*errors)[DECISIVE, 0])
+    nominal, fitted = (open_loop_errors(other, theta) for theta in (other.start, car.fit.theta))
+    return float(ratios(nominal, fitted)[DECISIVE, 0])
 
 
 @pytest.mark.parametrize("staged", [False, pytest.param(True, marks=pytest.mark.slow)])
