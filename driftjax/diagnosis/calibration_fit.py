@@ -10,7 +10,7 @@ from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, line
 from driftjax.diagnosis.identifiability import DEAD
 from driftjax.diagnosis.memory import with_long_memory
 from driftjax.diagnosis.multistart import nominal_fit, require_finite_cost
-from driftjax.diagnosis.predictive_naming import TOLERATED, leaves_errors, lowers_errors, without_own_parts
+from driftjax.diagnosis.predictive_naming import TOLERATED, error_change, leaves_errors, without_own_parts
 from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.stages import StagedFit, fit_staged
@@ -74,17 +74,19 @@ def fit_by_the_better(
 ) -> CalibrationFit:
     """Fit by single steps, and by predictions where these leave errors; return the fit that predicts better.
 
-    Both predict parts of the runs that they are fitted without. Predictions must lower the error by more than the
-    share `TOLERATED`: of a right car, single steps give the more precise parameters.
+    Both predict parts of the runs that they are fitted without. Predictions must lower the error of all channels
+    together by more than the share `TOLERATED`, and its standard error: of a right car, single steps give the more
+    precise parameters.
     """
     steps = fit_by_steps(loose, selected, staged, report)
     own = _compare(loose, steps, selected, seed)
     if not leaves_errors(own, TOLERATED, seed):
         return steps
     other = fit_by_predictions(steps, selected, staged, report)
-    if other is not None and lowers_errors(own, _compare(loose, other, selected, seed), TOLERATED):
-        return other
-    return steps
+    if other is None:
+        return steps
+    change = error_change(own, _compare(loose, other, selected, seed))
+    return other if change.total < min(np.log1p(-TOLERATED), -change.total_error) else steps
 
 
 def _at_once(problem: Problem, searched: Problem, theta: np.ndarray, columns: np.ndarray) -> CalibrationFit:

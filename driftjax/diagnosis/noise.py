@@ -250,7 +250,8 @@ def estimate_noise(
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
     several = first_noises(least, measured_channels(valid))
     costs = call(likelihoods, jnp.stack([one.as_vector() for one in several]), steps, e, gains.L, dt, use)
-    white, cost = minimise(several[int(np.nanargmin(costs))], low._replace(**fixed), high._replace(**fixed))
+    likeliest = int(np.argmin(np.where(np.isnan(costs), np.inf, costs)))  # an observer that loses the car has no cost
+    white, cost = minimise(several[likeliest], low._replace(**fixed), high._replace(**fixed))
     if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
     slow, lower_cost = minimise(white._replace(slow=np.where(observed, start.slow, low.slow)), low, high)

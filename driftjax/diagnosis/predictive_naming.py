@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnosis.comparison import Comparison, compare_on_own_runs, comparison_shares
-from driftjax.diagnosis.cross_validate import change_of, fits_left_out, left_out
+from driftjax.diagnosis.cross_validate import Change, change_of, fits_left_out, left_out
 from driftjax.diagnosis.fit import Fit, Problem
 from driftjax.diagnosis.gain import DECISIVE, Errors, at_horizons, horizon_steps, predict
 from driftjax.diagnosis.memory import with_long_memory
@@ -85,8 +85,11 @@ def name_by_the_better(
     own = _compare(named, seed)
     if leaves_errors(own, tolerated, seed):
         other = name_by_predictions(named, seed, most, report)
-        if other is not None and lowers_errors(own, better := _compare(other, seed), tolerated):
-            named, own = other, better
+        if other is not None:
+            better = _compare(other, seed)
+            change = error_change(own, better)
+            if change.improves and change.total < np.log1p(-tolerated):
+                named, own = other, better
     return named, own if named.selection.selected else None
 
 
@@ -114,10 +117,9 @@ def without_own_parts(
     return own._replace(predictions=own.predictions | {"extended": predict(own.problem, theta)})
 
 
-def lowers_errors(own: Comparison, other: Comparison, least: float) -> bool:
-    """Return whether the extended car of `other` improves on that of `own`, by more than the share `least`."""
-    change = change_of(_errors(own), _errors(other))
-    return change.improves and change.total < np.log1p(-least)
+def error_change(own: Comparison, other: Comparison) -> Change:
+    """Return the change from the errors of the extended car of `own` to those of that of `other`."""
+    return change_of(_errors(own), _errors(other))
 
 
 def _errors(own: Comparison) -> Errors:
