@@ -80,6 +80,7 @@ class Calibration:
     held_out: int  # every so many-th run was
     gain: PredictionGain | None  # on runs held out, of a car fitted without them; None where there are too few
     lost_s: float  # of the runs, in which the observer loses the car [s]
+    missing: dict[str, str]  # default effects that are not fitted, with the columns that a run lacks for them
 
     @property
     def problem(self) -> Problem:
@@ -122,6 +123,9 @@ class Calibration:
             stage = next(stage for stage in STAGES if kind in stage.stretches)
             own = [self.problem.effects[i].name for i in self.selected if self.problem.effects[i].name in stage.effects]
             names.append(f"no {kind.label} stretch: {', '.join(own)} must be decided by others" if own else "")
+        if self.missing:
+            without = ", ".join(f"{effect} (needs {needs})" for effect, needs in self.missing.items())
+            names.append(f"not fitted, since a run lacks a column: {without}")
         if self.lost_s:
             names.append(f"{self.lost_s:.1f} s do not count, in which the observer loses the car: start from a car "
                          "nearer to the real one, such as with the delay that `inspect` prints")  # fmt: skip
@@ -186,9 +190,9 @@ def calibrate(
     """Fit the `effects` of the car to a log; all others stay as in `vehicle`.
 
     Nothing is tested here: what `diagnose` should find later is to be left out. `staged`: gentle stretches of the log
-    decide first, see `stages`. Without `effects` they are those of `effects_to_fit`. Every `held_out`-th run is held
-    out to measure the gain on, by a fit of its own; 0: none is. `report` is called at every step.
-    Values are in SI. Raises `BadInput` for effects that these runs do not determine.
+    decide first, see `stages`. Without `effects` they are those of `effects_to_fit` that the runs
+    determine. Every `held_out`-th run is held out to measure the gain on, by a fit of its own; 0: none is. `report` is
+    called at every step. Values are in SI. Raises `BadInput` for `effects` that these runs do not determine.
     """
     require_float64()
     check_held_out(held_out)
@@ -196,11 +200,10 @@ def calibrate(
     if catalogue is None:
         catalogue = default_catalogue(*wanted, *(one.effect for one in vehicle.effects))
     problem = initial_problem(vehicle, catalogue, log.runs)
-    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name in wanted)
-    lost = [problem.effects[i].name for i in selected if not problem.active[problem.columns((i,))].all()]
-    if lost:
-        needs = " and ".join(EFFECTS[lost[0]].needs or ("Fxr",))
-        raise BadInput(f"effect '{lost[0]}' needs the column {needs}, which a run lacks; add it or leave the effect.")
+    selected, missing = select_effects(problem, wanted)
+    if missing and (effects is not None or not selected):
+        effect, needs = next(iter(missing.items()))
+        raise BadInput(f"effect '{effect}' needs the column {needs}, which a run lacks; add it or leave the effect.")
     report("noise and nominal car: compile roll-outs")
     loose, columns = with_nominal_noise(problem), problem.columns(selected)
     report("gain: fit without the runs held out, compile derivatives")
@@ -221,7 +224,7 @@ def calibrate(
     known = np.stack([information(J[car.stretch == kind][None])[square] for kind in Stretch])
     identifiable = identifiability(known, car.prior[columns], car.precision[square], half_width)
     return Calibration(
-        vehicle, log, selected, car, last, half_width, identifiable, staged, held_out, gain, lost_s
+        vehicle, log, selected, car, last, half_width, identifiable, staged, held_out, gain, lost_s, missing
     )  # fmt: skip
 
 
@@ -233,6 +236,14 @@ def effects_to_fit(effects: Sequence[str] | None = None, staged: bool = False) -
     names = tuple((STAGED_EFFECTS if staged else DEFAULT_EFFECTS) if effects is None else effects)
     require(bool(names), "key 'effects' is empty; name the effects to fit.")
     return tuple(effect.name for effect in effects_by_name(names))
+
+
+def select_effects(problem: Problem, wanted: Sequence[str]) -> tuple[tuple[int, ...], dict[str, str]]:
+    """Return the numbers of the `wanted` effects that the runs determine, and what columns the others need."""
+    numbers = [i for i, effect in enumerate(problem.effects) if effect.name in wanted]
+    selected = tuple(i for i in numbers if problem.active[problem.columns((i,))].all())
+    others = (problem.effects[i].name for i in numbers if i not in selected)
+    return selected, {name: " and ".join(EFFECTS[name].needs or ("Fxr",)) for name in others}
 
 
 def calibration_gain(

@@ -2,6 +2,7 @@
 
 import functools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,12 @@ from diagnosis.recorded import EFFECTS as KNOWN
 from diagnosis.recorded import hidden, recorded
 
 from driftjax.cli import main
-from driftjax.diagnosis.calibrate import calibrate
-from driftjax.logs import write_log
+from driftjax.core import BadInput
+from driftjax.diagnosis.calibrate import calibrate, effects_to_fit, select_effects
+from driftjax.diagnosis.fit import initial_problem
+from driftjax.logs import Log, write_log
 from driftjax.vehicle import load_vehicle
+from driftjax.vehicle.effect import effects_by_name
 
 
 @pytest.fixture(autouse=True)
@@ -80,3 +84,14 @@ def test_bad_input_is_reported_in_one_sentence(flags, words, capsys):
     assert main(["calibrate", "log.csv", *flags, "--out", "car"]) == 2
     output = capsys.readouterr()
     assert words in output.err and output.err.count("\n") == 1 and not Path("car").exists()
+
+
+def test_default_effects_that_a_log_cannot_determine_are_left_out():
+    runs = tuple(replace(run, Fxr=np.full(len(run.t), np.nan)) for run in recorded(hidden(**TRUE), 5, 6)[:2])
+    car, wanted = load_vehicle("sedan"), effects_to_fit(staged=True)
+    problem = initial_problem(car, effects_by_name(wanted), runs)
+    selected, missing = select_effects(problem, wanted)
+    assert missing == dict.fromkeys(sorted(missing), "Fxr") and {"drive_gain", "combined_slip"} <= set(missing)
+    assert {problem.effects[i].name for i in selected} == set(wanted) - set(missing) >= {"friction", "steer_gain"}
+    with pytest.raises(BadInput, match="effect 'combined_slip' needs the column Fxr, which a run lacks"):
+        calibrate(car, Log(runs), ("combined_slip",))
