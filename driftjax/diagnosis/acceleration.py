@@ -9,6 +9,8 @@ Accelerometers, which measure more precisely, are not used here: their own error
 disturbances, and were named as effects of the car.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,11 +82,8 @@ def _smooth_runs(sizes: Array, V: Array, valid: Array, dt: float) -> Array:
     return jax.vmap(lambda V, valid: smooth_speed(sizes, V, valid, dt))(V, valid)
 
 
-def estimate_acceleration(speeds: list[np.ndarray], dt: float) -> list[np.ndarray]:
-    """Return for every run the mean rate (n,) of its speed (n,) over the step after each sample [m/s^2].
-
-    Speeds [m/s] are NaN where not measured.
-    """
+def smooth_speeds(speeds: list[np.ndarray], dt: float) -> list[np.ndarray]:
+    """Return for every run its speed (n,) given all of its samples [m/s]; `speeds` (n,) are NaN where not measured."""
     from scipy.optimize import minimize  # takes a second to load
 
     V = np.full((len(speeds), padded_size(max(map(len, speeds)), ROOM)), np.nan)
@@ -102,15 +101,19 @@ def estimate_acceleration(speeds: list[np.ndarray], dt: float) -> list[np.ndarra
     bounds = [(x - np.log(RANGE), x + np.log(RANGE)) for x in first]
     sizes = np.exp(minimize(cost, first, jac=True, method="L-BFGS-B", bounds=bounds).x)
     smooth = np.asarray(call(_smooth_runs, jnp.asarray(sizes), *arrays, dt))
-    rates = [np.diff(row[: len(speed)]) / dt for row, speed in zip(smooth, speeds, strict=True)]
-    return [np.append(rate, rate[-1]) for rate in rates]
+    return [row[: len(speed)] for row, speed in zip(smooth, speeds, strict=True)]
 
 
-def inertial_forces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> list[np.ndarray]:
-    """Return for every run mass times the rate (n,) of the speed over the step after each sample [N].
+def with_inertial_force(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+    """Return the runs with their smoothed speed and with mass times its mean rate over the step after each sample [N].
 
-    It is at most friction times weight, for a car `by_acceleration`.
+    The force is at most friction times weight, for a car `by_acceleration`.
     """
     most = vehicle.mu * vehicle.m * G
-    speeds = [without_outliers(run, vehicle.a + vehicle.b).V for run in runs]
-    return [np.clip(vehicle.m * rate, -most, most) for rate in estimate_acceleration(speeds, runs[0].dt)]
+    measured = [without_outliers(run, vehicle.a + vehicle.b).V for run in runs]
+
+    def driven(run: Run, V: np.ndarray) -> Run:
+        force = np.clip(vehicle.m * np.diff(V) / run.dt, -most, most)
+        return dataclasses.replace(run, V=V, Fxr=np.append(force, force[-1]))
+
+    return tuple(driven(run, V) for run, V in zip(runs, smooth_speeds(measured, runs[0].dt), strict=True))

@@ -273,8 +273,7 @@ def judge(
     """
     words = [describe(one) for one in differences]
     gaps = [f"{gap_sentence(one, names, bool(differences))}" for one, names in zip(gap, ("BA", "AB"), strict=True)]
-    force_known = pair.problems[0].data.force_known
-    limits = range_sentence(overlap) + ([] if force_known else [NO_FORCE])
+    limits = range_sentence(overlap) + ([] if pair.problems[0].data.force_known else [NO_FORCE])
     if any(exceeds_tolerance(one, config.unexplained) for one in gap):
         named = ", ".join(one.effect for one in differences)
         text = f"Something differs that no effect of the catalogue explains{', beside ' + named if named else ''}."
@@ -288,7 +287,7 @@ def judge(
         text = f"Nothing differs that {duration:.0f} s of each log could show."
         return Judgement(Verdict.NOTHING, " ".join([text, gaps[1], *limits]))
     bound = any(row["at_bound"] for one in differences for row in one.parameters.values())
-    sure = all(one.probability >= SURE_PROBABILITY for one in differences) and not bound and force_known
+    sure = all(one.probability >= SURE_PROBABILITY for one in differences) and not bound
     return Judgement(Verdict.NAMED if sure else Verdict.SET, " ".join([*words, gaps[1], *limits]))
 
 

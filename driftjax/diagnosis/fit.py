@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from numpy.lib.stride_tricks import sliding_window_view
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.acceleration import inertial_forces
+from driftjax.diagnosis.acceleration import with_inertial_force
 from driftjax.diagnosis.channel_estimates import has_force
 from driftjax.diagnosis.motion import (
     MotionNoise,
@@ -148,10 +148,14 @@ def depends_on_force(effect: Effect) -> bool:
 
 
 def pieces_by_acceleration(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Return the pieces of runs whose acceleration stands for a drive force."""
-    forces = zip(runs, inertial_forces(vehicle, runs), strict=True)
-    data = pieces(vehicle, tuple(dataclasses.replace(run, Fxr=Fxr) for run, Fxr in forces))
-    return data._replace(force_known=False)
+    """Return the pieces of runs whose acceleration stands for a drive force, with the smoothed speed beside commands.
+
+    Speeds as measured stay among the measurements, for what pose and accelerations are compared with.
+    """
+    driven = with_inertial_force(vehicle, runs)
+    data = pieces(vehicle, tuple(dataclasses.replace(run, Fxr=one.Fxr) for run, one in zip(runs, driven, strict=True)))
+    smooth = pieces(vehicle, driven).padded
+    return data._replace(padded=data.padded._replace(V=smooth.V), force_known=False)
 
 
 def stable_substeps(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> int:

@@ -90,11 +90,23 @@ def set_state(model: Universal, z: Float[Array, "6"], x: Float[Array, "3"], u: F
     return jnp.concatenate([x, z[3:5] + slip_angles(model, x, u) - slip_angles(model, z[:3], u), z[5:]])
 
 
+def with_known_speed(run: PaddedRun) -> PaddedRun:
+    """Return the run with the speed that its drive force was estimated from in place of the measured one.
+
+    It is the expectation given all measurements of the speed: these say nothing more.
+    """
+    V, there = run.V[-len(run.y) :], in_run(run.valid)
+    replaced = lambda a, speed: jnp.asarray(a).at[..., 0].set(speed)
+    y, valid = replaced(run.y, there * V), replaced(run.valid, there)
+    return run._replace(y=y, valid=valid, start=replaced(run.start, V[0]))
+
+
 def align_measurements(model: Universal, run: PaddedRun, dt: float) -> PaddedRun:
     """Shift every measurement back by whole steps of the sensors' delay, to the sample that it belongs to.
 
     Commands stay at their own time and depend on nothing measured later, so that predictions remain predictions.
     """
+    run = with_known_speed(run) if model.by_acceleration else run
     T, whole = len(run.y), model.split_delays(dt)[0].astype(int)
     at = jnp.arange(T)[:, None] + whole
     of = lambda column: jnp.where(at < T, jnp.take_along_axis(column, jnp.minimum(at, T - 1), axis=0), 0.0)
@@ -223,18 +235,23 @@ def kalman_gains(
     """Return the Kalman gains of one run for this `noise`, and derivatives `A` and `push` as `transition` takes them.
 
     All measurements update the state, but only innovations where `informative` (T, 3) is 1 are whitened: the others are
-    conditioned on.
+    conditioned on. A speed that never is informative is known (`with_known_speed`): it is taken as it is, and updates
+    nothing else.
     """
     decay = decay_of(noise, dt)
+    speed_counts = jnp.max(informative[:, 0])
+    unknown = jnp.ones(9).at[jnp.array([0, 6])].set(speed_counts)  # the speed, and the slow error of its sensor
     R, Q = jnp.diag(noise.sigma**2), process_covariance(noise, decay)
 
     def on(P, row):
         A, push, valid, alive, informative = row
+        P = P * jnp.outer(unknown, unknown)
         HP = valid[:, None] * (P[:3] + P[6:])  # H = valid * (1, 0, 1)
         S = valid * (HP[:, :3] + HP[:, 6:] + R) + jnp.diag(1 - valid)
         whitening = inverse_factor(S)
         scaled = whitening @ HP
         L, known = scaled.T @ whitening, P - scaled.T @ scaled
+        L = L.at[0, 0].add((1 - speed_counts) * valid[0])
         F = transition(A, push, decay)
         P = jnp.where(alive, F @ known @ F.T + Q, known)
         log_det = -jnp.sum(informative * jnp.log(jnp.diagonal(whitening)))

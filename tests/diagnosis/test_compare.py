@@ -131,7 +131,7 @@ def difference(probability: float = 1.0, at_bound: bool = False) -> Difference:
     ("one", "force_known", "closed", "left", "verdict"),
     [
         (difference(), True, 0.97, 0.02, "NAMED"),
-        (difference(), False, 0.97, 0.02, "SET"),
+        (difference(), False, 0.97, 0.02, "NAMED"),
         (difference(0.6), True, 0.97, 0.02, "SET"),
         (difference(at_bound=True), True, 0.97, 0.02, "SET"),
         (difference(), True, 0.3, 0.5, "UNKNOWN"),

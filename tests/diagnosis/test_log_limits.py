@@ -10,13 +10,13 @@ import pytest
 from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 
 from driftjax.core import Control, State
-from driftjax.diagnosis.acceleration import inertial_forces
+from driftjax.diagnosis.acceleration import with_inertial_force
 from driftjax.diagnosis.fit import Problem, depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
-from driftjax.diagnosis.observer import command_derivatives, command_response
+from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
 from driftjax.diagnosis.runs import resolved_log, run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -105,6 +105,20 @@ def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is
     assert not initial_problem(sedan(), EFFECTS, measured()).unidentifiable_effects
 
 
+def test_the_speed_that_the_force_was_estimated_from_is_known_and_updates_nothing_else():
+    """Sideslip and yaw rate would be corrected by the errors of a speed that their force depends on already."""
+    problem = build_problem(sedan(), EFFECTS, without(measured(), "Fxr"))
+    L, P, padded = np.asarray(problem.gains.L), np.asarray(problem.gains.P), problem.data.padded
+    there = samples_in_run(np.asarray(padded.valid))
+    assert (L[there][:, 0, 0] == 1.0).all() and (L[there][:, 1, 1] > 1e-3).all()
+    assert not L[..., 1:, 0].any() and not P[..., 0].any()
+    path = run_observer(problem.model, problem.data, problem.start, problem.gains)
+    V, smooth = np.asarray(path.z)[..., 0][there], np.asarray(padded.V)[:, -there.shape[1] :][there]
+    np.testing.assert_allclose(V, smooth, rtol=1e-9)
+    assert np.std(V - np.asarray(padded.y)[..., 0][there]) > 0.5 * problem.noise.sigma[0]
+    assert problem.noise.disturbance[0] > 0.0
+
+
 def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     """In a drift the rear axle pushes the car along: without the sideslip that is taken for drive force."""
     (run,) = [run for run in measured() if run.name.startswith("drift")][:1]
@@ -112,8 +126,8 @@ def test_without_both_the_force_follows_the_sideslip_that_the_observer_infers():
     estimated = drive_forces(problem, problem.start)[0][: len(run.t)]
     settled = slice(problem.data.skip, round(5.5 / DT))
     size = lambda error: np.sqrt(np.mean(error[settled] ** 2))
-    (no_slip,) = inertial_forces(sedan(), (run,))
-    assert size(estimated - run.Fxr) < 0.8 * size(no_slip - run.Fxr)
+    (no_slip,) = with_inertial_force(sedan(), (run,))
+    assert size(estimated - run.Fxr) < 0.8 * size(no_slip.Fxr - run.Fxr)
 
 
 def test_a_force_estimated_from_a_late_speed_acts_earlier():
