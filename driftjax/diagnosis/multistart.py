@@ -6,8 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, evaluate_fits, with_estimated_noise
+from driftjax.diagnosis.fit import (
+    Fit,
+    Problem,
+    evaluate_fit,
+    evaluate_fits,
+    initial_noise,
+    with_estimated_noise,
+    with_noise,
+)
 from driftjax.diagnosis.noise import observed_channels
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.observer import samples_in_run
 from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection, penalised_cost, search
@@ -21,6 +30,7 @@ TIMING = ("steer_delay", "steer_lag", "drive_lag", "channel_delay")  # effects t
 SENSORS_LATE = ((1, 1, 0), (0, 0, 1), (1, 1, 1))  # of V, beta, r: by satellites and motion capture, the gyro, all
 SENSOR_DELAYS = (0.05, 0.1, 0.2)  # of which the search begins [sqrt(L/g)]
 LEAST_DISTURBANCE = 0.5  # variance of the estimated disturbances, over that assumed: less at a fit is too much noise
+CLOSER = (0.25, 0.5, 0.75, 1.0)  # to the noise assumed before any is estimated, where an observer loses the car
 POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
 
 
@@ -131,8 +141,21 @@ def _best_delay(problem: Problem, theta: np.ndarray, columns: np.ndarray, delays
 
 
 def with_nominal_noise(problem: Problem) -> Problem:
-    """Return the problem with the noise estimated for the nominal car, with all parameters fixed."""
-    return with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
+    """Return the problem with the noise estimated for the nominal car, with all parameters fixed.
+
+    Without a sideslip sensor the observer may lose the nominal car with that noise, whose disturbances hold all that
+    this car gets wrong. It is then taken closer to the noise assumed before, by the logarithm, until it does not.
+    """
+    loose = with_estimated_noise(problem, problem.start, np.zeros_like(problem.active))
+    if not problem.data.skip:
+        return loose
+    assumed, estimated = (np.log(one.as_vector()) for one in (initial_noise(problem.data), loose.noise))
+    for share in CLOSER:
+        if np.isfinite(nominal_fit(loose).cost):
+            break
+        noise = Noise.from_vector(np.exp(share * assumed + (1 - share) * estimated))
+        loose = with_noise(loose, problem.start, noise)
+    return loose
 
 
 def search_from_far(

@@ -1,5 +1,6 @@
 """A strong effect in data without disturbances, which throws the observer of the nominal car off."""
 
+from collections import namedtuple
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +19,9 @@ from driftjax.diagnosis.multistart import (
     nominal_fit,
     search_from_far,
     search_multistart,
+    with_nominal_noise,
 )
+from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
@@ -65,6 +68,24 @@ def test_too_much_noise_shows_at_the_fit_and_the_search_goes_on_with_the_right_o
     repeated, selection = search_multistart(loud)
     assert [ORDER[i] for i in selection.selected] == ["friction_rear"] and selection.base is loud
     assert repeated.noise.disturbance[2] == pytest.approx(noise.disturbance[2], rel=0.2)
+
+
+@pytest.mark.parametrize(("skip", "kept", "share"), [(5, 30.0, 0.5), (5, 1e3, 0.0), (5, 0.0, 1.0), (0, 0.0, 0.0)])
+def test_where_an_inferred_sideslip_is_lost_the_noise_is_taken_closer_to_the_assumed_one(
+    monkeypatch, skip, kept, share
+):
+    """`kept`: largest disturbance with which the observer keeps the car. A measured sideslip holds it by itself."""
+    assumed = Noise(np.full(3, 0.1), np.array([1.0, 0.5, 1.0]), 0.3, np.full(3, 0.03), 0.3)
+    estimated = assumed._replace(disturbance=np.array([5.0, 1e-4, 400.0]), correlation=5.0)
+    monkeypatch.setattr(multistart, "initial_noise", lambda data: assumed)
+    monkeypatch.setattr(multistart, "with_estimated_noise", lambda p, *_: p._replace(noise=estimated))
+    monkeypatch.setattr(multistart, "with_noise", lambda p, theta, noise: p._replace(noise=noise))
+    lost = lambda p: SimpleNamespace(cost=np.inf if p.noise.disturbance.max() > kept else 1.0)
+    monkeypatch.setattr(multistart, "nominal_fit", lost)
+    Problem = namedtuple("Problem", "start active data noise")
+    loose: Any = with_nominal_noise(Problem(np.zeros(1), np.ones(1, bool), SimpleNamespace(skip=skip), assumed))  # type: ignore[arg-type]
+    expected = assumed.as_vector() ** share * estimated.as_vector() ** (1 - share)
+    np.testing.assert_allclose(loose.noise.as_vector(), expected)
 
 
 def test_data_that_no_car_can_have_made_are_refused():
