@@ -43,6 +43,8 @@ class Config:
     """Paths that were driven."""
     compare: bool = True
     """Compare; otherwise only say how far the cars turn."""
+    seconds: float = 60.0
+    """Of every run, from its start, that are compared."""
     cut: float = 15.0
     """Length of the parts of a run [s]."""
     out: Path = Path("runs/paired-runs")
@@ -70,11 +72,16 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
     """Return what differs between the runs of one path, or read it from the folder that holds it."""
     folder = cfg.out / name
     if not (folder / "compare.json").is_file():
-        real, simulated = (log.split_runs(cfg.cut) for log in logs)
+        real, simulated = (first_seconds(log, cfg.seconds).split_runs(cfg.cut) for log in logs)
         comparison = dj.compare(CAR, real, simulated)
         comparison.save(folder)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
+
+
+def first_seconds(log: dj.Log, seconds: float) -> dj.Log:
+    """Return the log with the first `seconds` of every run."""
+    return dj.Log(tuple(part for run in log.runs for part in dj.Log((run,)).split_runs(seconds).runs[:1]))
 
 
 def turning(run: dj.Run) -> float:

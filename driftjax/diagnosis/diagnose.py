@@ -43,6 +43,7 @@ from driftjax.diagnosis.verdict import (
     describe_answer,
     describe_fit,
     explained_by,
+    without_lost_time,
 )
 from driftjax.diagnosis.warm_up import compile_programs
 from driftjax.environment import require_float64
@@ -307,6 +308,7 @@ def _conclude(
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None
     unidentifiable = find_unidentifiable(searched, found, {one.effect: tuple(one.rivals) for one in causes})
+    judgement = without_lost_time(judgement, unidentifiable.lost_s, duration, config.unexplained)
     other = describe_answer(answer, problem, retuned, shares)
     words = f"{other}{judgement.sentence}", describe_fit(naming.by_predictions, sizes, horizon), unidentifiable.sentence
     judgement = judgement._replace(sentence=" ".join(one for one in words if one))

@@ -104,6 +104,17 @@ def decide_verdict(
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
 
+def without_lost_time(judgement: Judgement, lost_s: float, duration: float, tolerated: float) -> Judgement:
+    """Return the judgement; UNKNOWN where the observer loses the car for more than the share `tolerated` of the time.
+
+    What does not count is not explained, and names what keeps the observer on the rest.
+    """
+    if lost_s <= tolerated * duration or judgement.verdict is Verdict.DATA_INSUFFICIENT:
+        return judgement
+    text = f"The observer loses the car for {100 * lost_s / duration:.0f} % of the time, which nothing here explains."
+    return Judgement(Verdict.UNKNOWN, f"{text} {judgement.sentence}")
+
+
 def _nothing_named(
     problem: Problem, selection: Selection, remaining: Unexplained, duration: float, unconfirmed: tuple[str, ...]
 ) -> Judgement:

@@ -11,6 +11,7 @@ from driftjax.core import BadInput
 from driftjax.diagnosis import fit
 from driftjax.diagnosis.log_limits import Unidentifiable
 from driftjax.diagnosis.runs import Linearisation
+from driftjax.diagnosis.verdict import Judgement, Verdict, without_lost_time
 
 P, T, K = 5, 40, 3
 
@@ -101,3 +102,19 @@ def test_steps_are_small_enough_for_the_slowest_stretch():
     assert fit.stable_substeps(car, (run_at(wrong),)) == fit.stable_substeps(car, (run_at(np.full(100, 1.3)),))
     rate = car.mu * car.B * car.C * 9.81 / 0.5 * car.m * car.a * car.b / car.Iz
     assert 0.0625 * rate / steps < 2.78  # what the Runge-Kutta method bears
+
+
+@pytest.mark.parametrize(
+    ("verdict", "lost_s", "expected"),
+    [
+        ("NAMED", 6.1, "UNKNOWN"),
+        ("NAMED", 5.9, "NAMED"),
+        ("NOTHING", 30.0, "UNKNOWN"),
+        ("DATA_INSUFFICIENT", 30.0, "DATA_INSUFFICIENT"),
+    ],
+)
+def test_time_in_which_the_car_is_lost_is_not_explained(verdict, lost_s, expected):
+    judgement = Judgement(Verdict(verdict), "The front tyres have another friction.")
+    after = without_lost_time(judgement, lost_s, 60.0, 0.1)
+    assert after.verdict == expected and judgement.sentence in after.sentence
+    assert ("loses the car for" in after.sentence) == (after.verdict != verdict)
