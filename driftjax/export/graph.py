@@ -4,6 +4,7 @@ The jaxpr is evaluated on NumPy arrays whose entries are Python numbers, where t
 What depends on known numbers only, such as a delay in whole steps, is thereby computed beforehand.
 """
 
+import itertools
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -90,7 +91,8 @@ def _slice(eqn: Any, args: list[Cells]) -> list[Cells]:
 
 
 def _split(eqn: Any, args: list[Cells]) -> list[Cells]:
-    return np.split(args[0], np.cumsum(eqn.params["sizes"])[:-1], axis=eqn.params["axis"])
+    axis, starts = eqn.params["axis"], np.cumsum([0, *eqn.params["sizes"]])  # there may be no part
+    return [args[0].take(np.arange(*ends), axis) for ends in itertools.pairwise(starts)]
 
 
 def _reshape(eqn: Any, args: list[Cells]) -> list[Cells]:

@@ -165,6 +165,11 @@ def test_casadi_steps_as_ours(tmp_path):
                                 tyre_curve_rear__p_4=0.5), tmp_path)  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["sedan", "rc"])
+def test_casadi_steps_as_ours_without_effects(tmp_path, name):
+    same_as_casadi(load_vehicle(name), tmp_path)
+
+
 @pytest.mark.slow
 def test_casadi_steps_as_ours_with_every_effect(tmp_path):
     each = [(e.name, p.name, 0.3 * p.scale(SEDAN)) for e in EFFECTS.values() for p in e.parameters]
