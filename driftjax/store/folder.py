@@ -18,6 +18,7 @@ from driftjax.store.variables import SHARED
 from driftjax.store.versions import versions
 
 CONFIG = "config.yaml"
+RESUMABLE = ("learn", "paper")  # verbs with the flag --resume
 FILL_VALUES = {"f": np.nan, "b": False, "i": -1}  # fill values of missing laps or steps, by dtype kind
 
 
@@ -37,9 +38,10 @@ class RunFolder:
         path = Path(path)
         try:
             if (path / CONFIG).exists():
-                raise BadInput(
-                    f"{path}: already holds a run; continue it (--resume {path}) or give another folder (--out)."
-                )
+                again = f"continue it (--resume {path}) or " if _can_resume(path, verb) else ""
+                raise BadInput(f"{path}: already holds a run; {again}give another folder (--out).")
+            if path.exists() and not path.is_dir():
+                raise BadInput(f"{path}: is a file, not a folder; give another folder (--out).")
             made = tuple(p for p in (path, *path.parents) if not p.exists())
         except OSError as error:
             raise BadInput(f"{path}: cannot be reached ({error.strerror}); give another folder (--out).") from None
@@ -181,6 +183,11 @@ class RunFolder:
         laps = stack_stages(dict(zip(names, map(self.read_stage, names), strict=True)))
         self.write_dataset("laps.nc", laps)
         return laps
+
+
+def _can_resume(path: Path, verb: str) -> bool:
+    """Return whether `driftjax <verb> --resume` goes on with the run at `path`."""
+    return verb in RESUMABLE and (path / "versions.json").is_file() and RunFolder(path, {}).verb == verb
 
 
 def stack_stages(stages: dict[str, xr.Dataset]) -> xr.Dataset:

@@ -76,6 +76,16 @@ def finished_run() -> str:
     return "taken"
 
 
+def needed_logs(*arguments: str) -> tuple[str, ...]:
+    """Write the logs that the arguments name."""
+    t = np.arange(0, 8, 0.02)
+    for name, size in (("a.csv", 0.3), ("b.csv", 0.2)):
+        turning = size * np.sin(1.3 * t)
+        log = np.stack([t, 12 + np.sin(t), 0.1 * turning, turning, 0.2 * turning, 500 * np.sin(t)], axis=1)
+        np.savetxt(name, log, delimiter=",", header="t,V,beta,r,delta,Fxr", comments="")
+    return arguments
+
+
 BAD = {
     "unknown YAML key": (lambda: ["learn", "--config", written("c.yaml", "plnts: 3\n")], "unknown key 'plnts'"),
     "unknown nested YAML key": (lambda: ["learn", "--config", written("c.yaml", "mpc: {horizn: 3}\n")], "'horizn'"),
@@ -109,12 +119,30 @@ BAD = {
         "give another folder (--out)",
     ),
     "taken output": (lambda: ["learn", "--out", finished_run()], "already holds a run; continue it (--resume "),
+    "taken output, export": (
+        lambda: ["export", "sedan", "--to", "tum", "--out", finished_run()],
+        "taken: already holds a run; give another folder (--out)",
+    ),
     "resume nothing": (lambda: ["learn", "--resume", "absent"], "absent: holds no run"),
     "resume with flags": (
         lambda: ["learn", "--resume", finished_run(), "--plants", "3"],
         "leave out every flag but --workers",
     ),
     "report on nothing": (lambda: ["report", "absent"], "absent: holds no run"),
+}
+
+
+WITH_OUT = {
+    "learn": [], "plan": [], "equilibria": [], "simulate": [], "bench": [], "paper": [], "tune": [],
+    "inspect": ["a.csv"], "diagnose": ["a.csv"], "calibrate": ["a.csv"], "compare": ["a.csv", "b.csv"],
+    "export": ["sedan", "--to", "tum"], "sweep": [str(CONFIGS / "sweep/weights.yaml")],
+}  # fmt: skip
+BAD |= {
+    f"file as output, {verb}": (
+        lambda verb=verb: [verb, *needed_logs(*WITH_OUT[verb]), "--out", written("file", "mine")],
+        "file: is a file, not a folder; give another folder (--out)",
+    )
+    for verb in WITH_OUT
 }
 
 

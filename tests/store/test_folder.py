@@ -138,6 +138,25 @@ def test_an_unwritable_path_is_reported_and_nothing_is_left(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_path_that_is_a_file_is_reported_and_kept(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for make in (RunFolder.create, RunFolder.ensure):
+        with pytest.raises(BadInput, match=r"file: is a file, not a folder; give another folder \(--out\)"):
+            make(tmp_path / "file", CONFIG, "export")
+    assert (tmp_path / "file").read_text() == "mine" and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("held", "asked", "resumed"),
+    [("learn", "learn", True), ("paper", "paper", True), ("export", "export", False), ("paper", "learn", False)],
+)
+def test_a_taken_folder_advises_resume_only_where_the_verb_has_it(tmp_path, held, asked, resumed):
+    RunFolder.create(tmp_path / "run", CONFIG, held)
+    with pytest.raises(BadInput, match=r"already holds a run; .*give another folder \(--out\)") as refused:
+        RunFolder.create(tmp_path / "run", CONFIG, asked)
+    assert ("--resume" in str(refused.value)) is resumed
+
+
 def test_opening_what_is_no_run_is_reported(tmp_path):
     with pytest.raises(BadInput, match="holds no run"):
         RunFolder.open(tmp_path)
