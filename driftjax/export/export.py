@@ -74,7 +74,7 @@ def export_car(
     `to` is race_stack, tum, f1tenth_gym, commonroad, autoware, open_car_dynamics or casadi. The loss is how much worse
     the car predicts without the lost effects: on `log`, or else in a standard manoeuvre. `top_speed` [m/s] bounds
     tables and limits (left out: 9 sqrt(g L)), `dt` [s] is the sample time of the CasADi step. Raises `BadInput` for an
-    unknown format and for a folder that cannot be written.
+    unknown format, for a log that lacks what the loss is measured with, and for a folder that cannot be written.
     """
     require_float64()
     require_format(to)
@@ -85,6 +85,7 @@ def export_car(
     reduced = restrict_effects(vehicle, target.holds, TargetOptions(top_speed, dt))
     named = [name for name in EFFECTS if any(one.effect == name for one in vehicle.effects)]
     lost = tuple(name for name in named if name not in target.holds)
+    of_lost = loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files = target.write(reduced, folder)
@@ -92,7 +93,7 @@ def export_car(
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another folder (--out).") from None
     export = Export(
         to, target.title, tuple(folder / name for name in files), tuple(n for n in named if n not in lost), lost,
-        target.notes, loss(vehicle, reduced.vehicle, log) if lost and target.predicts else None,
+        target.notes, of_lost,
     )  # fmt: skip
     write_json(folder / "export.json", export.to_json())
     return export

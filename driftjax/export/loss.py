@@ -22,6 +22,7 @@ STANDARD = ("slalom", "throttle_steps")  # manoeuvres without a log
 LENGTH, SAMPLE = 10.0, 0.02  # of each, and of its samples [sqrt(L/g)]
 HORIZON, EVERY = 2.0, 1.0  # of predictions on a log, and between their starts [sqrt(L/g)]
 CHANNELS = ("V", "beta", "r")
+OPTIONAL_NAMES = {"beta": "sideslip beta", "Fxr": "drive force Fxr"}  # channels that a log may lack
 
 
 class Window(NamedTuple):
@@ -47,12 +48,14 @@ def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) ->
 
     On a log: errors at a horizon of 2 sqrt(L/g), from starts 1 sqrt(L/g) apart, of predictions that start at the
     measured state. Without one: how far the two cars get apart in an open-loop slalom and in steps of drive and brake.
+    Raises `BadInput` for a run without sideslip or drive force.
     """
     unit, names = reference(full, "time"), tuple({one.effect for one in full.effects})
     if log is None:
         dt = SAMPLE * unit
         windows, num = [_standard(full, name, dt) for name in STANDARD], round(LENGTH / SAMPLE)
     else:
+        _require_channels(log)
         dt = log.runs[0].dt
         num = max(round(HORIZON * unit / dt), 1)
         windows = [window for run in log.runs for window in _of_run(run, num, max(round(EVERY * unit / dt), 1), unit)]
@@ -64,6 +67,16 @@ def loss(full: VehicleConfig, reduced: VehicleConfig, log: Log | None = None) ->
         return Loss("standard manoeuvre", num * dt, None, _rms(predictions[1] - predictions[0]))
     errors = [(one - np.asarray(stacked.y)[:, 1:])[:, -1:] for one in predictions]
     return Loss("log", num * dt, _rms(errors[0]), _rms(errors[1]))
+
+
+def _require_channels(log: Log) -> None:
+    for run in log.runs:
+        for channel, words in OPTIONAL_NAMES.items():
+            if not np.isfinite(getattr(run, channel)).any():
+                raise BadInput(
+                    f"log, run '{run.name}': has no {words}, which the loss of an export is measured with; "
+                    "give runs that have it (--log, --runs), or leave out --log."
+                )
 
 
 def _rms(off: np.ndarray) -> tuple[float, ...]:

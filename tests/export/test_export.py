@@ -20,8 +20,8 @@ from driftjax.export import FORMATS, export_car
 from driftjax.export.casadi_car import CasadiModel, rates_model, step_model, substeps
 from driftjax.export.loss import loss
 from driftjax.export.target import TargetOptions, restrict_effects
-from driftjax.logs import Log, Run
-from driftjax.vehicle import EffectParameterValue, VehicleConfig, load_vehicle
+from driftjax.logs import Log, Run, write_log
+from driftjax.vehicle import EffectParameterValue, VehicleConfig, load_vehicle, write_vehicle
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.single_track import G
 
@@ -192,6 +192,23 @@ def test_the_loss_on_a_log_is_that_of_the_lost_effect(tmp_path):
     losses = loss(car, dataclasses.replace(car, effects=()), log)
     assert losses.with_them is not None and losses.of == "log"
     assert losses.with_them[2] < 2e-3 < 0.01 < losses.without_them[2]
+
+
+@pytest.mark.parametrize(("lacks", "words"), [("beta", "sideslip beta"), ("Fxr", "drive force Fxr")])
+def test_a_log_without_a_channel_of_the_loss_is_refused(lacks, words, tmp_path, capsys):
+    write_vehicle(tmp_path / "car.yaml", with_effects(steer_delay__d=0.05, friction__p=-0.1))
+    t = np.arange(0, 8, 0.02)
+    run = Run("one", t, 14 + np.sin(t), 0.02 * np.sin(t), 0.3 * np.sin(t), 0.05 * np.sin(t), 500 * np.sin(t), 0.02)
+    write_log(tmp_path / "log.csv", (dataclasses.replace(run, **{lacks: np.full(len(t), np.nan)}),))
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    arguments = ["--to", "race_stack", "--log", str(tmp_path / "log.csv"), "--out", str(folder)]
+    assert main(["export", str(tmp_path / "car.yaml"), *arguments]) == 2
+    assert capsys.readouterr().err == (
+        f"driftjax export: log, run 'one': has no {words}, which the loss of an export is measured with; "
+        "give runs that have it (--log, --runs), or leave out --log.\n"
+    )
+    assert list(folder.iterdir()) == []
 
 
 def test_bad_input_is_one_sentence(tmp_path, capsys):
