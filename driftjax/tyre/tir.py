@@ -16,6 +16,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "ANGLE": ("radian", "radians", "rad"),
     "MASS": ("kg", "kilogram"),
     "TIME": ("second", "seconds", "sec", "s"),
+    "PRESSURE": ("pascal", "pa", "n/m^2", "n/m2"),
 }
 NEEDED = ("FNOMIN", "PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1", "PKY2")
 LINE = re.compile(r"(\s*)([A-Za-z_]\w*)(\s*=\s*)('[^']*'|[^$!']*?)(\s*)([$!].*)?")

@@ -183,6 +183,7 @@ def test_a_plant_takes_the_file_and_mirrors_the_right_wheels(tmp_path):
     ("change", "message"),
     [
         (("ANGLE = 'radians'", "ANGLE = 'degrees'"), "ANGLE is in 'degrees'; convert"),
+        (("TIME = 'second'", "TIME = 'second'\nPRESSURE = 'bar'"), r"PRESSURE is in 'bar'; convert .*\(pascal\)"),
         (("= 61 $version", "= 94"), "FITTYP is 94; it must be one of"),
         (("PDY1                     = 1.02", "PDY1 = one"), "line .*: PDY1 is 'one'; it needs a number"),
         (("PDY1                     = 1.02", "PDY1 = nan"), "line .*: PDY1 is nan; it needs a finite number"),
