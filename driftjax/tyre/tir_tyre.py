@@ -17,6 +17,7 @@ FITTED = 3.0  # slip angles up to this multiple of the peak's are fitted by the 
 SAMPLES = 200
 WORST = 0.1  # misfit over the peak beyond which a curve has another shape [-]
 WIDEST = 0.5  # slip angles searched for the peak [rad]
+BOUNDS = np.array([[1e-3, 1e-2, 1.001], [10.0, 1e3, 1.999]])  # of mu, B [1/rad] and C
 
 
 class TirTyre(eqx.Module):
@@ -72,17 +73,32 @@ def nominal_tyre(file: TyreFile, Fz: float) -> tuple[float, float, float]:
     """Return mu, B [1/rad] and C of mu F_z sin(C arctan(B alpha)) nearest to the file's side force at load `Fz` [N].
 
     Least squares up to 3 times the slip angle of the peak, the two sides of the tyre alike; C stays above 1. Raises
-    `BadInput` where the curve has another shape, more than 10 % of its peak off (root mean square).
+    `BadInput` where the curve has another shape, more than 10 % of its peak off (root mean square), or no peak of a
+    tyre.
     """
     alpha = np.linspace(0.0, WIDEST, SAMPLES + 1)[1:]
     force = np.abs(np.asarray(call(_lateral, magic_formula(file), jnp.asarray(alpha), jnp.asarray(Fz))))
+    start = _start(file, alpha, force, Fz)
     peak = alpha[np.argmax(force)]
     fitted = alpha <= min(FITTED * peak, WIDEST)
     x, y = alpha[fitted], force[fitted]
-    start = [y.max(), y[0] / x[0] / (1.3 * y.max()), 1.3]
     off = lambda q: q[0] * np.sin(q[2] * np.arctan(q[1] * x)) - y
-    fit = least_squares(off, start, bounds=([1e-3, 1e-2, 1.001], [10.0, 1e3, 1.999]), x_scale=start).x
+    fit = least_squares(off, start, bounds=BOUNDS, x_scale=start).x
     misfit = float(np.sqrt(np.mean(off(fit) ** 2)) / y.max())
     if misfit > WORST:
         raise BadInput(f"{file.name}: its side force is {misfit:.0%} off any mu, B and C; give these by hand.")
     return float(fit[0]), float(fit[1]), float(fit[2])
+
+
+def _start(file: TyreFile, alpha: np.ndarray, force: np.ndarray, Fz: float) -> np.ndarray:
+    """Return mu, B and C from the peak and the first slope of the side force over the load (n,)."""
+    top = force.max()
+    if np.isfinite(top) and BOUNDS[0, 0] <= top <= BOUNDS[1, 0]:
+        start = np.array([top, force[0] / alpha[0] / (1.3 * top), 1.3])
+        if (BOUNDS[0] <= start).all() and (start <= BOUNDS[1]).all():
+            return start
+    raise BadInput(
+        f"{file.name}: its largest side force is {top:.3g} times the load of {Fz:.4g} N with a first slope of "
+        f"{force[0] / alpha[0]:.3g} per rad, which is no tyre's; correct its coefficients, such as FNOMIN, PCY1, PDY1, "
+        "PKY1, or the load."
+    )

@@ -17,6 +17,7 @@ from vehiclemodels.utils.tire_model import (
     formula_longitudinal_comb,
 )
 
+from driftjax.cli import main
 from driftjax.core import BadInput, Control
 from driftjax.tyre import MagicFormula2012, SimplifiedPacejka, fit_tir, magic_formula, nominal_tyre, read_tir, write_tir
 from driftjax.vehicle import load_plant, load_vehicle, stack_plants
@@ -152,6 +153,25 @@ def test_a_vehicle_takes_the_nearest_nominal_tyre(tmp_path):
     path.write_text(yaml.safe_dump(keys | {"tyre": "none.tir"}))
     with pytest.raises(BadInput, match="none.tir: no such file"):
         load_vehicle(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"PCY1": 0}, {"FNOMIN": 1e-300}, {"PDY1": 1e308}, {"PDY1": 0, "PDY2": 0}, {"PKY1": 0}, {"PKY1": -1e9}],
+    ids=str,
+)
+def test_a_file_without_the_peak_of_a_tyre_is_refused_as_that_of_a_car(tmp_path, change, capsys):
+    tir_file(tmp_path, **change)
+    sedan = dataclasses.asdict(load_vehicle("sedan"))
+    keys = {k: v for k, v in sedan.items() if k not in ("mu", "B", "C", "effects", "covariance")}
+    (tmp_path / "car.yaml").write_text(yaml.safe_dump(keys | {"tyre": "test.tir"}))
+    assert main(["export", str(tmp_path / "car.yaml"), "--to", "autoware", "--out", str(tmp_path / "out")]) == 2
+    sentence = capsys.readouterr().err
+    assert sentence.count("\n") == 1 and "test.tir: its largest side force is " in sentence
+    assert (
+        "no tyre's; correct its coefficients, such as FNOMIN, PCY1, PDY1, PKY1, or the load." in sentence
+        and not (tmp_path / "out").exists()
+    )
 
 
 def test_a_plant_takes_the_file_and_mirrors_the_right_wheels(tmp_path):
