@@ -117,7 +117,10 @@ def _take(where: str, section: str, key: str, written: str, values: dict[str, fl
 
 
 def write_tir(path: str | Path, file: TyreFile) -> None:
-    """Write a tyre property file: the lines as they were, with the present numbers, SI; new keys come at the end."""
+    """Write a tyre property file: the lines as they were, with the present numbers, SI; new keys come at the end.
+
+    Raises `BadInput` for a path that cannot be written.
+    """
     left = dict(file.values)
     lines = []
     for line in file.lines:
@@ -132,4 +135,7 @@ def write_tir(path: str | Path, file: TyreFile) -> None:
     if left:
         lines += ["[ADDED_COEFFICIENTS]", *(f"{key:<25}= {value!r}" for key, value in left.items())]
     text = "\n".join(lines).rstrip("\n") + "\n"
-    write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="latin-1"))
+    try:
+        write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="latin-1"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}); give another path.") from None

@@ -174,6 +174,13 @@ def test_a_file_without_the_peak_of_a_tyre_is_refused_as_that_of_a_car(tmp_path,
     )
 
 
+def test_a_tyre_file_that_cannot_be_written_is_reported(tmp_path):
+    file = read_tir(tir_file(tmp_path))
+    for path in (tmp_path / "none" / "y.tir", tmp_path):
+        with pytest.raises(BadInput, match=r"cannot be written \(.*\); give another path"):
+            write_tir(path, file)
+
+
 def test_a_plant_takes_the_file_and_mirrors_the_right_wheels(tmp_path):
     tir_file(tmp_path)
     path = tmp_path / "plant.yaml"
