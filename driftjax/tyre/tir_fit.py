@@ -26,18 +26,15 @@ def fit_tir(file: TyreFile, data: Mapping[str, np.ndarray], names: Sequence[str]
     `data` holds arrays (n,): Fz [N] and any of kappa [-], alpha [rad], gamma [rad] (0 where left out) and pressure [Pa]
     (nominal), and of the measured Fx [N], Fy [N] and Mz [N m], NaN where there is none. Each of these counts in its own
     root mean square. The fit is local: with many coefficients begin with a few, such as PCY1, PDY1, PEY1, PKY1.
+    Raises `BadInput` for columns that are no such arrays and for data without a measured force.
     """
     require_float64()
     known = (*COEFFICIENTS, *SCALES, "PKY4")
     if unknown := [name for name in names if name not in known]:
         raise BadInput(f"fit: '{unknown[0]}' is no coefficient that can be fitted, such as PDY1.")
     require(len(names) > 0, "fit: no coefficients are named; name one at least, such as PDY1.")
-    present = [key for key in OUTPUTS if key in data]
-    if "Fz" not in data or not present:
-        raise BadInput("fit: the data need 'Fz' and one of 'Fx', 'Fy', 'Mz'.")
-    sizes = {len(data[key]) for key in (*INPUTS, *OUTPUTS) if key in data}
-    require(len(sizes) == 1, f"fit: the columns have {sorted(sizes)} rows; give the same number in each.")
-    (num,) = sizes
+    data = _columns(data)
+    num = len(data["Fz"])
     default = {"pressure": file.values.get("NOMPRES", 1e5) or 1e5}
     inputs = jnp.asarray([data.get(key, np.full(num, default.get(key, 0.0))) for key in INPUTS])
     measured = np.asarray([data.get(key, np.full(num, np.nan)) for key in OUTPUTS])
@@ -59,6 +56,29 @@ def fit_tir(file: TyreFile, data: Mapping[str, np.ndarray], names: Sequence[str]
     if not np.isfinite(fit.x).all():
         raise BadInput("fit: the search left the finite numbers; fit fewer coefficients at a time.")
     return file.replaced(dict(zip(names, (scale * fit.x).tolist(), strict=True)))
+
+
+def _columns(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the known columns of `data` as float arrays (n,), checked: inputs finite, outputs finite or NaN."""
+    if "Fz" not in data or not any(key in data for key in OUTPUTS):
+        raise BadInput("fit: the data need 'Fz' and one of 'Fx', 'Fy', 'Mz'.")
+    columns: dict[str, np.ndarray] = {}
+    for key in (key for key in (*INPUTS, *OUTPUTS) if key in data):
+        try:
+            columns[key] = np.asarray(data[key], float)
+        except (TypeError, ValueError):
+            raise BadInput(f"fit: column '{key}' holds what is no number; give an array of numbers.") from None
+        shape = columns[key].shape
+        require(len(shape) == 1, f"fit: column '{key}' has the shape {shape}; give an array (n,), one value a row.")
+    sizes = {len(column) for column in columns.values()}
+    require(len(sizes) == 1, f"fit: the columns have {sorted(sizes)} rows; give the same number in each.")
+    for key, column in columns.items():
+        bad = np.flatnonzero(~np.isfinite(column) if key in INPUTS else np.isinf(column))
+        if len(bad):
+            raise BadInput(f"fit: column '{key}' is {column[bad[0]]} in row {bad[0] + 1}; leave such rows out.")
+    if not any(np.isfinite(columns[key]).any() for key in OUTPUTS if key in columns):
+        raise BadInput("fit: no row has a measured 'Fx', 'Fy' or 'Mz'; give rows with one.")
+    return columns
 
 
 def _outputs(q: Array, tyre: MagicFormula2012, inputs: Array, names: tuple[str, ...]) -> Array:

@@ -181,6 +181,28 @@ def test_a_tyre_file_that_cannot_be_written_is_reported(tmp_path):
             write_tir(path, file)
 
 
+ROWS = 40
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"Fz": np.full(ROWS, np.nan)}, "column 'Fz' is nan in row 1; leave such rows out"),
+        ({"Fz": 4000.0}, r"column 'Fz' has the shape \(\); give an array"),
+        ({"Fz": ["much"] * ROWS}, "column 'Fz' holds what is no number"),
+        ({"Fz": np.full(ROWS - 1, 4000.0)}, r"the columns have \[39, 40\] rows"),
+        ({"Fy": np.full(ROWS, np.nan)}, "no row has a measured 'Fx', 'Fy' or 'Mz'"),
+        ({"Fy": np.full(ROWS, np.inf)}, "column 'Fy' is inf in row 1"),
+        ({"Fz": [], "alpha": [], "Fy": []}, "no row has a measured 'Fx', 'Fy' or 'Mz'"),
+    ],
+)
+def test_a_fit_to_what_is_no_measurement_is_refused(tmp_path, data, message):
+    alpha = np.linspace(-0.2, 0.2, ROWS)
+    measured = {"alpha": alpha, "Fz": np.full(ROWS, 4000.0), "Fy": -2e4 * alpha} | data
+    with pytest.raises(BadInput, match=message):
+        fit_tir(read_tir(tir_file(tmp_path)), measured, ["PDY1"])
+
+
 def test_a_plant_takes_the_file_and_mirrors_the_right_wheels(tmp_path):
     tir_file(tmp_path)
     path = tmp_path / "plant.yaml"
