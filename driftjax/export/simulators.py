@@ -37,7 +37,7 @@ def side_force_under_drive(ellipse: float, C: float, B: float) -> tuple[float, f
 
 
 def write_commonroad(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
-    """Write parameters_vehicle5.yaml and parameters_tire.yaml for `setup_vehicle_parameters(5, folder)`.
+    """Write parameters_vehicle5.yaml and parameters_tire.yaml for `setup_vehicle_parameters(5, Path(folder))`.
 
     Both axles have one tyre: the nominal one with the effects that both share. There are no multi-body parameters.
     """

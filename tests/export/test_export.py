@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import re
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -64,6 +66,14 @@ def test_commonroad_reads_the_files_and_its_tyre_has_our_force(tmp_path):
         left = formula_lateral_comb(kappa, 0.1, 0.0, 0.9, Fz, 1.0, p.tire)
         assert left == pytest.approx(np.sqrt(max(1 - drive**2, 0.04)), abs=0.06)
     assert np.all(np.isfinite(vehicle_dynamics_std([0, 0, 0.05, 15, 0, 0.3, 0.0, 48, 48], [0.0, 1.0], p)))
+
+
+def test_the_documented_call_reads_the_files_of_commonroad(tmp_path):
+    page = (Path(__file__).parents[2] / "docs/how-to/export.md").read_text(encoding="utf-8")
+    (call,) = re.findall(r"`(setup_vehicle_parameters\(.*?\))` of", page)
+    export_car(SEDAN, "commonroad", tmp_path)
+    names = {"Path": Path, "folder": str(tmp_path), "setup_vehicle_parameters": setup_vehicle_parameters}
+    assert eval(call, names).m == SEDAN.m
 
 
 def test_single_track_of_f1tenth_gym_and_commonroad_turns_as_ours_at_small_slip(tmp_path):
