@@ -48,8 +48,8 @@ def run(argv: list[str]) -> int:
     folder = RunFolder.create(flags.out or default_out("export", vehicle.name), options, "export")
 
     def work() -> int:
-        print_notes(log.notes if log else ())
         export = export_car(vehicle, flags.to, folder.path, log=log, top_speed=flags.top_speed, dt=flags.dt)
+        print_notes(log.notes if log else ())
         print(export)
         print(f"next: the files for the other tool are in {folder.path}, with export.json on what they lose.")
         return 0
