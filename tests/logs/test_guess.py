@@ -100,6 +100,17 @@ def test_the_wheelbase_tells_a_steering_wheel_from_a_road_wheel(tmp_path):
     assert any("looks like the steering wheel's angle" in one for one in guess_columns(path).open)
 
 
+@pytest.mark.parametrize("size", [1e10, 6.8e180, 1e308])
+def test_absurd_values_do_not_count_as_evidence(tmp_path, size):
+    """One of a damaged file: the other values say as much as without it."""
+    d = {name: drive()[name] for name in ("t", "V", "beta", "r", "x", "y", "ay", "delta")}
+    expected = placed(written(tmp_path / "log.csv", d))
+    d["r"][300], d["V"][700] = size, -size
+    path = written(tmp_path / "log.csv", d)
+    assert placed(path) == expected
+    assert "Values of absurd size in 'V', 'r' were not compared." in guess_columns(path).open
+
+
 def test_what_is_missing_is_named(tmp_path):
     d = drive()
     guess = guess_columns(written(tmp_path / "log.csv", {key: d[key] for key in ("t", "V", "r")}))

@@ -23,6 +23,8 @@ CLEAR = 0.9  # score of such a name
 NUMERIC = 0.9  # share of cells that must be numbers
 LEAST_TIME = 0.3  # least score of the name of a time
 JUMP = 0.9  # share of a turn that is a jump of an angle
+ABSURD = 1e6  # times the size of most values of a column, from which one is none that was measured
+LARGEST = 1e30  # size of any measured quantity, in any unit
 
 
 class Column(NamedTuple):
@@ -54,6 +56,8 @@ class LogColumns(NamedTuple):
     stamps: Stamps
     rates: dict[str, float]
     """Samples per second of columns with uneven time steps [Hz]."""
+    absurd: list[str]
+    """Columns with values that no sensor measures, which are left out here."""
 
 
 def read_log_columns(path: Path) -> LogColumns:
@@ -94,10 +98,10 @@ def _of_table(path: Path) -> LogColumns:
     read = [(name, by_unit[name], y) for name, y in numbers.items()]
     run = _run(breaks, words, numbers)
     usable, flags, constant = _by_values([one for one in read if one[0] != run])
-    columns = [Column(name, unit, on_grid(y)) for name, unit, y in usable]
+    columns = [Column(name, unit, on_grid(measured(y))) for name, unit, y in usable]
     longest = t[max(parts, key=lambda part: part.stop - part.start)] if parts else t
     rates = {name: rate for name in numbers for rate in _uneven(longest)}
-    return LogColumns(path, dt, time, factor, run, columns, flags, constant, "header", rates)
+    return LogColumns(path, dt, time, factor, run, columns, flags, constant, "header", rates, _absurd(usable))
 
 
 def _of_recording(path: Path, kind: str) -> LogColumns:
@@ -116,9 +120,21 @@ def _of_recording(path: Path, kind: str) -> LogColumns:
     start, end = min(one.t[0] for _, one in series.values()), max(one.t[-1] for _, one in series.values())
     grid = np.arange(start, end, dt)[:MOST]
     usable, flags, constant = _by_values([(name, unit, one.y) for name, (unit, one) in series.items()])
-    columns = [Column(name, unit, _at(grid, series[name][1].t, y)) for name, unit, y in usable]
+    columns = [Column(name, unit, _at(grid, series[name][1].t, measured(y))) for name, unit, y in usable]
     rates = {name: rate for name, _, _ in usable for rate in _uneven(series[name][1].t)}
-    return LogColumns(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates)
+    return LogColumns(path, dt, TIME, 1.0, None, columns, flags, constant, stamps, rates, _absurd(usable))
+
+
+def measured(y: np.ndarray) -> np.ndarray:
+    """Return `y` with NaN for values of absurd size: of damaged bytes, say; their squares would overflow."""
+    size = np.abs(y)
+    some = size[np.isfinite(size) & (size > 0)]
+    most = min(ABSURD * float(np.median(some)), LARGEST) if some.size else LARGEST
+    return np.where(size <= most, y, np.nan)
+
+
+def _absurd(columns: list[tuple[str, str, np.ndarray]]) -> list[str]:
+    return [name for name, _, y in columns if (np.isfinite(y) & np.isnan(measured(y))).any()]
 
 
 def _uneven(t: np.ndarray) -> list[float]:

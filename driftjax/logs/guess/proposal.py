@@ -322,6 +322,8 @@ def _open(
         sentences.append(f"Rows may be chosen by {_list(log.flags)}: write 'where'.")
     if rest:
         sentences.append(f"No channel was found for {_list(rest)}.")
+    if log.absurd:
+        sentences.append(f"Values of absurd size in {_list(log.absurd)} were not compared.")
     if log.constant:
         sentences.append(f"Nothing changes in {_list(log.constant)}.")
     return sentences
