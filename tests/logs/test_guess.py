@@ -111,6 +111,14 @@ def test_absurd_values_do_not_count_as_evidence(tmp_path, size):
     assert "Values of absurd size in 'V', 'r' were not compared." in guess_columns(path).open
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("empty", ["V", "r", "x", "beta", "delta", "ay"])
+def test_channels_without_two_values_close_together_are_guessed_without_warnings(tmp_path, empty):
+    d = {name: drive()[name] for name in ("t", "V", "beta", "r", "x", "y", "psi", "ay", "delta")}
+    d[empty][np.arange(len(T)) % 200 > 0] = np.nan
+    assert "t" in placed(written(tmp_path / "log.csv", d))
+
+
 def test_what_is_missing_is_named(tmp_path):
     d = drive()
     guess = guess_columns(written(tmp_path / "log.csv", {key: d[key] for key in ("t", "V", "r")}))

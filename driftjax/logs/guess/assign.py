@@ -78,8 +78,8 @@ def channel_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[s
 
 
 def untransformed_signals(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Signal]:
-    """Return the channels in SI units; x and y from latitude and longitude where these are there."""
-    signals = {role: one.signal.scaled(one.factor) for role, one in assigned.items()}
+    """Return the channels with values, in SI units; x and y from latitude and longitude where these are there."""
+    signals = {role: one.signal.scaled(one.factor) for role, one in assigned.items() if one.signal.holds_values()}
     latitude, longitude = signals.pop("latitude", None), signals.pop("longitude", None)
     if latitude is not None and longitude is not None and not {"x", "y"} <= set(signals):
         there = np.flatnonzero(np.isfinite(latitude.y + longitude.y))
@@ -181,7 +181,8 @@ def _plain_factor(role: str, one: _Known, allowed: tuple[float, ...]) -> float:
     if role in ("latitude", "longitude"):
         return DEG if not one.meaning.unit else allowed[0]
     most = ANGLES.get(DIMENSIONS[role])
-    large = most is not None and np.nanpercentile(np.abs(one.signal.y), 99) > most and role != "psi"
+    tells = most is not None and role != "psi" and one.signal.holds_values()
+    large = tells and np.nanpercentile(np.abs(one.signal.y), 99) > most
     return DEG if large and len(allowed) > 1 else next(iter(allowed))
 
 
@@ -189,7 +190,8 @@ def resolve_units(
     assigned: dict[str, ChannelAssignment], meanings: dict[str, Meaning], dt: float
 ) -> dict[str, ChannelAssignment]:
     """Return the channels with the units that agree best where none is stated."""
-    signals = {role: one.signal for role, one in assigned.items() if role not in ("latitude", "longitude")}
+    signals = {role: one.signal for role, one in assigned.items()
+               if role not in ("latitude", "longitude") and one.signal.holds_values()}  # fmt: skip
     v = channel_signals(assigned, dt)
     signals |= {role: v[role] for role in ("x", "y") if role in v and role not in signals}
     own = {
@@ -203,9 +205,9 @@ def resolve_units(
 
 def _signed(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
     """Return the channels with the sign of the yaw rate that the position, or most of the others, have."""
-    if "r" not in assigned:
-        return assigned
     v = channel_signals({role: one._replace(factor=abs(one.factor)) for role, one in assigned.items()}, dt)
+    if "r" not in v:
+        return assigned
     mask = fast(v, len(v["r"].y))
     cosines = {rule.name: _cosine(v["r"].y[mask], rule.predicted[mask]) for rule in kinematic_relations("r", v, dt)}
     clear = {name: cosine for name, cosine in cosines.items() if abs(cosine) > ALIKE}

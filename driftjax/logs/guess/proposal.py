@@ -181,7 +181,7 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: flo
 
 def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
     """Return the condition that leaves out rows driven backwards, if there are any."""
-    role = next((role for role in ("V", "vx") if role in assigned), None)
+    role = next((role for role in ("V", "vx") if role in v), None)
     if role is None or not (back := np.nanmean(v[role].y < 0)) or np.nanmin(v[role].y) > -NEAR_ZERO:
         return ()
     one = assigned[role]
@@ -212,7 +212,7 @@ def _without_course(
     moving = fast(v, len(slip))
     apart = np.angle(np.exp(1j * (way[0] - v["psi"].y)))[moving]
     rest = lambda y: float(np.nanstd(np.angle(np.exp(1j * (y - np.nanmedian(y))))))
-    if np.isfinite(apart).sum() < 50 or rest(apart) > 0.5 * rest(apart - slip[moving]):
+    if np.isfinite(apart - slip[moving]).sum() < 50 or rest(apart) > 0.5 * rest(apart - slip[moving]):
         return assigned
     name = assigned["psi"].column.name
     left.append(f"'{name}' is the direction of travel, not the heading of the car; it was left out.")

@@ -26,6 +26,10 @@ class Signal(NamedTuple):
     y: np.ndarray
     rate: np.ndarray
 
+    def holds_values(self) -> bool:
+        """Return whether anything was measured, often enough to smooth."""
+        return bool(np.isfinite(self.y).any())
+
     def scaled(self, factor: float, offset: float = 0.0) -> "Signal":
         """Return the signal in another unit."""
         return Signal(factor * self.y + offset, factor * self.rate)
@@ -101,6 +105,11 @@ def kinematic_relations(role: str, v: Values, dt: float) -> list[Relation]:
     return rules(others, dt) if rules else []
 
 
+def _largest(values: np.ndarray) -> float:
+    """Return the largest value, NaN where there is none."""
+    return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
+
+
 def _has(v: Values, *names: str) -> bool:
     return all(name in v for name in names)
 
@@ -170,7 +179,7 @@ def _sideslip(v: Values, dt: float) -> list[Relation]:
     if _has(v, "vx", "vy"):
         relations.append(Relation("direction of vx, vy", EXACT, np.arctan2(v["vy"].y, v["vx"].y)))
     if _has(v, "r", "ay") and (speed := _any_speed(v)) is not None:
-        fast = np.where(speed > SLOW * np.nanmax(speed), speed, np.nan)
+        fast = np.where(speed > SLOW * _largest(speed), speed, np.nan)
         relations.append(Relation("ay / V - r", LOOSE, v["ay"].y / fast - v["r"].y, of_rate=True))
     return relations
 
@@ -182,7 +191,7 @@ def _yaw_rate(v: Values, dt: float) -> list[Relation]:
     if (way := course(v)) is not None:
         relations.append(Relation("rate of the course", NEAR, way[1] / dt))
     if _has(v, "ay") and (speed := _any_speed(v)) is not None:
-        fast = np.where(speed > SLOW * np.nanmax(speed), speed, np.nan)
+        fast = np.where(speed > SLOW * _largest(speed), speed, np.nan)
         relations.append(Relation("ay / V", NEAR, v["ay"].y / fast))
     return relations
 
@@ -235,7 +244,7 @@ def _steering(v: Values, dt: float) -> list[Relation]:
     speed = _any_speed(v)
     if speed is None or "r" not in v:
         return []
-    fast = np.where(speed > 2 * SLOW * np.nanmax(speed), speed, np.nan)
+    fast = np.where(speed > 2 * SLOW * _largest(speed), speed, np.nan)
     gentle = np.abs(speed * v["r"].y) < 1.5 * MAX_LATERAL_ACCELERATION
     return [Relation("r / V", LOOSE, np.where(gentle, v["r"].y / fast, np.nan), scale_free=True)]
 
