@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.csvtable import is_number
 from driftjax.logs.fields import QUATERNION, heading
-from driftjax.logs.parse import is_number, parse_table
+from driftjax.logs.parse import parse_table
 from driftjax.logs.series import Series, pick_channels
 from driftjax.logs.stamps import NANOSECONDS, SECONDS, units_of_time
 from driftjax.logs.table import MISSING, Table, read_bytes

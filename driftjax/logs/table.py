@@ -1,5 +1,6 @@
 """Tables of measured values: named columns, each row with its line in the file."""
 
+import codecs
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -68,11 +69,22 @@ class Table:
             except ValueError:
                 if cell.strip().lower() not in MISSING:
                     raise BadInput(
-                        f"{self.path}, row {self.lines[i]}: column '{name}' holds '{cell.strip()}', not a number; "
+                        f"{self.path}, row {self.lines[i]}: column '{name}' holds '{cell.strip()}', not a number"
+                        f"{' with a decimal point' * (',' in cell)}; "
                         "correct it, or leave the cell empty where the value is missing."
                     ) from None
                 values[i] = np.nan
         return values
+
+
+def decode_text(content: bytes) -> str:
+    """Return the bytes of a file as text: UTF-16 with its mark, UTF-8, or else Latin-1, which reads any bytes."""
+    for encoding in ("utf-16",) * content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) + ("utf-8-sig",):
+        try:
+            return content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return content.decode("latin-1")
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.table import Table
+from driftjax.logs.table import Table, decode_text
 
 MARK = re.compile(rb"^\s*\[column names\]", re.MULTILINE | re.IGNORECASE)
 HEAD = 2**16  # bytes in which the section of names must begin
@@ -44,13 +44,9 @@ def vbo_table(path: Path, content: bytes) -> Table:
 
 def _sections(content: bytes) -> dict[str, list[tuple[int, str]]]:
     """Return the lines of each section with their numbers, from 1."""
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
     sections: dict[str, list[tuple[int, str]]] = {}
     into: list[tuple[int, str]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(decode_text(content).splitlines(), start=1):
         if title := re.fullmatch(r"\[(.+)\].*", line.strip()):
             into = sections.setdefault(title[1].strip().lower(), [])
         else:

@@ -10,7 +10,8 @@ from driftjax.core import BadInput
 from driftjax.logs import guess_columns, read_log
 from driftjax.logs.columns import load_columns
 from driftjax.logs.guess.log_columns import unwrapped
-from driftjax.logs.guess.names import meaning, parse_unit
+from driftjax.logs.guess.names import meaning
+from driftjax.logs.unit_words import parse_unit
 
 DEG, KMH, G = np.pi / 180, 1 / 3.6, 9.80665
 T = np.arange(0, 25, 0.02)

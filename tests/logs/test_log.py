@@ -207,7 +207,7 @@ BAD = {
     ),
     "a column is repeated": (columns() | {" r": [0.0] * N}, "column 'r' is there 2 times"),
     "text": (put("r", 42, "fast"), "row 42: column 'r' holds 'fast', not a number"),
-    "decimal comma": (put("r", 42, '"0,5"'), "row 42: column 'r' holds '0,5', not a number"),
+    "decimal comma": (put("r", 42, '"0,5"'), "row 42: column 'r' holds '0,5', not a number with a decimal point"),
     "infinite": (put("Fxr", 42, "inf"), "row 42: column 'Fxr' is infinite"),
     "a row is too long": (put("V", 42, "1,2"), "row 42: has 7 cells for 6 columns"),
     "time stands still": (put("t", 42, 0.01 * 39), "row 42: column 't' is 0.39 s, no more than in the row before"),
@@ -251,7 +251,7 @@ def test_bad_values_are_reported_in_one_sentence(tmp_path, case):
         (b"# only a comment\n", "is empty"),
         (b"t,V,beta,r,delta,Fxr\n", "holds names of columns but no rows"),
         (b"t,V,beta,r,delta,Fxr\n0,1,0,0,0,0\n", "no run has two samples in a row"),
-        (b"\xff\xfe\x00", "neither text in UTF-8 nor Parquet"),
+        (b"\xff\xfe\x00", "neither text in UTF-8, UTF-16 or Latin-1 nor Parquet"),
     ],
 )
 def test_files_that_are_no_log_are_reported(tmp_path, content, sentence):

@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 
 from driftjax.logs.geodesy import east_north
 from driftjax.logs.guess.log_columns import Column, LogColumns
-from driftjax.logs.guess.names import DEG, DIMENSIONS, UNITS, Meaning, meaning
+from driftjax.logs.guess.names import DIMENSIONS, Meaning, meaning
 from driftjax.logs.guess.relations import (
     FACTORS,
     LENGTHS,
@@ -23,6 +23,7 @@ from driftjax.logs.guess.relations import (
 )
 from driftjax.logs.guess.sources import heading_beside, source_of, turned_axes
 from driftjax.logs.guess.units import best_factors
+from driftjax.logs.unit_words import DEG, UNITS
 
 ROUNDS = 4  # at most
 NAMED, FOLLOWS, ONLY_NAMED = 0.4, 0.6, 0.7  # weights of name and consistency; of the name where nothing else speaks

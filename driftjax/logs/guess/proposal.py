@@ -30,9 +30,10 @@ from driftjax.logs.guess.assign import (
     untransformed_signals,
 )
 from driftjax.logs.guess.log_columns import LogColumns, read_log_columns
-from driftjax.logs.guess.names import DEG, UNKNOWN, meaning, words_of
+from driftjax.logs.guess.names import UNKNOWN, meaning, words_of
 from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
 from driftjax.logs.sampling import proposed_rate
+from driftjax.logs.unit_words import DEG
 
 PEDALS = {"throttle", "gas", "accelerator", "pedal", "brake", "motor", "torque", "duty", "current", "power"}
 UNSURE = 0.8  # of the certainty that is left where a sign is only the file's, or another column fits as well

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.logs.agreement import MAX_LATERAL_ACCELERATION, MIN_SAMPLES, SLOW, smooth_with_rate
-from driftjax.logs.guess.names import DEG, STANDARD_GRAVITY
+from driftjax.logs.unit_words import DEG, STANDARD_GRAVITY
 
 EXACT, NEAR, LOOSE = 1.0, 0.8, 0.6  # weight of a relation: of rigid bodies, without sideslip, of cars as a rule
 EVERY = 4  # sample that the size of the values is taken from
