@@ -6,7 +6,6 @@ from driftjax.core.config import find_config as find_config
 from driftjax.core.config import flatten_config as flatten_config
 from driftjax.core.config import from_dict as from_dict
 from driftjax.core.config import merge_config as merge_config
-from driftjax.core.config import read_yaml as read_yaml
 from driftjax.core.config import require as require
 from driftjax.core.config import require_at_least as require_at_least
 from driftjax.core.config import require_positive as require_positive
@@ -21,6 +20,9 @@ from driftjax.core.records import State as State
 from driftjax.core.records import as_float as as_float
 from driftjax.core.records import features as features
 from driftjax.core.results import RESULTS as RESULTS
+from driftjax.core.yamlfile import read_yaml as read_yaml
+from driftjax.core.yamlfile import shown as shown
+from driftjax.core.yamlfile import written_float as written_float
 from driftjax.environment import dispatch_inline
 
 dispatch_inline()

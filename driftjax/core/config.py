@@ -8,9 +8,8 @@ import typing
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-import yaml
-
 from driftjax.core.errors import BadInput
+from driftjax.core.yamlfile import shown, written_float
 
 T = TypeVar("T")
 
@@ -35,25 +34,6 @@ def find_config(kind: str, name: str | Path) -> Path:
         return shipped
     known = ", ".join(sorted(p.stem for p in (configs_dir() / kind).glob("*.yaml"))) or "none"
     raise BadInput(f"{name}: no such file; give a path that exists or one of the shipped {kind} names: {known}.")
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read the mapping in a YAML file; raises `BadInput` that names the file if it holds anything else."""
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file; check the path.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); check the file and its permissions.") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        raise BadInput(f"{path}{where}: not valid YAML; check indentation and colons.") from None
-    if content is None:
-        return {}
-    if not isinstance(content, dict):
-        raise BadInput(f"{path}: holds {type(content).__name__}, not keys with values; write 'key: value' lines.")
-    return content
 
 
 def from_dict(cls: type[T], values: dict[str, Any], where: str) -> T:
@@ -95,31 +75,31 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
                     raise
     if origin is typing.Literal:
         if value not in args:
-            raise BadInput(f"{where} is {value!r}; choose one of {', '.join(map(str, args))}.")
+            raise BadInput(f"{where} is {shown(value)}; choose one of {', '.join(map(str, args))}.")
         return value
     if origin is tuple:
         return _convert_tuple(args, value, where)
     if origin is dict:
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise BadInput(f"{where} is {value!r}; it needs keys of its own, which are words.")
+            raise BadInput(f"{where} is {shown(value)}; it needs keys of its own, which are words.")
         return value if args[1] is Any else {key: _convert(args[1], item, where) for key, item in value.items()}
     if dataclasses.is_dataclass(hint):
         if not isinstance(value, dict):
-            raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
+            raise BadInput(f"{where} is {shown(value)}; it needs keys of its own.")
         return from_dict(typing.cast(type, hint), value, where)
-    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        require(math.isfinite(value), f"{where} is {value}; it needs a finite number.")
-        return float(value)
+    if hint is float and (number := written_float(value)) is not None:
+        require(math.isfinite(number), f"{where} is {shown(value)}; it needs a finite number.")
+        return number
     if hint is Path and isinstance(value, str):
         return Path(value)
     if isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
         return value
-    raise BadInput(f"{where} is {value!r}; it needs a value of type {hint.__name__}.")
+    raise BadInput(f"{where} is {shown(value)}; it needs a value of type {hint.__name__}.")
 
 
 def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
-        raise BadInput(f"{where} is {value!r}; it needs a list.")
+        raise BadInput(f"{where} is {shown(value)}; it needs a list.")
     if len(args) == 2 and args[1] is Ellipsis:
         return tuple(_convert(args[0], item, where) for item in value)
     if len(value) != len(args):

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, require, shown
 from driftjax.logs.geodesy import east_north
 from driftjax.logs.series import similar_names
 from driftjax.logs.table import Table
@@ -243,7 +243,7 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
 def _mapping(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
     mapping = values.get(key) or {}
     if not isinstance(mapping, dict):
-        raise BadInput(f"{path}: key '{key}' is {mapping!r}; it needs 'column: ...' lines.")
+        raise BadInput(f"{path}: key '{key}' is {shown(mapping)}; it needs 'column: ...' lines.")
     return mapping
 
 

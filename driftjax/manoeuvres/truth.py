@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from driftjax.core import BadInput, from_dict, read_yaml, write_text
+from driftjax.core import BadInput, from_dict, read_yaml, shown, write_text
 from driftjax.core.config import to_dict
 from driftjax.logs import write_log
 from driftjax.manoeuvres.campaign import LATER, Campaign, Truth, record_runs
@@ -78,7 +78,7 @@ def read_truth(path: Path) -> tuple[VehicleConfig, Float[np.ndarray, "K"], Campa
         raise BadInput(f"{path}: key '{missing[0]}' is missing; give the truth.yaml that `driftjax simulate` wrote.")
     effects = content["effects"]
     if not (isinstance(effects, dict) and all(isinstance(values, dict) for values in effects.values())):
-        raise BadInput(f"{path}: key 'effects' is {effects!r}; it needs effects with their parameters.")
+        raise BadInput(f"{path}: key 'effects' is {shown(effects)}; it needs effects with their parameters.")
     vehicle = load_vehicle(content["vehicle"]).with_combined_slip(content["combined_slip"])
     vehicle = dataclasses.replace(vehicle, effects=(), covariance=())  # `effects` of the file holds theirs too
     words = [f"{name}.{key}={value!r}" for name, values in effects.items() for key, value in values.items()]

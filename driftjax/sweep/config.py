@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from driftjax.core import BadInput, from_dict, read_yaml, require, require_at_least
+from driftjax.core import BadInput, from_dict, read_yaml, require, require_at_least, shown
 
 Value = bool | int | float | str | None
 DesignPoint = dict[str, Value]  # a combination of values
@@ -107,7 +107,7 @@ def _field(value: Any, where: str) -> Field:
             raise BadInput(f"{where}: {error}") from None
     if isinstance(value, dict):
         return from_dict(Range, value, where)
-    raise BadInput(f"{where} is {value!r}; give a list of values, or low and high.")
+    raise BadInput(f"{where} is {shown(value)}; give a list of values, or low and high.")
 
 
 def load_sweep(path: Path) -> SweepConfig:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, require, shown
 from driftjax.track.build import corner, from_points, playground
 from driftjax.track.check import MIN_POINTS
 from driftjax.track.frame import Track
@@ -98,7 +98,7 @@ def load_track(name: str | Path, narrow: bool = False) -> Track:
     values = read_yaml(path)
     kind = values.get("kind")
     if kind not in KINDS:
-        raise BadInput(f"{path}: key 'kind' is {kind!r}; choose one of {', '.join(KINDS)}.")
+        raise BadInput(f"{path}: key 'kind' is {shown(kind)}; choose one of {', '.join(KINDS)}.")
     config = from_dict(KINDS[kind], values, str(path))
     try:
         return config.build(str(path))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from driftjax.core import from_dict, require, require_at_least
+from driftjax.core import from_dict, require, require_at_least, shown
 from driftjax.core.config import to_dict
 from driftjax.learning.config import LearnConfig, complete_learn_config
 from driftjax.tune.parameters import NAMES
@@ -72,6 +72,6 @@ class TuneConfig:
 def complete_tune_config(options: dict[str, Any], where: str, car: str | None = None) -> TuneConfig:
     """Complete `options` of `tune` by the shipped ones of `car`, else of the car that they name; `where` names them."""
     learn = options.get("learn") or {}
-    require(isinstance(learn, dict), f"{where}: key 'learn' is {learn!r}; it needs keys of its own.")
+    require(isinstance(learn, dict), f"{where}: key 'learn' is {shown(learn)}; it needs keys of its own.")
     completed = complete_learn_config(learn | ({"car": car} if car else {}), f"{where}: key 'learn'")
     return from_dict(TuneConfig, options | {"learn": to_dict(completed)}, where)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, write_text
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, shown, write_text, written_float
 from driftjax.tyre import nominal_tyre, read_tir
 from driftjax.vehicle.effect import EFFECTS, Parameter, effects_by_name
 from driftjax.vehicle.parameters import EffectParameterValue, EstimatedNoise, VehicleConfig
@@ -75,11 +75,11 @@ def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the keys with mu, B and C of the tyre property file that `tyre` names, at the static load of a wheel."""
     tyre, mass = nominal["tyre"], nominal.get("m")
     if not isinstance(tyre, str):
-        raise BadInput(f"{path}: key 'tyre' is {tyre!r}; it needs the name of a .tir file.")
+        raise BadInput(f"{path}: key 'tyre' is {shown(tyre)}; it needs the name of a .tir file.")
     if double := [key for key in ("mu", "B", "C") if key in nominal]:
         raise BadInput(f"{path}: keys 'tyre' and '{double[0]}' say the same; keep one of them.")
     if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 < mass < math.inf:
-        raise BadInput(f"{path}: key 'm' is {mass!r}; it must be positive, for the load of the tyre.")
+        raise BadInput(f"{path}: key 'm' is {shown(mass)}; it must be positive, for the load of the tyre.")
     values = nominal_tyre(read_tir(path.parent / tyre), mass * G / 4)
     return {key: value for key, value in nominal.items() if key != "tyre"} | dict(
         zip("mu B C".split(), values, strict=True)
@@ -88,7 +88,7 @@ def _with_tyre(nominal: dict[str, Any], path: Path) -> dict[str, Any]:
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise BadInput(f"{where} is {value!r}; it needs keys of its own.")
+        raise BadInput(f"{where} is {shown(value)}; it needs keys of its own.")
     return value
 
 
@@ -138,9 +138,10 @@ def _value(written: Any, parameter: Parameter, vehicle: VehicleConfig, where: st
 
 
 def _number(written: Any, where: str) -> float:
-    if isinstance(written, bool) or not isinstance(written, int | float) or not math.isfinite(written):
-        raise BadInput(f"{where} is {written!r}; it needs a number.")
-    return float(written)
+    number = written_float(written)
+    if number is None or not math.isfinite(number):
+        raise BadInput(f"{where} is {shown(written)}; it needs a number.")
+    return number
 
 
 def _covariance(

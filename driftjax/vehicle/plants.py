@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from driftjax.core import BadInput, find_config, from_dict, read_yaml, require
+from driftjax.core import BadInput, find_config, from_dict, read_yaml, require, shown
 from driftjax.vehicle.double_track import DoubleTrack
 from driftjax.vehicle.plant_config import PlantConfig
 
@@ -88,7 +88,8 @@ def load_distribution(car: str) -> tuple[PlantConfig, dict[str, Spread]]:
         if key not in known:
             raise BadInput(f"{path}: unknown key '{key}'; known keys are {', '.join(sorted(known))}.")
         if not isinstance(spread, dict):
-            raise BadInput(f"{path}: key '{key}' is {spread!r}; write 'uniform: [low, high]' or 'normal: [mean, sd]'.")
+            raise BadInput(f"{path}: key '{key}' is {shown(spread)}; write 'uniform: [low, high]' or "
+                           "'normal: [mean, sd]'.")  # fmt: skip
         spreads[key] = from_dict(Spread, spread, f"{path}: key '{key}'")
     return base, spreads
 

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from driftjax.core import require, require_at_least
+from driftjax.core import require, require_at_least, shown
 from driftjax.learning.config import Controller
 from driftjax.studies.paper.ablations import ABLATIONS
 
@@ -55,7 +55,7 @@ class PaperConfig:
         require(self.main or ablated, "key 'main' is false, and ablations are left out too: nothing to drive.")
         require(ablated or not self.arms, "key 'arms' names ablations, which 'quick' and 'ablations: false' leave out.")
         for name in self.arms:
-            require(name in ABLATIONS, f"key 'arms' names {name!r}; choose among {', '.join(ABLATIONS)}.")
+            require(name in ABLATIONS, f"key 'arms' names {shown(name)}; choose among {', '.join(ABLATIONS)}.")
 
     @property
     def first_plant(self) -> int:
