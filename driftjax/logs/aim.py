@@ -1,22 +1,18 @@
-"""Read AiM logs (.xrk, .xrz) with libxrk, in a process of its own: damaged files can crash it or keep it busy."""
+"""Read AiM logs (.xrk, .xrz) with libxrk, in a process of its own."""
 
-import io
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.extras import import_extra
+from driftjax.logs.isolated import read_isolated
 from driftjax.logs.series import Series, pick_channels
 
 KIND = "AiM file"
 MAGIC = b"<hCNF"
 DEFLATED = (b"\x78\x01", b"\x78\x9c", b"\x78\xda")  # .xrz
 REMEDY = "read it out of the logger again"
-TIMEOUT = 300.0  # s
-MOST_MEMORY = 8 * 2**30  # bytes
 SCRIPT = Path(__file__).with_name("aim_process.py")
 
 
@@ -38,16 +34,8 @@ def aim_series(path: Path, names: list[str]) -> dict[str, Series]:
 def _read(path: Path) -> list[tuple[str, str, Series]]:
     """Return name, unit and samples of every channel."""
     import_extra(path, f"an {KIND}", "aim", "libxrk")
-    command = [sys.executable, "-P", str(SCRIPT), str(path.resolve()), str(MOST_MEMORY)]
-    try:
-        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=TIMEOUT)
-    except subprocess.TimeoutExpired:
-        raise BadInput(f"{path}: is no readable {KIND} (reading it takes over {TIMEOUT:g} s); {REMEDY}.") from None
-    if done.returncode:
-        reason = " ".join(done.stderr.decode("utf-8", "replace").split("\n")[-2:]).strip()[:120].rstrip(".")
-        raise BadInput(f"{path}: is no readable {KIND} ({reason or f'exit {done.returncode}'}); {REMEDY}.")
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
-        parts = [(arrays[f"name{k}"], arrays[f"t{k}"], arrays[f"y{k}"]) for k in range(len(arrays.files) // 3)]
+    arrays = read_isolated(SCRIPT, path, KIND, REMEDY)
+    parts = [(arrays[f"name{k}"], arrays[f"t{k}"], arrays[f"y{k}"]) for k in range(len(arrays) // 3)]
     if not parts:
         raise BadInput(f"{path}: is no readable {KIND} (it holds no channel with samples); {REMEDY}.")
     return [(str(name[0]), str(name[1]), Series(_clock(t), t, y)) for name, t, y in parts]

@@ -28,5 +28,11 @@ def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
     except BadInput:
         raise
     except Exception as error:
-        reason = shorten(str(error), 120).rstrip(".") or type(error).__name__
+        reason = one_line(str(error)) or type(error).__name__
         raise BadInput(f"{path}: is no readable {kind} ({reason}); {remedy}.") from error
+
+
+def one_line(message: str) -> str:
+    """Return the message of a library in one line without control characters, shortened, to stand in a sentence."""
+    printable = "".join(letter if letter.isprintable() else " " for letter in message)
+    return shorten(printable, 120).rstrip(".")

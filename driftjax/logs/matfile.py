@@ -1,8 +1,9 @@
 """Read MATLAB files (version 5 with SciPy, 7.3 with h5py): vectors of nested structs and cells by their dotted path."""
 
 import io
+import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import numpy as np
 from driftjax.core import BadInput
 from driftjax.logs.columns import RUN
 from driftjax.logs.extras import library_errors
+from driftjax.logs.isolated import read_isolated
+from driftjax.logs.matfile_process import EntryPath, leaves
 
 KIND = "MATLAB file"
 REMEDY = "save it again, with `save(name, '-v7')` or '-v7.3'"
 MOST_COLUMNS = 64  # of a matrix; a wider one is no table of channels
 
-EntryPath = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
+SCRIPT = Path(__file__).with_name("matfile_process.py")
 
 
 def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.ndarray]:
@@ -30,7 +33,7 @@ def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.nd
     columns: dict[str, np.ndarray] = {}
     entries: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
     with library_errors(path, KIND, REMEDY):
-        for place, value in _version_5(content) if _is_version_5(content) else _version_7_3(content):
+        for place, value in _version_5(path, content) if _is_version_5(content) else _version_7_3(content):
             found = _columns(".".join(map(str, place)), value)
             columns |= found
             numbers = [key for key in place if isinstance(key, int)]
@@ -67,13 +70,10 @@ def _is_version_5(content: bytes) -> bool:
     return content.startswith(b"MATLAB 5.0")
 
 
-def _version_5(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
-    import scipy.io
-
-    variables = scipy.io.loadmat(io.BytesIO(content), simplify_cells=True)
-    for name, value in variables.items():
-        if not name.startswith("__"):
-            yield from _leaves((name,), value, lambda value: value)
+def _version_5(path: Path, content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
+    arrays = read_isolated(SCRIPT, path, KIND, REMEDY, content)
+    for k, place in enumerate(json.loads(str(arrays["places"]))):
+        yield tuple(place), arrays[f"value{k}"]
 
 
 def _version_7_3(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
@@ -92,21 +92,7 @@ def _version_7_3(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
 
         for name, value in file.items():
             if not name.startswith("#"):  # where cells are stored
-                yield from _leaves((name,), value, opened)
-
-
-def _leaves(place: EntryPath, value: Any, opened: Callable[[Any], Any]) -> Iterator[tuple[EntryPath, np.ndarray]]:
-    """Yield the numeric arrays below `value`, which is at `place`, with their paths."""
-    while (inner := opened(value)) is not value:
-        value = inner
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            yield from _leaves((*place, key), entry, opened)
-    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim):
-        for number, entry in enumerate(np.ravel(np.asarray(value, object))):
-            yield from _leaves((*place, number), entry, opened)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        yield place, value
+                yield from leaves((name,), value, opened)
 
 
 def _columns(name: str, value: np.ndarray) -> dict[str, np.ndarray]:

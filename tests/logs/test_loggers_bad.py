@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.logs import aim, read_log
+from driftjax.logs import aim, isolated, read_log
 from driftjax.logs.carmaker import info_path
 
 HEADERS = {"lap.ld": 0x3448 + 8 * 124, "lap.vbo": 600, "lap.erg": 16, "lap.xrk": 800}  # bytes before the samples
@@ -82,11 +82,11 @@ def test_an_aim_log_that_cannot_be_read(tmp_path, monkeypatch):
     path.write_bytes(content)
     monkeypatch.setattr(aim, "SCRIPT", script := tmp_path / "script.py")
     script.write_text("while True: pass")
-    monkeypatch.setattr(aim, "TIMEOUT", 0.2)
+    monkeypatch.setattr(isolated, "TIMEOUT", 0.2)
     assert "takes over 0.2 s" in (one_sentence(path, columns) or "")
     script.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    monkeypatch.setattr(aim, "TIMEOUT", 60)
-    assert "(exit -11)" in (one_sentence(path, columns) or "")
+    monkeypatch.setattr(isolated, "TIMEOUT", 60)
+    assert "(its library crashed, exit -11)" in (one_sentence(path, columns) or "")
     monkeypatch.setitem(sys.modules, "libxrk", None)
     assert "pip install 'driftjax[aim]'" in (one_sentence(path, columns) or "")
 

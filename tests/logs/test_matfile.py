@@ -122,3 +122,13 @@ def test_a_file_without_vectors_is_refused(tmp_path):
     scipy.io.savemat(tmp_path / "log.mat", {"note": "text"})
     with pytest.raises(BadInput, match=r"log\.mat: holds no numeric vector; save structs and arrays"):
         read_log(tmp_path / "log.mat")
+
+
+def test_a_damaged_file_that_crashes_scipy_is_refused(tmp_path):
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"t": T, **CHANNELS})
+    content = bytearray(path.read_bytes())
+    content[176] = 0xE2  # the kind of the first variable's values
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=r"log\.mat: is no readable MATLAB file \(its library crashed, exit -11\); save"):
+        read_log(path)
