@@ -13,6 +13,7 @@ from driftjax.core.errors import BadInput
 
 # what YAML 1.2 reads as a number, and PyYAML, which is of YAML 1.1, as text for want of a point or a sign
 EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)e[-+]?\d+", re.IGNORECASE)
+MOST_SHOWN = 120  # letters of a value in a message
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel = 2
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
@@ -40,7 +41,8 @@ class _Loader(yaml.SafeLoader):
 
 def shown(value: Any) -> str:
     """Return a value as messages show it: no longer than a line."""
-    return _SHORT.repr(value)
+    text = _SHORT.repr(value)
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def written_float(value: Any) -> float | None:
