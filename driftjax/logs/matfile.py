@@ -18,6 +18,7 @@ from driftjax.logs.matfile_process import EntryPath, leaves
 
 KIND = "MATLAB file"
 REMEDY = "save it again, with `save(name, '-v7')` or '-v7.3'"
+MOST_BYTES = 4 * 2**30  # of all arrays of a file together
 MOST_COLUMNS = 64  # of a matrix; a wider one is no table of channels
 
 SCRIPT = Path(__file__).with_name("matfile_process.py")
@@ -33,7 +34,7 @@ def mat_columns(path: Path, content: bytes, time: str | None) -> dict[str, np.nd
     columns: dict[str, np.ndarray] = {}
     entries: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
     with library_errors(path, KIND, REMEDY):
-        for place, value in _version_5(path, content) if _is_version_5(content) else _version_7_3(content):
+        for place, value in _version_5(path, content) if _is_version_5(content) else _version_7_3(path, content):
             found = _columns(".".join(map(str, place)), value)
             columns |= found
             numbers = [key for key in place if isinstance(key, int)]
@@ -76,23 +77,41 @@ def _version_5(path: Path, content: bytes) -> Iterator[tuple[EntryPath, np.ndarr
         yield tuple(place), arrays[f"value{k}"]
 
 
-def _version_7_3(content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
+def _version_7_3(path: Path, content: bytes) -> Iterator[tuple[EntryPath, np.ndarray]]:
     with h5py.File(io.BytesIO(content)) as file:
+        size = 0
 
         def opened(value: Any) -> Any:
             """Return a group as a dict, a cell as its entries, an array in MATLAB's order of axes."""
+            nonlocal size
             if isinstance(value, h5py.Reference):
                 return file[value]
             if isinstance(value, h5py.Group):
+                _require_inside(
+                    path, any(isinstance(value.get(name, getlink=True), h5py.ExternalLink) for name in value)
+                )
                 return dict(value)
             if isinstance(value, h5py.Dataset):
                 is_text = value.attrs.get("MATLAB_class") in (b"char", "char")
-                return "" if is_text or "MATLAB_empty" in value.attrs else np.squeeze(value[()].T)
+                if is_text or "MATLAB_empty" in value.attrs:
+                    return ""
+                _require_inside(path, value.is_virtual or bool(value.external))
+                size += value.nbytes
+                if size > MOST_BYTES:
+                    raise BadInput(f"{path}: describes over {MOST_BYTES / 2**30:g} GiB of arrays; leave out what is no "
+                                   "channel.")  # fmt: skip
+                return np.squeeze(value[()].T)
             return value
 
-        for name, value in file.items():
+        for name, value in opened(file).items():
             if not name.startswith("#"):  # where cells are stored
                 yield from leaves((name,), value, opened)
+
+
+def _require_inside(path: Path, outside: bool) -> None:
+    if outside:
+        raise BadInput(f"{path}: takes data from other files (external link, external storage or virtual dataset), "
+                       "which is not read; save the data in the file itself.")  # fmt: skip
 
 
 def _columns(name: str, value: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,5 +1,7 @@
 """MATLAB files of both versions, as SciPy and h5py write them: nested structs, cells, matrices; damaged files."""
 
+import os
+
 import h5py
 import numpy as np
 import pytest
@@ -132,3 +134,35 @@ def test_a_damaged_file_that_crashes_scipy_is_refused(tmp_path):
     path.write_bytes(content)
     with pytest.raises(BadInput, match=r"log\.mat: is no readable MATLAB file \(its library crashed, exit -11\); save"):
         read_log(path)
+
+
+def outside(file: h5py.Group, path, how: str) -> None:
+    if how == "link":
+        file["x"] = h5py.ExternalLink(str(path), "/t")
+    elif how == "storage":
+        file.create_dataset("x", (N,), float, external=[(str(path), 0, 8 * N)])
+    else:
+        layout = h5py.VirtualLayout((N,), float)
+        layout[:] = h5py.VirtualSource(path, "t", (N,))
+        file.create_virtual_dataset("x", layout)
+
+
+@pytest.mark.parametrize("how", ["link", "storage", "virtual"])
+@pytest.mark.parametrize("place", ["/", "car", "#refs#/0"])
+def test_a_file_that_takes_data_from_others_is_refused_before_it_reads_them(tmp_path, how, place):
+    """A pipe without a writer would be waited for."""
+    os.mkfifo(pipe := tmp_path / "pipe")
+    version_7_3(tmp_path / "log.mat", nested())
+    with h5py.File(tmp_path / "log.mat", "a") as file:
+        assert isinstance(group := file[place], h5py.Group)
+        outside(group, pipe, how)
+    with pytest.raises(BadInput, match=r"log\.mat: takes data from other files .*save the data in the file itself"):
+        read_log(tmp_path / "log.mat")
+
+
+def test_a_file_that_describes_absurdly_large_arrays_is_refused(tmp_path):
+    version_7_3(tmp_path / "log.mat", nested())
+    with h5py.File(tmp_path / "log.mat", "a") as file:
+        file.create_dataset("zeros", (2**16, 2**13 + 1), float, chunks=(2**10, 2**10))  # that are not in the file
+    with pytest.raises(BadInput, match=r"log\.mat: describes over 4 GiB of arrays; leave out"):
+        read_log(tmp_path / "log.mat")
