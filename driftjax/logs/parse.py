@@ -9,6 +9,7 @@ import numpy as np
 
 from driftjax.core import BadInput
 from driftjax.logs.csvtable import csv_table
+from driftjax.logs.extras import library_errors
 from driftjax.logs.matfile import mat_columns
 from driftjax.logs.table import Table
 from driftjax.logs.vbo import is_vbo, vbo_table
@@ -44,9 +45,7 @@ def _parquet(path: Path, content: bytes) -> Table:
             return np.array([np.nan if value is None else value for value in values.to_pylist()], float)
         return ["" if value is None else str(value) for value in values.to_pylist()]
 
-    try:
+    with library_errors(path, "Parquet file", "write it again"):
         table = pyarrow.parquet.read_table(io.BytesIO(content))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: is no readable Parquet file ({error}); write it again.") from None
-    columns = tuple(map(column, table.columns))
+        columns = tuple(map(column, table.columns))
     return Table(path, tuple(table.column_names), columns, np.arange(1, table.num_rows + 1))

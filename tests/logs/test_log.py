@@ -294,6 +294,18 @@ def test_parquet_that_is_broken_or_holds_text(tmp_path):
         read_log([path])
     parquet.write_table(pyarrow.table(values | {"run": [1] * N}), path)
     assert read_log([path]).runs[0].name == "1"
+    content = path.read_bytes()
+    start = content.rindex(b"org.apache") if b"org.apache" in content else len(content) - 200
+    for at in range(start, len(content) - 8, 5):
+        path.write_bytes(content[:at] + b"\x1b\n" + content[at + 2 :])
+        try:
+            read_log([path])
+        except BadInput as error:
+            assert str(error).isprintable() and str(error).endswith(".")
+        path.write_bytes(content[:100] + content[at:])
+        with pytest.raises(BadInput) as refused:
+            read_log([path])
+        assert str(refused.value).isprintable() and str(refused.value).endswith(".")
 
 
 def test_logs_that_cannot_be_written_are_reported(tmp_path):
