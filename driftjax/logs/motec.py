@@ -53,7 +53,16 @@ def motec_series(path: Path, names: list[str]) -> dict[str, Series]:
     return {name: _series(path, content, one) for name, one in channels.items()}
 
 
-def _channels(path: Path, content: bytes) -> Iterator[_Channel]:
+def _channels(path: Path, content: bytes) -> list[_Channel]:
+    """Return the descriptions of all channels; raises `BadInput` if they have more samples than the file can hold."""
+    channels = list(_described(path, content))
+    if (size := sum(one.num * one.kind[1] for one in channels)) > len(content):
+        raise BadInput(f"{path}: ends before the samples of its channels do ({size} bytes of {len(content)}); "
+                       f"{REMEDY}.")  # fmt: skip
+    return channels
+
+
+def _described(path: Path, content: bytes) -> Iterator[_Channel]:
     at, seen = struct.unpack_from("<I", content.ljust(FIRST + 4, b"\0"), FIRST)[0], set[int]()
     while at:
         if at in seen or at + CHANNEL.size > len(content):

@@ -1,5 +1,6 @@
 """Columns of a recording, each with its own time stamps."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -48,15 +49,15 @@ def check_series(path: Path, name: str, series: Series, fewest: int) -> None:
 
 def pick_channels(path: Path, names: Iterable[str], channels: Sequence[tuple[str, T]]) -> dict[str, T]:
     """Return the channels `names`; raises `BadInput` for one that is not there, or more than once."""
-    there = [name for name, _ in channels]
+    there = Counter(name for name, _ in channels)
     for name in names:
         if name not in there:
             raise BadInput(
                 f"{path}: has no channel '{name}'; it has {similar_names(name, there) or 'none'}; "
                 "correct the column map."
             )
-        if there.count(name) > 1:
-            raise BadInput(f"{path}: channel '{name}' is there {there.count(name)} times; rename one in the logger.")
+        if there[name] > 1:
+            raise BadInput(f"{path}: channel '{name}' is there {there[name]} times; rename one in the logger.")
     by_name = dict(channels)
     return {name: by_name[name] for name in names}
 

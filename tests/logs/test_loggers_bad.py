@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from driftjax.core import BadInput
-from driftjax.logs import aim, isolated, read_log
+from driftjax.logs import aim, guess_columns, isolated, read_log
 from driftjax.logs.carmaker import info_path
+from driftjax.logs.series import pick_channels
 
 HEADERS = {"lap.ld": 0x3448 + 8 * 124, "lap.vbo": 600, "lap.erg": 16, "lap.xrk": 800}  # bytes before the samples
 CASES = 100
@@ -131,6 +132,26 @@ def test_what_is_wrong_is_named(tmp_path, case):
     damage(path)
     with pytest.raises(BadInput, match=sentence):
         read_log(path, str(columns))
+
+
+def test_channels_that_share_one_block_of_samples_are_refused(tmp_path):
+    """A chain of a thousand descriptions would otherwise fill the memory with copies."""
+    path = loggers.write_ld(tmp_path / "lap.ld")
+    content = path.read_bytes()
+    first, size = 0x3448, 124
+    *_, at = (first + k * size for k in range(8))
+    previous, _, *rest = struct.unpack_from("<IIII", content, at)
+    copies = [struct.pack("<IIII", previous, len(content) + (k + 1) * size if k < 999 else 0, *rest)
+              + content[at + 16 : at + size] for k in range(1000)]  # fmt: skip
+    linked = content[: at + 4] + struct.pack("<I", len(content)) + content[at + 8 :]
+    path.write_bytes(linked + b"".join(copies))
+    with pytest.raises(BadInput, match=r"lap\.ld: ends before the samples of its channels do"):
+        guess_columns(path)
+
+
+def test_many_channels_are_picked_in_little_time():
+    names = [f"c{k}" for k in range(60_000)]
+    assert len(pick_channels(Path("log.erg"), names, [(name, name) for name in names])) == len(names)
 
 
 def test_a_log_without_a_column_map(tmp_path):
