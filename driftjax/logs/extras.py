@@ -34,5 +34,9 @@ def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
 
 def one_line(message: str) -> str:
     """Return the message of a library in one line without control characters, shortened, to stand in a sentence."""
-    printable = "".join(letter if letter.isprintable() else " " for letter in message)
-    return shorten(printable, 120).rstrip(".")
+    return shorten(printable(message), 120).rstrip(".")
+
+
+def printable(text: str) -> str:
+    """Return text of a file as a message may quote it, control characters as spaces."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)

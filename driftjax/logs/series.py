@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.extras import printable
 
 SHOWN = 6  # names that a message lists
 
@@ -70,4 +71,4 @@ def similar_names(name: str, there: Iterable[str]) -> str:
 
 def quote_names(names: Sequence[str], num: int) -> str:
     """Return the first of `num` names, in quotes."""
-    return ", ".join(f"'{one}'" for one in names[:SHOWN]) + (", ..." if num > SHOWN else "")
+    return ", ".join(f"'{printable(one)}'" for one in names[:SHOWN]) + (", ..." if num > SHOWN else "")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.extras import printable
 from driftjax.logs.series import similar_names
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})  # cells that hold no value, in lower case
@@ -69,8 +70,8 @@ class Table:
             except ValueError:
                 if cell.strip().lower() not in MISSING:
                     raise BadInput(
-                        f"{self.path}, row {self.lines[i]}: column '{name}' holds '{cell.strip()}', not a number"
-                        f"{' with a decimal point' * (',' in cell)}; "
+                        f"{self.path}, row {self.lines[i]}: column '{name}' holds '{printable(cell.strip())}', "
+                        f"not a number{' with a decimal point' * (',' in cell)}; "
                         "correct it, or leave the cell empty where the value is missing."
                     ) from None
                 values[i] = np.nan
