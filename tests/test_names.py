@@ -8,9 +8,10 @@ from pathlib import Path
 CAMEL_CASE = re.compile("[A-Z][A-Za-z0-9]*[a-z][A-Za-z0-9]*")  # a type, not a constant or a type variable
 PACKAGE = Path(__file__).resolve().parent.parent / "driftjax"
 # Names that several modules define for one purpose, so that a caller can pick the module: verbs of the command line,
-# stations of effects, parts of the bench, files of a study, readings of the same sensors.
+# stations of effects, parts of the bench, files of a study, readings of the same sensors,
+# readers that run in a process of their own.
 SHARED = {"run", "work", "defaults", "next_step", "main", "apply", "start", "measure_rows", "write_figures",
-          "write_results", "sensor_reading"}  # fmt: skip
+          "write_results", "sensor_reading", "read_arrays"}  # fmt: skip
 
 
 def is_union(value: ast.expr | None) -> bool:

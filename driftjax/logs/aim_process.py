@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def read(path: str, _content: bytes) -> dict[str, np.ndarray]:
+def read_arrays(path: str, _content: bytes) -> dict[str, np.ndarray]:
     """Return name, unit, time [s] and samples of every channel of the file `path`."""
     from libxrk import ChannelMetadata, aim_xrk  # within the limit
 

@@ -18,7 +18,7 @@ DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(e[+-]?\d+)?\s*", re.IGNORECASE)
 OF_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # what a comma that separates thousands looks like too
 NO_UNIT = frozenset({"", "-", "1", "[-]", "[1]"})  # how a line of units marks a column without a unit
 
-Cells = list[str]
+CsvCells = list[str]
 
 
 def csv_table(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
@@ -58,7 +58,7 @@ def are_units(cells: Sequence[str], below: Sequence[str]) -> bool:
     return any(parse_unit(cell) is not None for cell in over_numbers)
 
 
-def _rows(path: Path, text: str, skip: Callable[[int], bool]) -> tuple[list[int], list[Cells], list[Cells]]:
+def _rows(path: Path, text: str, skip: Callable[[int], bool]) -> tuple[list[int], list[CsvCells], list[CsvCells]]:
     """Return line and cells of each row, and the comments before the first."""
     lines, rows, comments = [], [], []
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=_delimiter(text, skip))
@@ -78,7 +78,9 @@ def _rows(path: Path, text: str, skip: Callable[[int], bool]) -> tuple[list[int]
     return lines, rows, comments
 
 
-def _header(path: Path, lines: list[int], rows: list[Cells], comments: list[Cells]) -> tuple[Cells, Cells, int]:
+def _header(
+    path: Path, lines: list[int], rows: list[CsvCells], comments: list[CsvCells]
+) -> tuple[CsvCells, CsvCells, int]:
     """Return names, units (empty if the comments have none) and the number of the first row below the names.
 
     The names may be the last comment before numbers or units, or the one before it if that holds units.
@@ -96,19 +98,19 @@ def _header(path: Path, lines: list[int], rows: list[Cells], comments: list[Cell
     return first, [], 1
 
 
-def _mostly_units(cells: Cells) -> bool:
+def _mostly_units(cells: CsvCells) -> bool:
     """Return whether most cells are units, of those that do not mark a column without one."""
     stated = [cell for cell in cells if cell.strip() not in NO_UNIT]
     return sum(parse_unit(cell) is not None for cell in stated) > len(stated) / 2
 
 
-def _without_empty_ends(rows: list[Cells], width: int) -> list[Cells]:
+def _without_empty_ends(rows: list[CsvCells], width: int) -> list[CsvCells]:
     """Return the rows without the empty cell that a delimiter at the end of all of them makes."""
     longer = [len(cells) == width + 1 and not cells[-1].strip() for cells in rows]
     return [cells[:width] for cells in rows] if rows and all(longer[1:]) and any(longer) else rows
 
 
-def _with_points(path: Path, lines: list[int], rows: list[Cells]) -> list[Cells]:
+def _with_points(path: Path, lines: list[int], rows: list[CsvCells]) -> list[CsvCells]:
     """Return the rows, changed in place, with decimal commas as points, if no cell has a decimal point.
 
     Raises `BadInput` if all commas may as well separate thousands.

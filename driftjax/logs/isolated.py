@@ -17,7 +17,7 @@ PROCESS = Path(__file__).with_name("reader_process.py")
 
 
 def read_isolated(script: Path, path: Path, kind: str, remedy: str, content: bytes = b"") -> dict[str, np.ndarray]:
-    """Return the arrays that `read(path, content)` of a script returns; raises `BadInput` if it fails or crashes.
+    """Return the arrays that `read_arrays(path, content)` of a script makes; raises `BadInput` if it fails or crashes.
 
     The process dies with this one (on Linux).
     """

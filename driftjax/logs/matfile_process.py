@@ -10,7 +10,7 @@ import numpy as np
 EntryPath = tuple[str | int, ...]  # names of fields, and numbers of entries of cells and arrays of structs
 
 
-def read(_path: str, content: bytes) -> dict[str, np.ndarray]:
+def read_arrays(_path: str, content: bytes) -> dict[str, np.ndarray]:
     """Return the numeric arrays of a file, `value0` and so on, and their `places` as JSON."""
     import scipy.io
 

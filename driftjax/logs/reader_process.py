@@ -1,7 +1,7 @@
 """Child process of `driftjax.logs.isolated`: run one reader within a limit of memory; its arrays go to stdout as NPZ.
 
-A reader is a script with a function `read(path, content)` that returns arrays by name; it imports nothing of driftjax,
-which takes seconds.
+A reader is a script with a function `read_arrays(path, content)` that returns arrays by name; it imports nothing of
+driftjax, which takes seconds.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ def main(script: str, path: str, most_memory: int, parent: int) -> None:
     spec = importlib.util.spec_from_file_location("reader", script)
     assert spec is not None and spec.loader is not None
     spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
-    np.savez(buffer := io.BytesIO(), **module.read(path, content))
+    np.savez(buffer := io.BytesIO(), **module.read_arrays(path, content))
     stdout.buffer.write(buffer.getbuffer())
 
 
