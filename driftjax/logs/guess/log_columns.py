@@ -190,8 +190,8 @@ def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
             factor = meant.unit.factor if meant.unit and meant.unit.factor in fits else (fits[0] if fits else 1.0)
             best, best_column = score, (name, factor)
     if best_column is None:
-        raise BadInput(f"{path}: no column rises like a time and is named like one; call it 't', in seconds, or write the "
-                       "column map by hand (columns: t: its name).")  # fmt: skip
+        raise BadInput(f"{path}: no column rises like a time and is named like one; call it 't', in seconds, or write "
+                       "the column map by hand (columns: t: its name).")  # fmt: skip
     return best_column
 
 
