@@ -165,7 +165,7 @@ def search_from_far(
     loose = with_nominal_noise(problem)
     start = require_finite_cost(nominal_fit(loose))
     rough = search(loose, start, seed, most=most, report=report)
-    return search_with_own_noise(problem, rough, seed, most, report)
+    return search_with_own_noise(loose, rough, seed, most, report)
 
 
 def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
@@ -185,9 +185,14 @@ def disturbance_ratio(problem: Problem, selection: Selection) -> np.ndarray:
 def search_with_own_noise(
     problem: Problem, rough: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> tuple[Problem, Selection]:
-    """Search again with the noise of the car fitted in `rough`, starting from its effects; keep its nominal results."""
+    """Search again with the noise of the car fitted in `rough`, starting from its effects; keep its nominal results.
+
+    Where the observer with that noise loses the fitted car, `problem` and `rough`, the result of its search, stay.
+    """
     own = with_estimated_noise(problem, rough.fit.theta, problem.active)
     fit = refit_to_convergence(own, evaluate_fit(own, rough.fit.theta), own.columns(rough.selected))[0]
-    selection = search(own, require_finite_cost(fit), seed, rough.selected, most, report)
+    if not np.isfinite(fit.cost):
+        return problem, rough
+    selection = search(own, fit, seed, rough.selected, most, report)
     kept = {name: getattr(rough, name) for name in ("base", "nominal", "nominal_scores", "free")}
     return own, selection._replace(**kept)

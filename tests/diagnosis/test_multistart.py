@@ -88,6 +88,17 @@ def test_where_an_inferred_sideslip_is_lost_the_noise_is_taken_closer_to_the_ass
     np.testing.assert_allclose(loose.noise.as_vector(), expected)
 
 
+@pytest.mark.parametrize("cost", [np.inf, np.nan])
+def test_a_search_whose_own_noise_loses_the_car_keeps_what_it_had(monkeypatch, cost):
+    lost = SimpleNamespace(cost=cost)
+    monkeypatch.setattr(multistart, "with_estimated_noise", lambda problem, *_: problem)
+    monkeypatch.setattr(multistart, "evaluate_fit", lambda *_: lost)
+    monkeypatch.setattr(multistart, "refit_to_convergence", lambda *_: (lost, None))
+    problem: Any = SimpleNamespace(active=None, columns=lambda selected: np.zeros(0, int))
+    rough: Any = SimpleNamespace(fit=SimpleNamespace(theta=np.zeros(1)), selected=())
+    assert multistart.search_with_own_noise(problem, rough, 0, 4, lambda text: None) == (problem, rough)
+
+
 def test_data_that_no_car_can_have_made_are_refused():
     run = recorded(hidden(), 5, 8)[0]
     broken = (run.__class__(run.name, run.t, 1e200 * run.V, run.beta, run.r, run.delta, run.Fxr, run.dt, {}),)
