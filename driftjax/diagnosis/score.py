@@ -28,6 +28,7 @@ FREEDOM = 10  # degrees of freedom of their dispersion, at least
 COLOUR = 0.9  # quantile of the dispersions of other effects that theirs is at least
 MEDIAN = float(chi2.median(1))  # of the square of a standard normal number
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
+ROUNDED = 1e-12  # eigenvalue of an information matrix, over the largest, that is but rounding
 
 
 class Scores(NamedTuple):
@@ -289,8 +290,10 @@ def overdispersion(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> fl
 
     Mean eigenvalue of H^-1 (U'U) with the correction of `covariance` for few blocks: the first-order correction of a
     likelihood ratio whose samples depend on each other (Varin, Reid and Firth 2011, Sec. 2.3), and the c-hat of QAIC
-    (Burnham and Anderson 2002, Sec. 2.5).
+    (Burnham and Anderson 2002, Sec. 2.5). Directions without information have neither, and do not count.
     """
-    U, C = blocks[:, columns], len(blocks)
-    ratio = np.trace(np.linalg.solve(H[np.ix_(columns, columns)], U.T @ U)) / len(columns)
+    U, C, own = blocks[:, columns], len(blocks), H[np.ix_(columns, columns)]
+    inverse = np.linalg.pinv(own, ROUNDED, hermitian=True)
+    rank = max(round(np.sum(inverse * own)), 1)
+    ratio = np.sum(inverse * (U.T @ U)) / rank
     return float(max(ratio * C / max(C - len(columns), 1), 1.0))

@@ -246,3 +246,15 @@ def test_effects_of_several_parameters_can_be_taken_for_others():
         fit: Any = Fit(np.array(theta, float), 0.0, nothing)  # type: ignore[arg-type]
         selection = Selection((member,), fit, at, left, problem, fit, left)
         assert confusable_effects(problem, selection, member) == expected
+
+
+def test_a_direction_without_information_does_not_count_in_the_overdispersion():
+    """As of an effect whose samples are all lost, or of two with the same signature."""
+    rng = np.random.default_rng(0)
+    blocks, root = rng.standard_normal((200, 2)) * [3.0, 2.0], np.array([[1.0, 0.0], [0.0, 1.0], [0.5, -0.5]])
+    H = 200 * np.eye(2)
+    regular = overdispersion(H, blocks, np.arange(2))
+    assert regular == pytest.approx(np.mean((blocks**2).sum(axis=0) / 200) * 200 / 198)
+    silent = overdispersion(np.pad(H, (0, 1)), np.pad(blocks, ((0, 0), (0, 1))), np.arange(3))
+    mixed = overdispersion(root @ H @ root.T, blocks @ root.T, np.arange(3))
+    assert [silent, mixed] == pytest.approx([regular * 198 / 197] * 2)
