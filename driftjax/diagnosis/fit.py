@@ -128,10 +128,10 @@ def initial_problem(
     Effects `without` which the search is done keep their start values, as do those whose columns a run lacks and, where
     the force is not known, those that depend on it.
     """
-    known = all(map(has_force, runs))
+    data = measured_pieces(vehicle, runs)
+    known = data.force_known
     model = universal_car(vehicle, effects, stable_substeps(vehicle, runs), by_acceleration=not known)
     start = initial_theta(vehicle, model)
-    data = pieces(vehicle, runs) if known else pieces_by_acceleration(vehicle, runs)
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
@@ -147,11 +147,14 @@ def depends_on_force(effect: Effect) -> bool:
     return FAMILY_OF[effect.name] == DRIVE or effect.name in BY_FORCE
 
 
-def pieces_by_acceleration(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
-    """Return the pieces of runs whose acceleration stands for a drive force, with the smoothed speed beside commands.
+def measured_pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
+    """Cut runs into pieces; where one lacks the drive force, accelerations stand for it in all of them.
 
-    Speeds as measured stay among the measurements, for what pose and accelerations are compared with.
+    The smoothed speed is beside the commands then. Speeds as measured stay among the measurements, for what pose and
+    accelerations are compared with.
     """
+    if all(map(has_force, runs)):
+        return pieces(vehicle, runs)
     driven = with_inertial_force(vehicle, runs)
     data = pieces(vehicle, tuple(dataclasses.replace(run, Fxr=one.Fxr) for run, one in zip(runs, driven, strict=True)))
     smooth = pieces(vehicle, driven).padded

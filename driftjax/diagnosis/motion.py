@@ -47,7 +47,7 @@ class MotionNoise(NamedTuple):
     """Noise of the windows."""
 
     sigma: np.ndarray  # (5,) standard deviation, of means over a block where windows depend on each other
-    used: np.ndarray  # (P, n, 5) windows that count
+    used: np.ndarray  # (P, n, 5) windows that count, or (5,) channels
 
 
 def central_difference_of_first(f: Array, num: Array) -> Array:

@@ -5,13 +5,13 @@ extended car, and the one whose data would tell the rivals apart best is propose
 Hill 1967): the information that it adds says by how much the rivals' penalised costs would differ.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from driftjax.diagnosis.evidence import Cause, fit_dispersion
-from driftjax.diagnosis.fit import Problem, information
-from driftjax.diagnosis.runs import differentiate, fixed_gain, observer_gains, pieces
+from driftjax.diagnosis.fit import Problem, evaluate_fit, information, linearise, measured_pieces, with_noise
 from driftjax.diagnosis.score import partial_out
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.verdict import Judgement, Verdict, detectable_share
@@ -66,7 +66,8 @@ def propose_manoeuvre(
     now, each = value(zero), {run.name.rsplit("-", 1)[0]: value(H) for run, H in zip(runs, added, strict=True)}
     best = max(each, key=lambda name: each[name])
     what = "the least sure name's probability" if named else "the share of effects that would show"
-    text = f"Drive '{best}' for {DURATION:g} s next: it should raise {what} from {now:.2f} to {each[best]:.2f}."
+    same = ", with the same sensors" if problem.data.skip or not problem.data.force_known else ""
+    text = f"Drive '{best}' for {DURATION:g} s next{same}: it should raise {what} from {now:.2f} to {each[best]:.2f}."
     return Proposal(best, DURATION, now, each[best], each, text)
 
 
@@ -76,12 +77,28 @@ def in_full_catalogue(problem: Problem, theta: np.ndarray) -> np.ndarray:
     return np.concatenate([own.get(name, np.zeros(len(e.parameters))) for name, e in EFFECTS.items()])
 
 
-def added_information(vehicle: VehicleConfig, problem: Problem, selection: Selection, runs) -> list[np.ndarray]:
-    """Return the information (K, K) that each of `runs` would add, linearised at the fit."""
-    data = pieces(vehicle, runs)
-    own = observer_gains(problem.model, data, problem.start, problem.noise.as_vector(), fixed_gain(data))
-    linearisation = differentiate(problem.model, data, selection.fit.theta, own, problem.active)
-    return [information(linearisation.J[data.run == i]) for i in range(len(runs))]
+def added_information(
+    vehicle: VehicleConfig, problem: Problem, selection: Selection, runs: tuple[Run, ...]
+) -> list[np.ndarray]:
+    """Return the information (K, K) that each of `runs` would add, linearised at the fit.
+
+    Channels that the log of the `problem` lacks are not measured in them either.
+    """
+    data = measured_pieces(vehicle, tuple(_as_logged(run, problem) for run in runs))
+    theta, motion = selection.fit.theta, problem.motion
+    if motion is not None:  # a channel of which some windows count counts in all of theirs
+        motion = motion._replace(used=motion.used.any(axis=(0, 1)))
+    driven = with_noise(problem._replace(data=data, motion=motion), theta, problem.noise)
+    J = np.asarray(linearise(driven, evaluate_fit(driven, theta)).J)
+    return [information(J[data.run == i]) for i in range(len(runs))]
+
+
+def _as_logged(run: Run, problem: Problem) -> Run:
+    """Return the run with the channels that the log of the `problem` has."""
+    missing, log = np.full(len(run.t), np.nan), problem.data
+    extra = {name: values for name, values in run.extra.items() if name in problem.extra_columns}
+    beta, Fxr = (missing if log.skip else run.beta), (run.Fxr if log.force_known else missing)
+    return replace(run, beta=beta, Fxr=Fxr, extra=extra)
 
 
 def _least_sure(problem: Problem, selection: Selection, named: list[Cause], added: np.ndarray) -> float:

@@ -17,6 +17,7 @@ from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
+from driftjax.diagnosis.propose import added_information
 from driftjax.diagnosis.runs import resolved_log, run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -90,6 +91,17 @@ def test_a_sideslip_sensor_would_add_information_and_the_sentence_says_what():
     assert with_it[front, front] > 1.5 * without_it[front, front]
     unidentifiable = find_unidentifiable(problem, selection, {i: () for i in selection.selected})
     assert unidentifiable.channels == ("beta",) and unidentifiable.sentence.startswith("The log has no sideslip;")
+
+
+def test_a_proposed_manoeuvre_is_judged_by_the_channels_that_the_log_has():
+    """The library drives with a sideslip sensor, whose information this log cannot get."""
+    problem, selection = named()
+    runs = without(measured()[:2])
+    added = added_information(sedan(), problem, selection, runs)
+    of_log = [information(selection.linearisation.J[problem.data.run == i]) for i in range(2)]
+    np.testing.assert_allclose(added, of_log, rtol=0.05, atol=0.01 * np.abs(of_log).max())
+    front, better = ORDER.index("stiffness_front"), information_with_sideslip(problem, selection)
+    assert sum(H[front, front] for H in added) < 0.8 * better[front, front]
 
 
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():
