@@ -37,7 +37,8 @@ TOGETHER = (
 class PaddedRun(NamedTuple):
     """One padded run: T samples, preceded by w commands."""
 
-    commands: Float[Array, "w+T 2"]
+    commands: Float[Array, "w+T 2"]  # means over the step after each sample
+    changes: Float[Array, "w+T 2"]  # of the commands over that step
     V: Float[Array, " w+T"]
     place: Place  # fields (T,)
     y: Float[Array, "T 3"]  # measured V, beta, r; zero where missing
@@ -127,7 +128,7 @@ def command_response(model: Universal, run: PaddedRun, dt: float) -> Float[Array
         here = jnp.arange(len(Fxr)) + whole.astype(int)
         first, following = (Fxr[jnp.minimum(at, last)] for at in (here, here + 1))
         Fxr = first + (late - whole) * (following - first)
-    return actuator_response(model, jnp.stack([delta, Fxr], axis=1), run.V, dt)
+    return actuator_response(model, jnp.stack([delta, Fxr], axis=1), run.V, dt, run.changes)
 
 
 def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ extended car, and the one whose data would tell the rivals apart best is propose
 Hill 1967): the information that it adds says by how much the rivals' penalised costs would differ.
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,8 +16,8 @@ from driftjax.diagnosis.fit import Problem, evaluate_fit, information, linearise
 from driftjax.diagnosis.score import partial_out
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.verdict import Judgement, Verdict, detectable_share
-from driftjax.logs import Run
-from driftjax.manoeuvres.campaign import Campaign, record_runs
+from driftjax.logs import Log, Run
+from driftjax.manoeuvres.campaign import SLOWEST_RATE, Campaign, record_runs
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.effect import EFFECTS
@@ -25,14 +26,18 @@ DURATION = 10.0  # of a proposed run [s]
 
 
 def drivable_runs(vehicle: VehicleConfig, theta: np.ndarray, rate: float, seed: int) -> tuple[Run, ...]:
-    """Record every manoeuvre of the library that the car can drive: no drift without a drift equilibrium."""
+    """Record every manoeuvre of the library that the car can drive: no drift without a drift equilibrium.
+
+    Its driver is as fast as a `Campaign` asks for, also where the log has a lower `rate` [Hz].
+    """
     runs: list[Run] = []
+    driven = rate * math.ceil(SLOWEST_RATE / rate)
     for name in MANOEUVRES:
         try:
-            runs += record_runs(vehicle, theta, Campaign((name,), DURATION, rate, seed=seed))[0]
+            runs += record_runs(vehicle, theta, Campaign((name,), DURATION, driven, seed=seed))[0]
         except NoDrift:
             continue
-    return tuple(runs)
+    return Log(tuple(runs)).thin(rate).runs if runs else ()
 
 
 class Proposal(NamedTuple):
@@ -55,7 +60,7 @@ def propose_manoeuvre(
     """
     if judgement.verdict not in (Verdict.SET, Verdict.DATA_INSUFFICIENT):
         return None
-    runs = drivable_runs(vehicle, in_full_catalogue(problem, selection.fit.theta), round(1 / problem.data.dt), seed)
+    runs = drivable_runs(vehicle, in_full_catalogue(problem, selection.fit.theta), 1 / problem.data.dt, seed)
     if not runs:
         return None
     value = lambda H: (

@@ -178,10 +178,13 @@ def _piece_of(run: Run, beta: np.ndarray, place: Place, k: int, size: int) -> Pa
     valid = np.concatenate([np.isfinite(part), np.zeros((short, 3), bool)])
     start = [np.median(column[k : k + 3]) for column in (fill_gaps(run.V), beta, fill_gaps(run.r))]
     commands, V = lead(np.stack([run.delta, run.Fxr], axis=1))[window], lead(fill_gaps(run.V))[window]
+    changes = np.concatenate([np.zeros((w, 2)), run.command_changes])[window]
     y = np.where(valid, pad(part), 0.0)
     there = Place(*(jnp.asarray(pad(np.asarray(column)[here])) for column in place))
     return PaddedRun(
-        *jax.tree.map(jnp.asarray, (pad(commands), pad(V), there, y, valid.astype(float), np.array(start)))
+        *jax.tree.map(
+            jnp.asarray, (pad(commands), pad(changes), pad(V), there, y, valid.astype(float), np.array(start))
+        )
     )
 
 

@@ -29,6 +29,7 @@ class Window(NamedTuple):
     """Commands of a prediction, and the history before it."""
 
     commands: Float[Array, "w 2"]  # from SETTLE before the start to the horizon
+    changes: Float[Array, "w 2"]  # of the commands over the step after each sample
     V: Float[Array, " w"]
     y: Float[Array, "n 3"]  # measured V, beta, r from the start on; the standard manoeuvre has its start only
     place: Place  # fields (n,)
@@ -88,7 +89,7 @@ def _rms(off: np.ndarray) -> tuple[float, ...]:
 def _predict(model: Universal, windows: Window, dt: float) -> Float[Array, "S n 3"]:
     def one(window: Window) -> Array:
         num = len(window.y) - 1
-        inputs = actuator_response(model, window.commands, window.V, dt)
+        inputs = actuator_response(model, window.commands, window.V, dt, window.changes)
         before, u = inputs[-num - 1], inputs[-num:]
         place = lambda k: jax.tree.map(lambda a: a[k], window.place)
 
@@ -117,7 +118,8 @@ def _of_run(run: Run, num: int, every: int, unit: float) -> list[Window]:
 def _window(run: Run, start: int, num: int) -> Window:
     """Return the window of `num` steps from sample `start`; before the run its first command is held."""
     warm = round(SETTLE / run.dt)
-    rows = np.clip(np.arange(start - warm, start + num), 0, None)
+    rows = np.arange(start - warm, start + num)
+    changes, rows = np.where(rows[:, None] < 0, 0.0, run.command_changes[rows]), np.clip(rows, 0, None)
     V = np.interp(run.t, run.t[np.isfinite(run.V)], run.V[np.isfinite(run.V)])
     r = np.where(np.isfinite(run.r), run.r, 0.0)
     here = slice(start, start + num + 1)
@@ -125,5 +127,5 @@ def _window(run: Run, start: int, num: int) -> Window:
     s = run.extra.get("s", np.zeros(len(run.t)))
     place: list[Any] = [run.t[here], psi, (s / max(float(np.nanmax(s)), 1e-9))[here], np.zeros(num + 1)]
     y = np.stack([run.V, run.beta, run.r], axis=1)[here]
-    parts: list[Any] = [np.stack([run.delta, run.Fxr], axis=1)[rows], V[rows], y, Place(*place)]
+    parts: list[Any] = [np.stack([run.delta, run.Fxr], axis=1)[rows], changes, V[rows], y, Place(*place)]
     return Window(*parts)

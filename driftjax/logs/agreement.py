@@ -89,7 +89,8 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
     """Return the channels of a run and their rates, as `smooth_with_rate` does; NaN at low speed too."""
     V = fill_gaps(run.V)
     fast = V > SLOW * V.max()
-    raw = {name: getattr(run, name) for name in ("V", "beta", "r", "delta")} | run.extra
+    steered = run.delta - run.command_changes[:, 0] / 2  # at the sample
+    raw = {"V": run.V, "beta": run.beta, "r": run.r, "delta": steered} | run.extra
     both = {name: [np.where(fast, one, np.nan) for one in smooth_with_rate(y, run.dt)] for name, y in raw.items()}
     return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
 

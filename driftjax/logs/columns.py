@@ -148,6 +148,9 @@ class ColumnMap:
     """What stands for Fxr where there is no force channel."""
     position_from: Position | None = None
     """What x and y are computed from where the log has latitude and longitude."""
+    linear: tuple[str, ...] = ()
+    """Channels `delta`, `Fxr` that were measured and change linearly from sample to sample; left out: they are held, as
+    commands are."""
     rate: float | None = None
     """Sample rate to thin the log to, or to resample uneven time steps to [Hz]; left out: that of the log."""
     base: str | None = None
@@ -167,6 +170,8 @@ class ColumnMap:
         require(names.count("vx") == names.count("vy"), "key 'columns' maps one of vx and vy; map both, or V and beta.")
         lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
         require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
+        if other := [name for name in self.linear if name not in COMMANDS]:
+            require(False, f"key 'linear' has '{other[0]}'; it may have {' and '.join(COMMANDS)}.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
 
         require(

@@ -39,13 +39,22 @@ class Run:
     r: np.ndarray
     """Yaw rate [rad/s], left positive."""
     delta: np.ndarray
-    """Commanded steering angle [rad], left positive."""
+    """Commanded steering angle [rad], left positive; mean over the time to the next sample."""
     Fxr: np.ndarray
     """Commanded longitudinal force of the rear axle [N], driving positive; NaN throughout where the log has none."""
     dt: float
     """Sample time [s]."""
     extra: dict[str, np.ndarray] = field(default_factory=dict)
     """What else was measured: x, y, s, e [m], psi [rad], ax, ay [m/s^2], wheel speeds wfl, wfr, wrl, wrr [rad/s]."""
+    linear: tuple[str, ...] = ()
+    """Which of delta and Fxr change linearly between samples, as measured ones do; others are held."""
+
+    @property
+    def command_changes(self) -> np.ndarray:
+        """Return the changes (n, 2) of delta [rad] and Fxr [N] over the time to the next sample, zero where held."""
+        still = np.zeros(len(self.t))
+        change = lambda name: sampling.changes_to_next(getattr(self, name)) if name in self.linear else still
+        return np.stack([change(name) for name in COMMANDS], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +148,7 @@ def read_log(
             raise BadInput(f"{path}: holds the same as {twin}; give each log once.")
         for raw in raw_runs(_table(path, kind, content, columns, notes), columns, notes):
             name = raw.name if raw.name not in read else f"{path.stem}/{raw.name}"
-            for part in prepare_segments(raw, columns.rate if columns else None, notes):
+            for part in prepare_segments(raw, columns, notes):
                 free = _free_name(name, read)
                 read[free] = _run(free, part)
     if not read:
@@ -151,7 +160,7 @@ def read_log(
 
 def _thin(run: Run, factor: int) -> Segment:
     values = {name: getattr(run, name) for name in CHANNELS[1:]} | run.extra
-    return Segment(*sampling.thin(run.t, values, COMMANDS, factor), factor * run.dt)
+    return Segment(*sampling.thin(run.t, values, COMMANDS, factor), factor * run.dt, run.linear)
 
 
 def _cut(run: Run, num: int) -> list[Run]:
@@ -161,8 +170,9 @@ def _cut(run: Run, num: int) -> list[Run]:
     for start, stop in zip(edges, [*edges[1:], len(run.t)], strict=True):
         of = lambda values: values[start:stop]  # noqa: B023
         main = {name: of(getattr(run, name)) for name in CHANNELS}
+        extra = {key: of(values) for key, values in run.extra.items()}
         name = f"{run.name}@{run.t[start] - run.t[0]:g}" if len(edges) > 1 else run.name
-        parts.append(Run(name, **main, dt=run.dt, extra={key: of(values) for key, values in run.extra.items()}))
+        parts.append(dataclasses.replace(run, name=name, **main, extra=extra))
     return parts
 
 
@@ -188,7 +198,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 def _run(name: str, part: Segment) -> Run:
     main = {key: part.values[key] for key in CHANNELS[1:]}
     extra = {key: part.values[key] for key in EXTRA if key in part.values}
-    return Run(name, part.t, **main, dt=part.dt, extra=extra)
+    return Run(name, part.t, **main, dt=part.dt, extra=extra, linear=part.linear)
 
 
 def _free_name(name: str, taken: Container[str]) -> str:

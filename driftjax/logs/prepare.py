@@ -6,7 +6,7 @@ import numpy as np
 
 from driftjax.logs import sampling
 from driftjax.logs.checks import check_time, check_values, count_missing, invalid_sideslip
-from driftjax.logs.columns import COMMANDS, OPTIONAL
+from driftjax.logs.columns import COMMANDS, OPTIONAL, ColumnMap
 from driftjax.logs.raw import RawRun
 
 
@@ -19,13 +19,17 @@ class Segment(NamedTuple):
     """All channels but `t`."""
     dt: float
     """Sample time [s]."""
+    linear: tuple[str, ...] = ()
+    """Commands that change linearly between samples: means over the time to the next one."""
 
 
-def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[Segment]:
-    """Return the segments of a run: checked, split at long gaps, evenly sampled, thinned to `rate` [Hz].
+def prepare_segments(raw: RawRun, columns: ColumnMap | None, notes: list[str]) -> list[Segment]:
+    """Return the segments of a run: checked, split at long gaps, evenly sampled, thinned to the rate of `columns`.
 
+    Commands that are linear between samples become means over the time to the next sample.
     Repairs and omissions are appended to `notes` as sentences. Raises `BadInput` as in `driftjax.logs.checks`.
     """
+    rate, linear = (columns.rate, columns.linear) if columns else (None, ())
     run = raw.select_rows(np.isfinite(raw.values["t"]))
     if lost := len(raw.lines) - len(run.lines):
         notes.append(f"{raw.where}: rows without a time were left out: {lost}.")
@@ -43,7 +47,7 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
         notes.append(f"{raw.where}: rows too few between gaps were left out: {short}.")
     if len(long) > 1:
         notes.append(f"{raw.where}: was cut at gaps into {len(long)} parts.")
-    segments = [_even(stretch, dt, every) for stretch in long]
+    segments = [_with_means(_even(stretch, dt, every), linear) for stretch in long]
     if every > dt:
         notes.append(f"{raw.where}: its uneven time steps, {every:.3g} s or less, were resampled to {1 / dt:.4g} Hz.")
     else:
@@ -51,7 +55,7 @@ def prepare_segments(raw: RawRun, rate: float | None, notes: list[str]) -> list[
     if factor == 1:
         return segments
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
-    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor) for part in segments]
+    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor, linear) for part in segments]
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:
@@ -97,6 +101,11 @@ def _even(run: RawRun, dt: float, every: float) -> Segment:
     if not sampling.is_uniform(t, dt):
         t, values = sampling.resample_channels(t, values, COMMANDS, dt, every)
     return Segment(t, values, dt)
+
+
+def _with_means(part: Segment, linear: tuple[str, ...]) -> Segment:
+    means = {name: sampling.means_to_next(part.values[name]) for name in linear}
+    return part._replace(values=part.values | means, linear=linear)
 
 
 def _note_repairs(raw: RawRun, stretches: list[RawRun], dt: float, notes: list[str]) -> None:

@@ -132,9 +132,11 @@ def _roles(columns: ColumnMap) -> dict[str, str]:
     drive = columns.Fxr_from
     state = [*columns.run, *(condition.column for condition in columns.where)]
     state += [drive.times] if drive and drive.times else []
-    command = [channel.column for channel in columns.columns if channel.name in COMMANDS]
-    command += [drive.column] if drive else []
-    measured = [channel.column for channel in columns.columns if channel.name not in COMMANDS]
+    held = [name for name in COMMANDS if name not in columns.linear]
+    command = [channel.column for channel in columns.columns if channel.name in held]
+    measured = [channel.column for channel in columns.columns if channel.name not in held]
+    if drive:
+        (command if "Fxr" in held else measured).append(drive.column)
     measured += [columns.position_from.latitude, columns.position_from.longitude] if columns.position_from else []
     ranks = {"measured": measured, "command": command, "state": state}  # what is measured is, whatever else it is for
     roles = dict(chain.from_iterable(((name, role) for name in names) for role, names in reversed(ranks.items())))

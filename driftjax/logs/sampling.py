@@ -135,6 +135,16 @@ def thin(t: np.ndarray, values: Channels, averaged: tuple[str, ...], factor: int
     }
 
 
+def means_to_next(values: np.ndarray) -> np.ndarray:
+    """Return the means (n,) of `values` (n,) over the time to the next sample, if they change linearly until there."""
+    return np.append((values[1:] + values[:-1]) / 2, values[-1:])
+
+
+def changes_to_next(means: np.ndarray) -> np.ndarray:
+    """Return the changes (n,) over the time to the next sample of values with these `means` (n,) over it."""
+    return np.gradient(means) if len(means) > 1 else np.zeros_like(means)
+
+
 def thinning_factor(dt: float, rate: float, where: str) -> int:
     """Return the samples of sample time `dt` [s] per sample at `rate` [Hz]; raises `BadInput` if not whole."""
     factor = max(round(1 / (dt * rate)), 1)

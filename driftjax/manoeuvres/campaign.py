@@ -22,6 +22,7 @@ from driftjax.vehicle.single_track import G
 from driftjax.vehicle.universal import universal_car
 
 REDRAWS = 5  # how often a run that spins is drawn again
+SLOWEST_RATE, FASTEST_RATE = 20.0, 1000.0  # of log and driver [Hz]
 SPIN, SLOWEST = 1.2, 0.3  # a run is lost beyond this sideslip [rad], below this share of sqrt(g L)
 STEP = 1e-3  # longest step of the plant [s]
 PLACE = (0.007, 0.0035)  # typical noise of positions over the wheelbase, of the heading [rad]
@@ -59,7 +60,8 @@ class Campaign:
         for name in self.manoeuvres:
             require(name in MANOEUVRES, f"key 'manoeuvres' has '{name}'; choose from {', '.join(MANOEUVRES)}.")
         require(0.5 <= self.duration <= 600, f"key 'duration' is {self.duration}; it lies in 0.5..600 s.")
-        require(20 <= self.rate <= 1000, f"key 'rate' is {self.rate}; it lies in 20..1000 Hz.")
+        slow, fast = SLOWEST_RATE, FASTEST_RATE
+        require(slow <= self.rate <= fast, f"key 'rate' is {self.rate}; it lies in {slow:g}..{fast:g} Hz.")
         for name, most in (("noise", 20), ("process_noise", 20), ("dropouts", 0.5), ("outliers", 0.5)):
             value = getattr(self, name)
             require(0 <= value <= most, f"key '{name}' is {value}; it lies in 0..{most}.")

@@ -26,21 +26,28 @@ class StepResult(NamedTuple):
 
 
 def actuator_response(
-    model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"], dt: float
-) -> Float[Array, "w 4"]:
-    """Return means and slopes of the actuator response from rest to held commands: steering [rad], drive [N].
+    model: Universal, commands: Float[Array, "w 2"], V: Float[Array, " w"], dt: float,
+    changes: Float[Array, "w 2"] | None = None,
+) -> Float[Array, "w 4"]:  # fmt: skip
+    """Return means and slopes of the actuator response from rest to commands: steering [rad], drive [N].
 
+    `commands` are means over each step, in which they change linearly by `changes`; without these they are held.
     Lags and delays have finite memory: start `SETTLE` before the commands of interest.
     """
+    changes = jnp.zeros_like(commands) if changes is None else changes
 
     def move(memory, row):
-        command, speed = row
-        fine = lambda memory, _: model.apply_actuators(memory, Control(command[0], command[1]), speed, dt / FINE)
-        memory, u = jax.lax.scan(fine, memory, length=FINE)
+        command, change, speed = row
+
+        def fine(memory, where):
+            now = command + where * change / 2
+            return model.apply_actuators(memory, Control(now[0], now[1]), speed, dt / FINE)
+
+        memory, u = jax.lax.scan(fine, memory, jnp.asarray(WHERE))
         u = jnp.stack(u)
         return memory, jnp.concatenate([u.mean(axis=1), (u * WHERE).mean(axis=1) / np.mean(WHERE**2)])
 
-    return jax.lax.scan(move, model.start(dt / FINE), (commands, V))[1]
+    return jax.lax.scan(move, model.start(dt / FINE), (commands, changes, V))[1]
 
 
 def begin(model: Universal, x0: Float[Array, "3"], before: Float[Array, "4"], place: Place) -> Float[Array, "6"]:

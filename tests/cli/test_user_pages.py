@@ -1,5 +1,6 @@
 """Pages for one kind of user: their commands run, and print what the pages show."""
 
+import json
 import re
 from pathlib import Path
 
@@ -16,17 +17,22 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
-def test_a_page_prints_what_its_commands_print(name, tmp_path, monkeypatch, capsys):
-    """A block of YAML that begins with the name of a file is that file; `...` stands for left-out lines."""
-    monkeypatch.chdir(tmp_path)
-    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+def write_inputs(name: str, page: str) -> None:
+    """A block of YAML that begins with the name of a file is that file."""
     for block in blocks(page, "yaml"):
         if file := re.match(r"# (\w+\.yaml)\n", block):
             Path(file[1]).write_text(block)
     if RECORDINGS[name]:
         file, write = RECORDINGS[name]
         write(Path(file))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_a_page_prints_what_its_commands_print(name, tmp_path, monkeypatch, capsys):
+    """`...` stands for left-out lines."""
+    monkeypatch.chdir(tmp_path)
+    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    write_inputs(name, page)
     shown = [block for block in blocks(page, "text") if block.startswith("$ driftjax ")]
     assert shown
     for block in shown:
@@ -35,3 +41,19 @@ def test_a_page_prints_what_its_commands_print(name, tmp_path, monkeypatch, caps
         said = [line.rstrip() for line in capsys.readouterr().out.strip().split("\n")]
         assert [line for line in lines if line.rstrip() not in [*said, "..."]] == []
         assert "..." in lines or len(lines) == len(said)
+
+
+@pytest.mark.slow
+def test_the_two_wrong_stiffnesses_of_the_matlab_example_are_named_and_nothing_else(tmp_path, monkeypatch):
+    """Ten wrong effects were, while its inputs were taken for held ones."""
+    monkeypatch.chdir(tmp_path)
+    page = (PAGES / "matlab.md").read_text(encoding="utf-8")
+    write_inputs("matlab", page)
+    (command,) = [block for block in blocks(page, "") if block.startswith("driftjax diagnose ")]
+    assert main([*command.split()[1:], "--no-gp"]) == 0
+    diagnosis = json.loads(Path("runs/v70/diagnosis.json").read_text())
+    causes = {cause["effect"]: cause["parameters"]["p"] for cause in diagnosis["causes"]}
+    assert diagnosis["verdict"] == "NAMED" and set(causes) == {"friction", "drive_gain"}
+    for effect, truth in (("friction", 1 / 4), ("drive_gain", 1 / 3)):
+        low, high = causes[effect]["ci95"]
+        assert low <= truth <= high and high - low < 0.02

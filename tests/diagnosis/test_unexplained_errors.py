@@ -21,6 +21,7 @@ from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
 from driftjax.diagnosis.unexplained_errors import best_term, find_unexplained, generic_terms, rates_of_forces
 from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict, describe_answer
+from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
 from driftjax.vehicle.single_track import G
@@ -227,15 +228,19 @@ def test_the_next_manoeuvre_should_tell_rivals_apart():
     assert min(proposal.others.values()) < proposal.after  # coasting straight tells little of load transfer in a drift
 
 
-def test_a_car_that_cannot_drift_is_offered_what_it_can_drive(monkeypatch):
+@pytest.mark.parametrize(("rate", "driven"), [(100.0, 100.0), (10.0, 20.0), (8.0, 24.0)])
+def test_a_car_that_cannot_drift_is_offered_what_it_can_drive_at_the_rate_of_its_log(monkeypatch, rate, driven):
     def record(vehicle, theta, campaign):
         if "drift" in campaign.manoeuvres[0]:
             raise NoDrift("it has no drift equilibrium.")
-        return campaign.manoeuvres, None
+        assert campaign.rate == driven
+        t = np.arange(48) / campaign.rate
+        return (Run(campaign.manoeuvres[0], t, t, t, t, t, t, 1 / campaign.rate),), None
 
     monkeypatch.setattr(next_manoeuvre, "record_runs", record)
-    names = next_manoeuvre.drivable_runs(sedan(), np.zeros(1), 100, 0)
-    assert names == tuple(name for name in MANOEUVRES if "drift" not in name) and names
+    runs = next_manoeuvre.drivable_runs(sedan(), np.zeros(1), rate, 0)
+    assert [run.name for run in runs] == [name for name in MANOEUVRES if "drift" not in name]
+    assert all(run.dt == pytest.approx(1 / rate) for run in runs)
 
 
 def test_a_drift_that_there_is_not_is_refused_by_its_name():

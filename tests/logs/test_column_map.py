@@ -81,6 +81,26 @@ def test_a_column_map_thins_to_a_rate(tmp_path):
             read_log([path], replace(own, rate=rate))
 
 
+def test_a_measured_steering_angle_is_linear_between_samples_and_a_command_is_held(tmp_path):
+    values = columns()
+    values["delta"], values["Fxr"] = (0.2 * np.sin(5 * np.array(values["t"])) for _ in range(2))
+    path = write(tmp_path / "log.csv", values)
+    own = ColumnMap(tuple(Channel(name, name) for name in CHANNELS), linear=("delta",))
+    (run,) = read_log([path], own).runs
+    np.testing.assert_array_equal(run.Fxr, values["Fxr"])
+    np.testing.assert_allclose(run.delta[:-1], (values["delta"][1:] + values["delta"][:-1]) / 2)
+    np.testing.assert_allclose(run.command_changes[1:-2, 0], np.diff(values["delta"])[1:-1], atol=1e-5)
+    assert not run.command_changes[:, 1].any()
+    (thin,) = read_log([path], replace(own, rate=20.0)).runs
+    whole = np.arange(0, len(values["t"]) - 5, 5)
+    mean = [np.trapezoid(values["delta"][k : k + 6]) / 5 for k in whole]
+    np.testing.assert_allclose(thin.delta[: len(whole)], mean)
+    parts = read_log([path], own).split_runs(0.1).runs
+    assert {part.linear for part in parts} == {("delta",)} and len(parts) > 1
+    with pytest.raises(BadInput, match="key 'linear' has 'V'; it may have delta and Fxr"):
+        replace(own, linear=("V",))
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

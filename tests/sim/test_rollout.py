@@ -162,6 +162,26 @@ def test_lagging_steering_is_that_of_the_differential_equation(tau):
     np.testing.assert_allclose(inputs[:, 1::2], np.tile([500.0, 0.0], (lead + num, 1)), atol=1e-10)
 
 
+@pytest.mark.parametrize("effects", [{}, {"steer_lag": 0.07, "steer_delay": 0.03}], ids=("immediate", "late"))
+def test_linear_commands_are_those_of_many_short_held_ones(effects):
+    model, lead, num, fine = car_with(**effects), round(SETTLE / DT), 40, 32
+    t = DT * np.arange(lead + num)
+    command = lambda t: np.stack([np.interp(t, [1.0, 1.1, 1.3], [0.0, 0.3, -0.1]), 0 * t], axis=1)
+    means, changes = (command(t) + command(t + DT)) / 2, command(t + DT) - command(t)
+    V = lambda n: jnp.full(n, 10.0)
+    inputs = actuator_response(model, jnp.asarray(means), V(len(t)), DT, jnp.asarray(changes))
+    short = (np.arange(fine * len(t)) + 0.5) * DT / fine
+    exact = actuator_response(model, jnp.asarray(command(short)), V(len(short)), DT / fine)[:, 0].reshape(-1, fine)
+    where = (2 * np.arange(fine) + 1) / fine - 1
+    tilt = (exact * where).mean(axis=1) / np.mean(where**2)
+    size = np.abs(changes).max()
+    np.testing.assert_allclose(inputs[lead:, 0], exact.mean(axis=1)[lead:], atol=0.01 * size)
+    np.testing.assert_allclose(inputs[lead:, 2], tilt[lead:], atol=0.03 * size)
+    if not effects:
+        held = actuator_response(model, jnp.asarray(means), V(len(t)), DT)
+        assert np.abs(held[lead:, 2] - tilt[lead:]).max() > 0.4 * size
+
+
 def lagging_behind(jumps, tau):
     """Lag error of a first-order lag at the start of each step, after the jump there."""
     behind = [0.0]
