@@ -19,6 +19,7 @@ from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
     CONDITION,
+    NONE,
     Scores,
     covariance,
     half_widths_from,
@@ -180,6 +181,9 @@ def p_value_of(contrast: Contrast, selected: tuple[int, ...], member: int, seed:
     rest = tuple(i for i in selected if i != member)
     result = difference_scores(contrast, psi, rest, seed)
     P = partial_out(result.H, parameters_of(contrast.cost, rest))
+    own = own[np.diag(P.T @ result.H @ P)[own] > NONE]
+    if not len(own):
+        return 1.0
     effective, known = result.blocks @ P[:, own], P[:, own].T @ result.H @ P[:, own]
     U = known @ psi[own]
     size = float(np.abs(U / np.sqrt(np.maximum((effective**2).sum(axis=0), np.diag(known)))).max())

@@ -18,6 +18,7 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from driftjax.diagnosis.fit import Problem, information
+from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import Linearisation
 
 DRAWS = 1999  # of the random signs
@@ -27,6 +28,7 @@ FEW_SHARE = 0.2  # of the family-wise rate that is spent on these, where there a
 FREEDOM = 10  # degrees of freedom of their dispersion, at least
 COLOUR = 0.9  # quantile of the dispersions of other effects that theirs is at least
 MEDIAN = float(chi2.median(1))  # of the square of a standard normal number
+NONE = 1e-9  # information in typical sizes below which the data hold none
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
 ROUNDED = 1e-12  # eigenvalue of an information matrix, over the largest, that is but rounding
 
@@ -257,9 +259,11 @@ def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.nda
     """Return the covariance of the parameters `columns`, from information (K, K) and scores by block (C, K).
 
     It is robust to dependence within blocks, never below the model's own: sandwich with the correction C / (C - k) of
-    few clusters (Cameron and Miller 2015, Eq. 12).
+    few clusters (Cameron and Miller 2015, Eq. 12). That of parameters without information, as of the delay of a channel
+    that the log lacks, is the prior's.
     """
-    inverse = np.linalg.inv(H[np.ix_(columns, columns)])
+    known = H[np.ix_(columns, columns)]
+    inverse = np.linalg.inv(known + np.diag((np.diag(known) < NONE) / PRIOR**2))
     U = blocks[:, columns]
     C = len(U)
     robust = inverse @ (U.T @ U) @ inverse * C / max(C - len(columns), 1)

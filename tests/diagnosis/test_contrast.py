@@ -17,15 +17,16 @@ from driftjax.diagnosis.contrast import (
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Errors
 from driftjax.diagnosis.gap import closed_share, overlaps
+from driftjax.diagnosis.noise import PRIOR
 from driftjax.logs import Run
 
 C, N, K, RUNS = 40, 12, 7, 5  # blocks, measurements in each, effects, runs of each log
 NOTHING: Any = None
 
 
-def problem() -> Problem:
-    model: Any = SimpleNamespace(effects=(NOTHING,) * K)
-    known = np.zeros(K), np.arange(K), frozenset[str](), np.ones(K, bool)
+def problem(owner: np.ndarray = np.arange(K)) -> Problem:
+    model: Any = SimpleNamespace(effects=(NOTHING,) * (owner.max() + 1))
+    known = np.zeros(K), owner, frozenset[str](), np.ones(K, bool)
     return Problem(model, NOTHING, np.full(K, -4.0), np.full(K, 4.0), *known, NOTHING, NOTHING)
 
 
@@ -85,6 +86,22 @@ def test_what_one_log_alone_excites_is_no_difference():
     rng, excited = np.random.default_rng(4), np.where(np.arange(K) == 3, 1e-3, 1.0)
     a = log_of(rng, SHARED, excited=excited)
     assert search_differences(contrast_of(problem(), a, log_of(rng, SHARED + CHANGE)), 0, 8) == ()
+
+
+def test_a_difference_is_named_by_the_parameters_that_the_logs_say_something_of():
+    """As delays of the sensors, of which one is that of a channel that no log has."""
+    rng, owner, excited = (
+        np.random.default_rng(9),
+        np.array([0, 1, 2, 3, 3, 4, 5]),
+        np.where(np.arange(K) == 4, 0.0, 1.0),
+    )
+    logs = [log_of(rng, theta * excited, excited=excited) for theta in (SHARED, SHARED + CHANGE)]
+    one = contrast_of(problem(owner), *logs)
+    assert search_differences(one, 0, 8) == (3,)
+    (value, nothing), (width, prior) = intervals(one, (3,))
+    assert value == pytest.approx(CHANGE[3], abs=width) and width < 0.3
+    assert nothing == pytest.approx(0.0, abs=1e-9) and prior > 1.9 * PRIOR
+    np.testing.assert_allclose(intervals(contrast_of(problem(), *logs), (3,)), [[value], [width]], rtol=0.03)
 
 
 def errors(V: float, r: float, seed: int = 5) -> Errors:
