@@ -1,5 +1,7 @@
 """Find outliers: single samples of a sensor that differ from both neighbours by much more than its noise.
 
+Yaw rates that no car reaches are outliers at any rate, as where a heading that was differentiated jumps by 2 pi.
+
 They contain nothing about the car and are removed before anything is fitted (Hampel 1985), so that no hypothesis can
 gain by explaining them. A car's own motion lasts for several samples; a step, or a value that is held, differs from one
 neighbour only.
@@ -20,6 +22,7 @@ ALIKE = 0.4  # distance from one neighbour over that from the other, at least
 PASSES = 3  # since outliers side by side hide each other
 NEIGHBOURS = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6  # weights of the cubic through them
 RESOLVED = 8.0  # samples in sqrt(L/g) from which they resolve the motion of a car
+IMPOSSIBLE = 3.0  # yaw rate over the largest speed of a run, or sqrt(gL) if that is more [1/L]: a spin stays below 1
 MIN_LENGTH = 20  # samples of a run below which nothing is an outlier
 
 
@@ -59,9 +62,11 @@ def without_outliers(run: Run, wheelbase: float) -> Run:
 
 
 def find_outliers(run: Run, wheelbase: float) -> dict[str, np.ndarray]:
-    """Return which samples (n,) of V, beta and r are outliers; none where samples are too sparse."""
+    """Return which samples (n,) of V, beta and r are outliers; where samples are sparse, only impossible ones."""
     resolved = run.dt * RESOLVED <= np.sqrt(wheelbase / G)
-    return {name: outliers(getattr(run, name)) & resolved for name in MEASURED}
+    marked = {name: outliers(getattr(run, name)) & resolved for name in MEASURED}
+    fastest = max(np.nanmax(run.V, initial=0.0), np.sqrt(G * wheelbase))
+    return marked | {"r": marked["r"] | (np.abs(run.r) * wheelbase > IMPOSSIBLE * fastest)}
 
 
 def count_outliers(runs: tuple[Run, ...], wheelbase: float) -> dict[str, int]:

@@ -48,6 +48,17 @@ def test_a_log_that_hardly_resolves_the_motion_loses_nothing():
     assert np.isfinite(slow.r).all()
 
 
+def test_a_yaw_rate_that_no_car_reaches_is_missing_at_any_rate():
+    """A heading that jumps by 2 pi within a sample of 1/30 s turns at 190 rad/s."""
+    t = np.arange(100) / 30
+    r = 6.0 * np.sin(8 * t)
+    r[[20, 21, 60]] = 2 * np.pi * 30 * np.array([1, 1, -1])
+    run = Run("one", t, 3 + 0 * t, 0 * t, r, 0 * t, 0 * t, 1 / 30)
+    assert np.flatnonzero(np.isnan(without_outliers(run, 0.3).r)).tolist() == [20, 21, 60]
+    standing = replace(run, V=0.02 + 0 * t, r=0.1 * np.sin(8 * t))
+    assert np.isfinite(without_outliers(standing, 0.3).r).all()
+
+
 def estimate(runs: tuple[Run, ...]) -> tuple[np.ndarray, np.ndarray]:
     """All parameters of the small catalogue, fitted to first order, and their standard deviations."""
     problem = build_problem(sedan(), EFFECTS, runs)
