@@ -300,4 +300,4 @@ def overdispersion(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> fl
     inverse = np.linalg.pinv(own, ROUNDED, hermitian=True)
     rank = max(round(np.sum(inverse * own)), 1)
     ratio = np.sum(inverse * (U.T @ U)) / rank
-    return float(max(ratio * C / max(C - len(columns), 1), 1.0))
+    return float(max(ratio * C / max(C - rank, 1), 1.0))

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from driftjax.core import BadInput
-from driftjax.logs.extras import import_extra
+from driftjax.logs.extras import import_extra, unreadable
 from driftjax.logs.isolated import read_isolated
 from driftjax.logs.series import Series, pick_channels
 
@@ -37,7 +36,7 @@ def _read(path: Path) -> list[tuple[str, str, Series]]:
     arrays = read_isolated(SCRIPT, path, KIND, REMEDY)
     parts = [(arrays[f"name{k}"], arrays[f"t{k}"], arrays[f"y{k}"]) for k in range(len(arrays) // 3)]
     if not parts:
-        raise BadInput(f"{path}: is no readable {KIND} (it holds no channel with samples); {REMEDY}.")
+        raise unreadable(path, KIND, "it holds no channel with samples", REMEDY)
     return [(str(name[0]), str(name[1]), Series(_clock(t), t, y)) for name, t, y in parts]
 
 

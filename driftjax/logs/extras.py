@@ -29,7 +29,12 @@ def library_errors(path: Path, kind: str, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = one_line(str(error)) or type(error).__name__
-        raise BadInput(f"{path}: is no readable {kind} ({reason}); {remedy}.") from error
+        raise unreadable(path, kind, reason, remedy) from error
+
+
+def unreadable(path: Path, kind: str, reason: str, remedy: str) -> BadInput:
+    """Return the error of a file that its library cannot read."""
+    return BadInput(f"{path}: is no readable {kind} ({reason}); {remedy}.")
 
 
 def one_line(message: str) -> str:

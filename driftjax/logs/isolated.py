@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from driftjax.core import BadInput
-from driftjax.logs.extras import one_line
+from driftjax.logs.extras import one_line, unreadable
 
 TIMEOUT = 300.0  # s
 MOST_MEMORY = 8 * 2**30  # bytes
@@ -25,11 +24,10 @@ def read_isolated(script: Path, path: Path, kind: str, remedy: str, content: byt
     try:
         done = subprocess.run(command, capture_output=True, input=content, timeout=TIMEOUT)
     except subprocess.TimeoutExpired:
-        raise BadInput(f"{path}: is no readable {kind} (reading it takes over {TIMEOUT:g} s); {remedy}.") from None
+        raise unreadable(path, kind, f"reading it takes over {TIMEOUT:g} s", remedy) from None
     if done.returncode:
         said = "".join(done.stderr.decode("utf-8", "replace").split("\n")[-2:])
         crash = f"its library crashed, exit {done.returncode}"
-        reason = one_line(said) if said and done.returncode > 0 else crash
-        raise BadInput(f"{path}: is no readable {kind} ({reason}); {remedy}.")
+        raise unreadable(path, kind, one_line(said) if said and done.returncode > 0 else crash, remedy)
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
         return dict(arrays)
