@@ -1,6 +1,7 @@
 """Channels of a made-up drive that agree, and what a bias, a scale or a delay in one of them shows."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,19 @@ def test_channels_of_one_motion_agree():
         assert one.slope == pytest.approx(1, abs=0.02), name
         assert abs(one.offset) < 0.01 and abs(one.shift) < 0.006 and one.correlation > 0.99, name
         assert one.shift_half_width < 0.01, name
+
+
+def test_wheels_tell_their_radius_and_by_how_much_the_speed_is_late():
+    """As that of a satellite receiver; the car is 1.6 m wide between its wheels of 0.3 m."""
+    run, late = drive(), drive(V_late=0.1)
+    ahead, turned = run.V * np.cos(run.beta) / 0.3, run.r * 1.6 / 0.3 / 2
+    wheels = {"wfl": ahead - turned, "wfr": ahead + turned, "wrl": ahead - turned, "wrr": ahead + turned}
+    agreement = agreement_of(replace(late, extra=run.extra | wheels))
+    for axle in ("front", "rear"):
+        one = agreement["V", axle]
+        assert one.slope == pytest.approx(0.3, rel=0.02) and one.shift == pytest.approx(0.1, abs=0.02)
+    assert agreement["r", "rear"].slope == pytest.approx(0.3 / 1.6, rel=0.02)
+    assert ("V", "front") not in agreement_of(run)
 
 
 @pytest.mark.parametrize(
