@@ -1,6 +1,8 @@
 """A made-up drive in the log format, and a way to write it."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +23,7 @@ def columns(n: int = N, dt: float = 0.01, seed: int = 0) -> dict[str, list]:
     }
 
 
-def write(path: Path, values: dict[str, list], rows=slice(None)) -> Path:
+def write(path: Path, values: Mapping[str, Any], rows=slice(None)) -> Path:
     lines = [",".join(values), *(",".join(map(str, row)) for row in list(zip(*values.values(), strict=True))[rows])]
     path.write_text("\n".join(lines) + "\n")
     return path

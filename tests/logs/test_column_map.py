@@ -82,8 +82,8 @@ def test_a_column_map_thins_to_a_rate(tmp_path):
 
 
 def test_a_measured_steering_angle_is_linear_between_samples_and_a_command_is_held(tmp_path):
-    values = columns()
-    values["delta"], values["Fxr"] = (0.2 * np.sin(5 * np.array(values["t"])) for _ in range(2))
+    values = {name: np.array(column) for name, column in columns().items()}
+    values["delta"] = values["Fxr"] = 0.2 * np.sin(5 * values["t"])
     path = write(tmp_path / "log.csv", values)
     own = ColumnMap(tuple(Channel(name, name) for name in CHANNELS), linear=("delta",))
     (run,) = read_log([path], own).runs

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from driftjax.logs.columns import CHANNELS
 
 
 def run_of(name: str, seed: int = 0, **extra) -> Run:
-    arrays = {key: np.array(values) for key, values in columns(seed=seed).items()}
+    arrays: dict[str, Any] = {key: np.array(values) for key, values in columns(seed=seed).items()}
     return Run(name, **arrays, dt=0.01, extra=extra)
 
 
