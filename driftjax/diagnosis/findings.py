@@ -77,11 +77,9 @@ def describe_errors(
         "nominal": autocorrelation(base, along["nominal"][0]),
         "extended": autocorrelation(problem, along["extended"][0]),
     }
-    measured = np.isfinite(comparison.predictions["nominal"].error)
     return Findings(
         force_limits(vehicle), noise, open_loop_errors(base, zero), comparison,
-        root_mean_square(np.where(measured, comparison.least, np.nan), (0, 1)),
-        tuple(run.name for run in runs), residual,
+        root_mean_square(comparison.least, (0, 1)), tuple(run.name for run in runs), residual,
         parity(vehicle, runs, problem.noise.total), selection.nominal_scores,
         whiteness, describe_worst(residual["nominal"], vehicle),
     )  # fmt: skip

@@ -90,8 +90,8 @@ def noise_floor(
 ) -> np.ndarray:
     """Return the mean squared errors (P, S, N, 3) expected of the predictions `ahead` if the car `theta` is right.
 
-    NaN in channels that were not measured. Unless the car is `disturbed`, they are those of its sensors alone: the
-    estimated disturbances also hold what a wrong car gets wrong.
+    NaN where nothing was measured to compare with, as in the padding of a run. Unless the car is `disturbed`, they are
+    those of its sensors alone: the estimated disturbances also hold what a wrong car gets wrong.
     """
     data, where, num = problem.data, jnp.asarray(theta), ahead.readings.shape[2]
     share = np.repeat([1.0, float(disturbed), 1.0], 3)  # of the state, disturbances and slow errors
@@ -107,7 +107,7 @@ def noise_floor(
         )
         return map_pieces(of, len(data.run), data.padded, ahead.z, P, there, number)
 
-    return np.where(problem.measured, _map_starts(some, ahead.starts)[:, :, :num], np.nan)
+    return np.where(np.isfinite(ahead.error), _map_starts(some, ahead.starts)[:, :, :num], np.nan)
 
 
 def _map_starts(function: Callable[[Array], np.ndarray], starts: np.ndarray) -> np.ndarray:
