@@ -118,8 +118,9 @@ def _of_run(run: Run, num: int, every: int, unit: float) -> list[Window]:
 def _window(run: Run, start: int, num: int) -> Window:
     """Return the window of `num` steps from sample `start`; before the run its first command is held."""
     warm = round(SETTLE / run.dt)
-    rows = np.arange(start - warm, start + num)
-    changes, rows = np.where(rows[:, None] < 0, 0.0, run.command_changes[rows]), np.clip(rows, 0, None)
+    at = np.arange(start - warm, start + num)
+    rows = np.clip(at, 0, None)
+    changes = np.where(at[:, None] < 0, 0.0, run.command_changes[rows])
     V = np.interp(run.t, run.t[np.isfinite(run.V)], run.V[np.isfinite(run.V)])
     r = np.where(np.isfinite(run.r), run.r, 0.0)
     here = slice(start, start + num + 1)

@@ -211,8 +211,8 @@ def _free_name(name: str, taken: Container[str]) -> str:
 def write_log(path: str | Path, runs: Sequence[Run]) -> None:
     """Write runs in the log format, as CSV or Parquet by the suffix of `path`, atomically.
 
-    Missing values become empty cells; numbers keep every digit. Raises `BadInput` without a run, for another suffix and
-    for a path that cannot be written.
+    Missing values become empty cells; numbers keep every digit; linear commands become held means. Raises `BadInput`
+    without a run, for another suffix and for a path that cannot be written.
     """
     path = Path(path)
     if not runs:
