@@ -45,7 +45,7 @@ def test_a_page_prints_what_its_commands_print(name, tmp_path, monkeypatch, caps
 
 @pytest.mark.slow
 def test_the_two_wrong_stiffnesses_of_the_matlab_example_are_named_and_nothing_else(tmp_path, monkeypatch):
-    """Ten wrong effects were, while its inputs were taken for held ones."""
+    """Six others were, too, while its inputs were taken for held ones."""
     monkeypatch.chdir(tmp_path)
     page = (PAGES / "matlab.md").read_text(encoding="utf-8")
     write_inputs("matlab", page)
