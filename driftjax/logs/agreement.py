@@ -11,7 +11,7 @@ from driftjax.logs.sampling import Channels, fill_gaps, surrounding
 
 WINDOW = 0.25  # over which channels are smoothed and differentiated, all alike [s]
 MAX_SHIFT = 0.5  # largest time shift, either way [s]
-MAX_LATERAL_ACCELERATION = 2.0  # that still is low [m/s^2]
+MAX_LATERAL_ACCELERATION = 2.0  # up to which a car goes where its wheels point [m/s^2]
 MIN_SAMPLES = 50  # samples that a check needs
 PARTS = 10  # of a log, left out in turn
 QUANTILE = 2.262  # 97.5 % quantile of Student's t with PARTS - 1 degrees of freedom
@@ -56,26 +56,27 @@ def _across(y: Channels, rate: Channels) -> np.ndarray:
     return rate["V"] * np.sin(y["beta"]) + y["V"] * (rate["beta"] + y["r"]) * np.cos(y["beta"])
 
 
-def _mean_of_wheels(left: str, right: str) -> Callable[[Channels, Channels], tuple[np.ndarray, np.ndarray]]:
-    """Return the pair of speed and mean wheel speed of an axle, at low lateral acceleration."""
-    return lambda y, rate: (_gentle(y, y["V"]), (y[left] + y[right]) / 2)
+def _axle_check(axle: str, left: str, right: str) -> Check:
+    """Return the check of the speed against the mean of an axle's wheels, at low lateral acceleration."""
+    pair = lambda y, rate: (_gentle(y, y["V"]), (y[left] + y[right]) / 2)
+    return Check("V", f"{axle} wheels; slope: radius [m]", "m/s", (left, right), pair)
 
 
 def _gentle(y: Channels, values: np.ndarray) -> np.ndarray:
-    """Return the `values` at low lateral acceleration, where a car goes where its wheels point."""
+    """Return the `values` at low lateral acceleration, NaN elsewhere."""
     return np.where(np.abs(y["V"] * y["r"]) < MAX_LATERAL_ACCELERATION, values, np.nan)
 
 
-FRONT, REAR = ("wfl", "wfr"), ("wrl", "wrr")
 CHECKS = (
     Check("V", "speed of the position", "m/s", ("x", "y"), lambda y, rate: (y["V"], np.hypot(rate["x"], rate["y"]))),
     Check("beta", "course less heading", "rad", ("x", "y", "psi"), _course),
     Check("r", "rate of the heading", "rad/s", ("psi",), lambda y, rate: (y["r"], rate["psi"])),
     Check("ax", "V' cos(beta) - V (beta' + r) sin(beta)", "m/s^2", ("ax",), lambda y, dy: (y["ax"], _along(y, dy))),
     Check("ay", "V' sin(beta) + V (beta' + r) cos(beta)", "m/s^2", ("ay",), lambda y, dy: (y["ay"], _across(y, dy))),
-    Check("V", "front wheels; slope: radius [m]", "m/s", FRONT, _mean_of_wheels(*FRONT)),
-    Check("V", "rear wheels; slope: radius [m]", "m/s", REAR, _mean_of_wheels(*REAR)),
-    Check("r", "rear wheels; slope: radius / track", "rad/s", REAR, lambda y, rate: (y["r"], y["wrr"] - y["wrl"])),
+    _axle_check("front", "wfl", "wfr"),
+    _axle_check("rear", "wrl", "wrr"),
+    Check("r", "rear wheels; slope: radius / track", "rad/s", ("wrl", "wrr"),
+          lambda y, rate: (y["r"], y["wrr"] - y["wrl"])),
 )  # fmt: skip
 
 

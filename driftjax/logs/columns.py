@@ -170,8 +170,8 @@ class ColumnMap:
         require(names.count("vx") == names.count("vy"), "key 'columns' maps one of vx and vy; map both, or V and beta.")
         lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
         require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
-        if other := [name for name in self.linear if name not in COMMANDS]:
-            require(False, f"key 'linear' has '{other[0]}'; it may have {' and '.join(COMMANDS)}.")
+        for name in self.linear:
+            require(name in COMMANDS, f"key 'linear' has '{name}'; it may have {' and '.join(COMMANDS)}.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
 
         require(

@@ -55,7 +55,8 @@ def prepare_segments(raw: RawRun, columns: ColumnMap | None, notes: list[str]) -
     if factor == 1:
         return segments
     notes.append(f"{raw.where}: was thinned from {1 / dt:.4g} to {1 / (dt * factor):.4g} Hz.")
-    return [Segment(*sampling.thin(part.t, part.values, COMMANDS, factor), dt * factor, linear) for part in segments]
+    thinned = [(part, *sampling.thin(part.t, part.values, COMMANDS, factor)) for part in segments]
+    return [part._replace(t=t, values=values, dt=factor * dt) for part, t, values in thinned]
 
 
 def _checked(run: RawRun, notes: list[str]) -> RawRun:
