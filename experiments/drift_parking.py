@@ -97,11 +97,14 @@ def read_transitions(path: Path) -> Transitions:
     """Read one recording; raises `BadInput` if it is not there or holds anything but arrays."""
     try:
         with path.open("rb") as stream:
-            return ArraysOnly(stream).load()
+            content = ArraysOnly(stream).load()
     except FileNotFoundError:
         raise dj.BadInput(f"{path}: no such file; give --data the folder of a copy of the repository.") from None
     except (pickle.UnpicklingError, EOFError) as error:
         raise dj.BadInput(f"{path}: is no recording of transitions ({error}).") from error
+    if not isinstance(content, Transitions):
+        raise dj.BadInput(f"{path}: is no recording of transitions (it holds a {type(content).__name__}).")
+    return content
 
 
 if __name__ == "__main__":
