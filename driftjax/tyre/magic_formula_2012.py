@@ -62,8 +62,10 @@ class MagicFormula2012(eqx.Module):
     r"""Magic Formula of a tyre property file (Pacejka 2012, Sec. 4.3.2, Eq. 4.E1-4.E78; version 5.2: Pacejka 2002).
 
     Axes as in the file, usually ISO-W: $F_y < 0$ for $\alpha > 0$. Versions 6.x take $\tan\alpha$ and $\sin\gamma$
-    where 5.2 takes the angles. Left out: turn slip, low speed, friction that falls with speed. Every coefficient is a
-    leaf, so that forces are differentiable by them; a leading axis on each is a batch of tyres.
+    where 5.2 takes the angles. 6.2 has the forces and moments of 6.1; what it adds (Q_CAM1 to Q_CAM3, Q_FYS1 to Q_FYS3,
+    Q_FCY2, bottoming) is the loaded radius at a given load (MFeval 4.0, release notes), which is not computed here.
+    Left out: turn slip, low speed, friction that falls with speed. Every coefficient is a leaf, so that forces are
+    differentiable by them; a leading axis on each is a batch of tyres.
     """
 
     p: dict[str, Array]
@@ -161,9 +163,13 @@ class MagicFormula2012(eqx.Module):
         return Gx, Gy, D * jnp.sin(p["RVY5"] * jnp.arctan(p["RVY6"] * at.kappa)) * p["LVYKA"]
 
     def aligning_moment(self, at: Slip) -> Array:
-        """Return the aligning moment [N m] in combined slip (4.E31-4.E49, 4.E71-4.E78; b_z4 as in MF-Tyre 6.1.2)."""
+        """Return the aligning moment [N m] in combined slip (4.E31-4.E49, 4.E71-4.E78; b_z4 as in MF-Tyre 6.1.2).
+
+        In 6.x the trail carries the side force of the upright tyre (4.E74), in 5.2 that of the cambered one.
+        """
         p, (Fz0, f), d = self.p, self._load(at), at.pressure
-        (Fx, Fy), x, y, shift = self.forces(at), self.pure_x(at), self.pure_y(at), self.weights(at)[2]
+        (Fx, Fy), x, y, (_, Gy, _) = self.forces(at), self.pure_x(at), self.pure_y(at), self.weights(at)
+        carried = y if self.version == 52 else self.pure_y(at._replace(gamma=jnp.zeros_like(at.gamma)))
         alpha, gamma = self._angles(at)
         gamma, R0, size = gamma * p["LGAZ"], p["UNLOADED_RADIUS"], jnp.abs(gamma)
         lean = 1 + p["QDZ3"] * (gamma if self.version == 52 else size) + p["QDZ4"] * gamma**2
@@ -186,7 +192,7 @@ class MagicFormula2012(eqx.Module):
         D = at.Fz * R0 * ((p["QDZ6"] + p["QDZ7"] * f) * p["LRES"] + by_camber * gamma * p["LKZC"]) * p["LMUY"]
         rest = D * jnp.cos(jnp.arctan(B * equivalent(a_r))) * jnp.cos(at.alpha)
         arm = R0 * (p["SSZ1"] + p["SSZ2"] * Fy / Fz0 + (p["SSZ3"] + p["SSZ4"] * f) * gamma) * p["LS"]
-        return -trail * (Fy - shift) + rest + arm * Fx
+        return -trail * Gy * carried.force + rest + arm * Fx
 
     def relaxation_lengths(self, at: Slip) -> tuple[Array, Array]:
         """Return the longitudinal and lateral relaxation length [m]: 0 where the file does not say.
