@@ -101,7 +101,7 @@ TUM = Format(
     (
         "a planner of limits holds no motion: what acts between the limits is lost",
         "ax_max is the braking at which the first axle slides; driving is limited by the grip of the driven axle, too",
-        "aero_drag goes into the planner's own 'dragcoeff', twice the value c of this car",
+        "aero_drag goes into the planner's own 'dragcoeff', which is the value c of this car",
     ),
     write_tum,
     predicts=False,

@@ -70,18 +70,23 @@ def write_commonroad(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
 
 
 def write_autoware(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
-    """Write simulator_model.param.yaml of Autoware's simple_planning_simulator (DELAY_STEER_ACC_GEARED)."""
+    """Write simulator_model.param.yaml of Autoware's simple_planning_simulator (DELAY_STEER_ACC_GEARED).
+
+    steer_bias is what its steering sensor reads too much: the wheels turn to the command times its gain, less the bias.
+    vel_rate_lim bounds commands before their gain, and accelerations after it.
+    """
     v, value = reduced.vehicle, reduced.value
+    gain = 1 + value("steer_gain.p")
+    limit = max(v.Fxr_max, -v.Fxr_min) / reduced.car.m * max(1.0, 1 + value("drive_gain.p"))
     parameters = {
         "simulated_frame_id": "base_link", "origin_frame_id": "map", "vehicle_model_type": "DELAY_STEER_ACC_GEARED",
         "initialize_source": "INITIAL_POSE_TOPIC", "timer_sampling_time_ms": 25, "add_measurement_noise": False,
-        "vel_lim": reduced.top_speed, "vel_rate_lim": max(reduced.forces[1], -reduced.forces[0]) / reduced.car.m,
+        "vel_lim": reduced.top_speed, "vel_rate_lim": limit,
         "steer_lim": v.delta_max, "steer_rate_lim": v.delta_rate_max,
         "acc_time_delay": 0.0, "acc_time_constant": value("drive_lag.tau"),
         "steer_time_delay": value("steer_delay.d"), "steer_time_constant": value("steer_lag.tau"),
-        "steer_dead_band": value("steer_backlash.w"), "steer_bias": value("steer_offset.p"),
-        "debug_acc_scaling_factor": 1 + value("drive_gain.p"),
-        "debug_steer_scaling_factor": 1 + value("steer_gain.p"),
+        "steer_dead_band": value("steer_backlash.w"), "steer_bias": 0.0 - value("steer_offset.p") * gain,
+        "debug_acc_scaling_factor": 1 + value("drive_gain.p"), "debug_steer_scaling_factor": gain,
         "x_stddev": 0.0001, "y_stddev": 0.0001,
     }  # fmt: skip
     return (save_yaml(folder / "simulator_model.param.yaml", {"/**": {"ros__parameters": parameters}}),)
@@ -151,6 +156,8 @@ AUTOWARE = Format(
     (
         "its model is a kinematic single track: it has no tyres at all",
         "steer_dead_band stands for the play of the steering, which it resembles",
+        "steer_bias is what its steering sensor reads too much: an offset of the steering with the other sign",
+        "its lags are never below 0.03 s, and one limit holds for drive and brake, the larger",
         "the wheelbase is in vehicle_info.param.yaml, not in this file",
     ),
     write_autoware,

@@ -47,7 +47,7 @@ class ReducedCar(NamedTuple):
     @property
     def top_speed(self) -> float:
         """Return the top speed [m/s]."""
-        return self.options.top_speed or TOP_SPEED * reference(self.vehicle, "speed")
+        return float(self.options.top_speed or TOP_SPEED * reference(self.vehicle, "speed"))
 
     def value(self, name: str) -> float:
         """Return the value of `effect.parameter`, SI; 0, its neutral value, where the car lacks it."""

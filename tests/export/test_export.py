@@ -21,8 +21,9 @@ from driftjax.core import BadInput
 from driftjax.export import FORMATS, export_car
 from driftjax.export.casadi_car import CasadiModel, rates_model, step_model, substeps
 from driftjax.export.loss import loss
-from driftjax.export.target import TargetOptions, restrict_effects
+from driftjax.export.target import TargetOptions, car_with, restrict_effects
 from driftjax.logs import Log, Run, write_log
+from driftjax.sim.rollout import actuator_response
 from driftjax.vehicle import EffectParameterValue, VehicleConfig, load_vehicle, write_vehicle
 from driftjax.vehicle.effect import EFFECTS
 from driftjax.vehicle.single_track import G
@@ -124,6 +125,43 @@ def test_tum_tables_are_the_limits_of_grip_in_closed_form(tmp_path):
     assert ggv[:, 1] == pytest.approx(SEDAN.mu * G * SEDAN.a / (L + SEDAN.mu * h), rel=0.01)  # brakes at the rear
     force = SEDAN.Fxr_max / (1 + 1e-5 * machine[:, 0] * SEDAN.Fxr_max)
     assert machine[:, 1] == pytest.approx(force / SEDAN.m, rel=1e-5)
+
+
+def test_the_drag_coefficient_of_the_tum_planner_is_that_of_our_effect():
+    """The planner brakes with dragcoeff V^2 / m (trajectory_planning_helpers, calc_vel_profile)."""
+    model = rates_model(with_effects(aero_drag__c=0.5))
+    dV = np.asarray(jax.jit(model.function)(np.array([20.0, 0.0, 0.0]), np.zeros(2)))[0]
+    assert -dV * SEDAN.m / 20.0**2 == pytest.approx(0.5)
+    (note,) = (one for one in FORMATS["tum"].notes if "'dragcoeff'" in one)
+    assert note == "aero_drag goes into the planner's own 'dragcoeff', which is the value c of this car"
+
+
+def autoware(car: VehicleConfig, folder, top_speed: float | None = None) -> dict:
+    """Parameters of Autoware's simulator."""
+    FORMATS["autoware"].write(restrict_effects(car, FORMATS["autoware"].holds, TargetOptions(top_speed)), folder)
+    return yaml.safe_load((folder / "simulator_model.param.yaml").read_text())["/**"]["ros__parameters"]
+
+
+@pytest.mark.parametrize("command", [0.1, -0.1])
+def test_autoware_turns_its_wheels_by_command_times_gain_less_bias_as_we_do(tmp_path, command):
+    car = with_effects(steer_offset__p=0.02, steer_gain__p=0.05)
+    q = autoware(car, tmp_path)
+    n = 20
+    commands = np.stack([np.full(n, command), np.zeros(n)], axis=1)
+    model = car_with(car, ("steer_offset", "steer_gain"))
+    wheels = np.asarray(jax.jit(actuator_response)(model, commands, np.full(n, 10.0), 0.02))[-1, 0]
+    assert command * q["debug_steer_scaling_factor"] - q["steer_bias"] == pytest.approx(wheels, rel=1e-12)
+
+
+@pytest.mark.parametrize("gain", [-0.2, 0.3])
+def test_autoware_accelerates_at_most_as_we_do(tmp_path, gain):
+    q = autoware(with_effects(drive_gain__p=gain), tmp_path, top_speed=40)
+    limit = q["vel_rate_lim"]  # of the command before its gain, and of the acceleration
+    reached = min(min(SEDAN.Fxr_max / SEDAN.m, limit) * q["debug_acc_scaling_factor"], limit)
+    assert reached == pytest.approx((1 + gain) * SEDAN.Fxr_max / SEDAN.m)
+    words = ("simulated_frame_id", "origin_frame_id", "vehicle_model_type", "initialize_source")
+    whole = {name for name, value in q.items() if not isinstance(value, float)}
+    assert whole == {*words, "timer_sampling_time_ms", "add_measurement_noise"}  # ROS takes no integer for a float
 
 
 def test_autoware_and_open_car_dynamics_have_our_actuators_and_body(tmp_path):
