@@ -9,27 +9,30 @@ from driftjax.export.steady import cornering, grip_limits, truncate_at_peak
 from driftjax.export.target import AXLES, Format, ReducedCar, save_text, save_yaml
 from driftjax.vehicle.effect import reference
 
-STEERS, SPEEDS = 60, 50  # rows and columns of the steering table
+STEERS, SPEEDS = 160, 100  # rows and columns of the steering table; its reader takes the nearest of each
 TABLE_SPEEDS = (0.3, 4.5)  # its slowest and fastest speed [sqrt(g L)]
+FLOOR = "driftjax"  # the stack sorts tyres by floor
 GGV_SPEEDS = 25  # rows of the tables of the TUM planner
 
 
 def write_race_stack(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
-    """Write NAME_pacejka.yaml and NAME_pacejka_lookup_table.csv.
+    """Write NAME_pacejka.yaml, NAME_pacejka_default.yaml and NAME_pacejka_lookup_table.csv.
 
     F_y = D F_z sin(C arctan(B alpha - E (B alpha - arctan(B alpha)))), alpha = delta - arctan(...), left positive. The
-    table has speeds in its first row [m/s], steering angles in its first column [rad], and the lateral acceleration of
-    steady cornering [m/s^2]; NaN beyond the limit of grip.
+    second file has the same tyres under the names of the stack's `PacejkaTireConfig`, which refuses others. The table
+    has speeds in its first row [m/s], steering angles in its first column [rad], and the lateral acceleration of
+    steady cornering [m/s^2]; NaN beyond the limit of grip. Angles lie close where they are small: the reader steers 0
+    up to half the acceleration of the first row, and at high speed a car corners with small angles only.
     """
     car, v = reduced.car, reduced.vehicle
-    model = {
-        "C_Pf": [car.Bf, car.Cf, car.muf, 0.0],
-        "C_Pr": [car.Br, car.Cr, car.mur, 0.0],
+    axles = {"f": [car.Bf, car.Cf, car.muf, 0.0], "r": [car.Br, car.Cr, car.mur, 0.0]}
+    model = {f"C_P{axle}": curve for axle, curve in axles.items()} | {
         "I_z": car.Iz, "a_max": reduced.forces[1] / car.m, "a_min": reduced.forces[0] / car.m,
         "h_cg": reduced.value("load_transfer_long.h"), "l_f": car.a, "l_r": car.b, "l_wb": car.wheelbase, "m": car.m,
         "model_name": reduced.name, "mu": 1.0, "tau_steer": reduced.value("steer_lag.tau"), "tire_model": "pacejka",
     }  # fmt: skip
-    delta = np.linspace(0.0, v.delta_max, STEERS)
+    tyres = {f"{name}{axle}": one for axle, curve in axles.items() for name, one in zip("BCDE", curve, strict=True)}
+    delta = v.delta_max * np.linspace(0.0, 1.0, STEERS) ** 2
     V = np.linspace(*TABLE_SPEEDS, SPEEDS) * reference(v, "speed")
     left, right = (cornering(reduced.full, sign * delta, V) for sign in (1, -1))
     table = np.zeros((STEERS + 1, SPEEDS + 1))
@@ -39,6 +42,7 @@ def write_race_stack(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     np.savetxt(text, table, delimiter=",")
     return (
         save_yaml(folder / f"{reduced.name}_pacejka.yaml", model),
+        save_yaml(folder / f"{reduced.name}_pacejka_default.yaml", {"friction_coeff": 1.0, **tyres, "floor": FLOOR}),
         save_text(folder / f"{reduced.name}_pacejka_lookup_table.csv", text.getvalue()),
     )
 

@@ -113,6 +113,25 @@ def test_race_stack_tyres_and_table_have_the_linear_limit(tmp_path):
     assert 0.85 * SEDAN.mu * G < np.nanmax(ay) <= SEDAN.mu * G * 1.001
 
 
+def test_rows_of_the_steering_table_are_close_enough_for_a_reader_that_takes_the_nearest(tmp_path):
+    export_car(load_vehicle("rc"), "race_stack", tmp_path)
+    table = np.loadtxt(tmp_path / "rc_pacejka_lookup_table.csv", delimiter=",")
+    assert np.diff(table[0, 1:]).max() <= 0.1  # the step of the stack's own tables [m/s]
+    for column in table[1:, 1::9].T:
+        known = column[np.isfinite(column)]
+        for wanted in known[-1] * np.array([0.1, 0.3, 0.5, 0.8]):
+            assert known[np.argmin(np.abs(known - wanted))] == pytest.approx(wanted, rel=0.08)
+
+
+def test_race_stack_gets_its_tyres_under_the_names_that_its_controllers_read(tmp_path):
+    export_car(with_effects(friction_rear__p=-0.1, stiffness_front__p=0.2), "race_stack", tmp_path)
+    tyres = yaml.safe_load((tmp_path / "sedan_pacejka_default.yaml").read_text())
+    assert tyres.pop("floor") == "driftjax"
+    front = {"Bf": 1.2 * SEDAN.B, "Cf": SEDAN.C, "Df": SEDAN.mu, "Ef": 0.0}
+    rear = {"Br": SEDAN.B, "Cr": SEDAN.C, "Dr": 0.9 * SEDAN.mu, "Er": 0.0}
+    assert tyres == pytest.approx({"friction_coeff": 1.0} | front | rear)
+
+
 def test_tum_tables_are_the_limits_of_grip_in_closed_form(tmp_path):
     h = 0.5
     car = with_effects(friction_front__p=-0.08, load_transfer_long__h=h, power_limit__p=1e-5)
