@@ -1,4 +1,4 @@
-"""What does a diagnosis lose without sideslip, without the drive force, and without both?
+"""What does a diagnosis lose without sideslip, drive force, both, or a yaw rate?
 
 `python -m experiments.missing_channels --cases 8` hides one effect (and, in every fifth case, none) in a simulated car,
 diagnoses its log with all channels and with some taken out, and writes `missing_channels.json` with a line per case and
@@ -21,7 +21,14 @@ from driftjax.studies.hidden_effects.case import Case
 from driftjax.studies.hidden_effects.draw import CaseNumbers, draw_cases
 from driftjax.studies.hidden_effects.trial import measured_runs, nominal_vehicle
 
-MASKS = {"all channels": (), "no sideslip": ("beta",), "no force": ("Fxr",), "neither": ("beta", "Fxr")}
+POSE = ("x", "y", "psi", "s", "e")  # which gives sideslip and yaw rate
+MASKS = {
+    "all channels": (),
+    "no sideslip": ("beta", *POSE),
+    "no force": ("Fxr",),
+    "neither": ("beta", "Fxr", *POSE),
+    "no yaw rate": ("r",),
+}
 NOTHING_IN = 5  # every so-many-th case hides nothing
 HEAD = "| channels | cases | hidden effect first | another beside it | in a set | without it | nothing hidden: named |"
 
@@ -36,12 +43,16 @@ class Config:
     """Shipped cars."""
     seed: int = 24
     """Of the cases."""
+    masks: tuple[str, ...] = tuple(MASKS)
+    """Sets of channels."""
     out: Path = Path("runs/missing-channels")
     """Folder for results; cases that it holds are not driven again."""
 
     def __post_init__(self) -> None:
         if self.cases < 1:
             raise dj.BadInput(f"key 'cases' is {self.cases}; give 1 or more.")
+        if unknown := sorted(set(self.masks) - set(MASKS)):
+            raise dj.BadInput(f"key 'masks' has '{unknown[0]}'; choose from {', '.join(MASKS)}.")
 
 
 def main(cfg: Config) -> list[dict[str, Any]]:
@@ -52,11 +63,11 @@ def main(cfg: Config) -> list[dict[str, Any]]:
     done = {(json.dumps(row["case"]), row["channels"]) for row in rows}
     for case in draw_study(cfg):
         runs = None
-        for name, channels in MASKS.items():
+        for name in cfg.masks:
             if (case.line(), name) in done:
                 continue
             runs = measured_runs(case, nominal_vehicle(case)) if runs is None else runs
-            rows.append(result_of(case, name, tuple(masked(run, channels) for run in runs)))
+            rows.append(result_of(case, name, tuple(masked(run, MASKS[name]) for run in runs)))
             print(case.car, case.names or "nothing", "|", name, "|", rows[-1]["verdict"], rows[-1]["named"], flush=True)
             with lines.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(rows[-1]) + "\n")
@@ -73,10 +84,10 @@ def draw_study(cfg: Config) -> list[Case]:
 
 
 def masked(run: dj.Run, channels: tuple[str, ...]) -> dj.Run:
-    """Return `run` as a log without the `channels`: without sideslip there is no pose either, which would give it."""
-    hidden = {"x", "y", "psi", "s", "e"} if "beta" in channels else set()
-    extra = {name: values for name, values in run.extra.items() if name not in hidden}
-    return dataclasses.replace(run, extra=extra, **{name: np.full_like(run.t, np.nan) for name in channels})
+    """Return `run` as a log without the `channels`."""
+    extra = {name: values for name, values in run.extra.items() if name not in channels}
+    absent = {name: np.full_like(run.t, np.nan) for name in channels if name not in POSE}
+    return dataclasses.replace(run, extra=extra, **absent)
 
 
 def result_of(case: Case, name: str, runs: tuple[dj.Run, ...]) -> dict[str, Any]:
@@ -94,7 +105,7 @@ def result_of(case: Case, name: str, runs: tuple[dj.Run, ...]) -> dict[str, Any]
 def table(rows: list[dict[str, Any]]) -> str:
     """Return counts per set of channels as a Markdown table."""
     text = [HEAD, "|---|---|---|---|---|---|---|"]
-    for name in MASKS:
+    for name in dict.fromkeys(row["channels"] for row in rows):
         count = Counter(outcome for row in rows if row["channels"] == name for outcome in outcomes(row))
         one, none = count["one hidden"], count["nothing hidden"]
         shares = [f"{count[key]}/{one}" for key in ("first", "beside", "in a set", "false")]

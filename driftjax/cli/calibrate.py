@@ -15,7 +15,7 @@ from driftjax.diagnosis.calibrate import (
     effects_to_fit,
 )
 from driftjax.diagnosis.held_out import check_held_out
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.logs import read_log
 from driftjax.report import gain_table
 from driftjax.store import RunFolder

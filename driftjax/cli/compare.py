@@ -9,7 +9,7 @@ import tyro
 
 from driftjax.cli.console import by_steps, default_out, parse, print_notes, progress, run_in
 from driftjax.diagnosis.compare import CompareConfig, check_alike, compare, compare_settings
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.diagnosis.verdict import Verdict
 from driftjax.logs import read_log
 from driftjax.report import comparison_text, write_comparison

@@ -11,7 +11,7 @@ from driftjax.cli.console import by_steps, default_out, parse, print_notes, prog
 from driftjax.core import require
 from driftjax.diagnosis.diagnose import Diagnosis, diagnose, diagnose_settings
 from driftjax.diagnosis.held_out import DiagnoseConfig
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.logs import Log, read_log
 from driftjax.report import closed_loop_table, error_share_table, gain_table, parity_statement, write_diagnosis
 from driftjax.store import RunFolder

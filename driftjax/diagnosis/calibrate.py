@@ -17,7 +17,7 @@ from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_
 from driftjax.diagnosis.identifiability import Identifiability, identifiability
 from driftjax.diagnosis.multistart import with_nominal_noise
 from driftjax.diagnosis.noise_floor import noise_floor
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.diagnosis.score import Scores, scores, spread_of
 from driftjax.diagnosis.serialise import extended_car, gain_json
 from driftjax.diagnosis.stages import STAGES, least_samples

@@ -29,7 +29,7 @@ from driftjax.diagnosis.held_out import check_naming
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.predictive_naming import TOLERATED
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
     MIN_DETECTABLE_SHARE,

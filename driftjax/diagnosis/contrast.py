@@ -9,7 +9,7 @@ not d; a direction that only one of the logs excites has no information on d.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
 from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
@@ -207,7 +207,7 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
         sums = np.zeros((sum(num), result.blocks.shape[1]))
         np.add.at(sums, np.concatenate([runs[0], runs[1] + num[0]]), result.blocks)
         spread = np.sqrt(np.diag(covariance(result.H, sums, columns)))
-        width = np.maximum(width, student.ppf(1 - run_level / 2, max(sum(num) - len(columns) - 1, 1)) * spread)
+        width = np.maximum(width, stdtrit(max(sum(num) - len(columns) - 1, 1), 1 - run_level / 2) * spread)
     return psi[columns], width
 
 

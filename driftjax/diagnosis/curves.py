@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.fit import Problem
@@ -58,7 +58,7 @@ def axle_curve(problem: Problem, selection: Selection, member: int) -> AxleCurve
     fitted, J = at(selection.fit.theta)
     spread, J = covariance(selection.scores.H, selection.scores.blocks, columns), J[:, columns]
     dof = max(len(selection.scores.blocks) - len(columns), 1)
-    half = student.ppf(0.975, dof) * np.sqrt(np.einsum("ij,jk,ik->i", J, spread, J))
+    half = stdtrit(dof, 0.975) * np.sqrt(np.einsum("ij,jk,ik->i", J, spread, J))
     low, high = fitted - half, fitted + half
     interval = lambda i: (float(low[i]), float(high[i]))
     return AxleCurve(

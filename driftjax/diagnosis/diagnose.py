@@ -30,7 +30,7 @@ from driftjax.diagnosis.outliers import count_outliers
 from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.predictive_naming import Naming, name_by_predictions, name_by_steps, name_by_the_better
 from driftjax.diagnosis.propose import Proposal, propose_manoeuvre
-from driftjax.diagnosis.runs import resolved_log
+from driftjax.diagnosis.resolve import resolved_log
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.serialise import diagnosis_json, estimated_noise, extended_car
 from driftjax.diagnosis.unexplained_errors import Unexplained, find_unexplained

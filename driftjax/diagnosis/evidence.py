@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from driftjax.diagnosis.beam import (
     QuadraticCost,
@@ -232,7 +232,7 @@ def homogeneity_p_value(score: np.ndarray, known: np.ndarray, tolerance: float, 
     estimate = score[which] / known[which]
     weight = 1 / (excess / known[which] + tolerance**2)
     Q = float(weight @ (estimate - weight @ estimate / weight.sum()) ** 2)
-    return float(chi2.sf(Q, max(which.sum() - 1, 1)))
+    return float(chdtrc(max(which.sum() - 1, 1), Q))
 
 
 def family_probability(problem: Problem, share: np.ndarray, member: int) -> float:

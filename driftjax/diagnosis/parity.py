@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import chdtri, stdtrit
 
 from driftjax.diagnosis.noise import measurement_noise
 from driftjax.diagnosis.runs import ERROR_BLOCK
@@ -118,8 +117,8 @@ def windows(run: Run, sigma: np.ndarray, noise: np.ndarray, slowest: float) -> W
 
 def statement(mean: np.ndarray, z: np.ndarray, excess: np.ndarray, num: int) -> str:
     """Describe the location of the fault that parity over `num` blocks indicates."""
-    clear, parts = student.isf(CHANCE / 2, num - 1), []
-    most = MARGIN * np.sqrt(chi2.isf(CHANCE, num) / num)
+    clear, parts = -stdtrit(num - 1, CHANCE / 2), []
+    most = MARGIN * np.sqrt(chdtri(num, CHANCE) / num)
     for name, unit, m, one, ratio in zip(("V'", "beta'"), UNITS, mean, z, excess, strict=True):
         if abs(one) > clear:
             parts.append(f"{name} is off by {m:.2g} {unit} on average (z = {one:.1f})")

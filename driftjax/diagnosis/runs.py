@@ -25,7 +25,7 @@ from driftjax.diagnosis.observer import (
     samples_in_run,
 )
 from driftjax.diagnosis.outliers import without_outliers
-from driftjax.logs import Log, Run
+from driftjax.logs import Run
 from driftjax.logs.sampling import fill_gaps
 from driftjax.parallel import call
 from driftjax.sim.rollout import SETTLE
@@ -43,20 +43,10 @@ SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
 UNKNOWN_START = 2.0  # time in which the observer finds a sideslip that is not measured [sqrt(L/g)]
-RESOLUTION = 40.0  # samples in sqrt(L/g) that resolve a car: its fastest motion takes a tenth of that time
 FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
 
 FURTHER = ("psi", "x", "y", "ax", "ay")  # columns that say what the sensors of V, beta and r err by
-
-
-def resolved_log(vehicle: VehicleConfig, log: Log) -> Log:
-    """Return the log without more samples than the motion of a car of this size needs.
-
-    For a wheelbase of 2.65 m these are 77 Hz or a little more. Others cost time, and what differs from one to the next
-    is the sensor's filter rather than the car.
-    """
-    return log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G))
 
 
 class MeasuredMotion(NamedTuple):

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
+from scipy.special import chdtrc, chdtri, ndtr, ndtri, stdtr, stdtrit
 
 from driftjax.diagnosis.fit import Problem, information
 from driftjax.diagnosis.noise import PRIOR
@@ -27,7 +26,7 @@ FEW = 12.0  # blocks below which an effect acts in few
 FEW_SHARE = 0.2  # of the family-wise rate that is spent on these, where there are any
 FREEDOM = 10  # degrees of freedom of their dispersion, at least
 COLOUR = 0.9  # quantile of the dispersions of other effects that theirs is at least
-MEDIAN = float(chi2.median(1))  # of the square of a standard normal number
+MEDIAN = float(chdtri(1, 0.5))  # of the square of a standard normal number
 NONE = 1e-9  # information in typical sizes below which the data hold none
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
 ROUNDED = 1e-12  # eigenvalue of an information matrix, over the largest, that is but rounding
@@ -68,7 +67,7 @@ class Scores(NamedTuple):
         Random signs cannot give ones as small as a false discovery rate needs.
         """
         size = max(np.abs(self.T[columns]).max(), self.joint[effect])
-        return self._either(min(2 * float(norm.sf(size)) * len(columns), 1.0), columns)
+        return self._either(min(2 * float(ndtr(-size)) * len(columns), 1.0), columns)
 
     def _either(self, p_value: float, columns: np.ndarray) -> float:
         """Return the p-value of both tests together, where the test with random signs gives `p_value`."""
@@ -169,7 +168,7 @@ def few_block_p_values(
         acts = known[:, k] > CONDITION * total
         rest, left = variance.sum() - variance[acts], np.sign(s.sum()) * (s.sum() - s[acts])
         least = (left / np.sqrt(np.maximum(rest, np.finfo(float).tiny))).min() if acts.sum() > 1 else 0.0
-        p_values[k] = min(rare.sum() * (1 if one_sided[k] else 2) * student.sf(max(least, 0.0), FREEDOM), 1.0)
+        p_values[k] = min(rare.sum() * (1 if one_sided[k] else 2) * stdtr(FREEDOM, -max(least, 0.0)), 1.0)
     return p_values
 
 
@@ -207,7 +206,7 @@ def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
     Hotelling's statistic with the sum of squares of the blocks, which random signs leave as it is.
     """
     squares = np.einsum("ni,ij,nj->n", U, np.linalg.pinv(effective.T @ effective, hermitian=True), U)
-    return norm.isf(chi2.sf(squares, U.shape[1]) / 2)
+    return -ndtri(chdtrc(U.shape[1], squares) / 2)
 
 
 def pair_p_value(effective: np.ndarray, seed: int) -> float:
@@ -274,7 +273,7 @@ def covariance(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.nda
 def half_widths_from(H: np.ndarray, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the half-widths (k,) of the 95 % intervals of the parameters `columns`, from the robust `covariance`."""
     spread = np.sqrt(np.diag(covariance(H, blocks, columns)))
-    return student.ppf(0.975, max(len(blocks) - len(columns), 1)) * spread
+    return stdtrit(max(len(blocks) - len(columns), 1), 0.975) * spread
 
 
 class ParameterSpread(NamedTuple):

@@ -22,7 +22,7 @@ STANDARD = ("slalom", "throttle_steps")  # manoeuvres without a log
 LENGTH, SAMPLE = 10.0, 0.02  # of each, and of its samples [sqrt(L/g)]
 HORIZON, EVERY = 2.0, 1.0  # of predictions on a log, and between their starts [sqrt(L/g)]
 CHANNELS = ("V", "beta", "r")
-OPTIONAL_NAMES = {"beta": "sideslip beta", "Fxr": "drive force Fxr"}  # channels that a log may lack
+OPTIONAL_NAMES = {"beta": "sideslip beta", "r": "yaw rate r", "Fxr": "drive force Fxr"}  # channels that a log may lack
 
 
 class Window(NamedTuple):

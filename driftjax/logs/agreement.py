@@ -109,15 +109,15 @@ def smooth_channels(run: Run) -> tuple[Channels, Channels]:
     return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
 
 
-def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and rates (n,) of `y` (n,) by parabolas over `window` [s]; NaN in gaps or if `y` is shorter."""
+def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW, order: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and rates (n,) of `y` (n,) by polynomials over `window` [s]; NaN in gaps or if `y` is shorter."""
     from scipy.signal import savgol_filter  # takes a second to load, with every command and worker that reads logs
 
     num = max(2 * round(window / dt / 2) + 1, 5)
     if len(y) < num:
         return np.full(len(y), np.nan), np.full(len(y), np.nan)
     keep, filled = near_measurements(y, num // 2), fill_gaps(y)
-    of = lambda order: np.where(keep, np.asarray(savgol_filter(filled, num, 2, order, dt)), np.nan)
+    of = lambda derivative: np.where(keep, np.asarray(savgol_filter(filled, num, order, derivative, dt)), np.nan)
     return of(0), of(1)
 
 

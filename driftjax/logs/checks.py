@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL
+from driftjax.logs.columns import CHANNELS, COMMANDS, MEASURED, OPTIONAL, dispensable
 from driftjax.logs.raw import RawRun
 from driftjax.logs.sampling import JITTER, UNIFORM, even_rate, jitter, proposed_rate, sample_time
 
@@ -50,9 +50,10 @@ def invalid_sideslip(run: RawRun) -> np.ndarray:
 
 def check_values(run: RawRun) -> None:
     """Raise `BadInput` if a channel is empty, stuck, negative or in another unit."""
+    may_lack = dispensable(run.values)
     for name in CHANNELS[1:]:
         values = run.values[name][np.isfinite(run.values[name])]
-        if not values.size and name in OPTIONAL:
+        if not values.size and name in may_lack:
             continue
         if not values.size:
             raise BadInput(f"{run.where}: {run.labels[name]} has no value in any row; fill it in or leave the run out.")

@@ -17,6 +17,7 @@ MEASURED = ("V", "beta", "r")
 COMMANDS = ("delta", "Fxr")
 OPTIONAL = {  # channel: what the diagnosis does without it
     "beta": "sideslip is inferred from the other channels",
+    "r": "the rate of the heading stands for it",
     "Fxr": "the force is estimated from the speed, and drive, brakes and drag are not judged",
 }
 VELOCITIES = ("vx", "vy")
@@ -68,10 +69,11 @@ class Condition:
 
 @dataclass(frozen=True)
 class Drive:
-    """Model of the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
+    """Model of a part of the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
 
     column: str
-    """Foreign column: throttle, or longitudinal acceleration with the mass as factor."""
+    """Foreign column: throttle, torque of an engine, pressure of a brake with a negative factor, or longitudinal
+    acceleration with the mass as factor."""
     factor: float = 1.0
     """Force at standstill [N per unit of the column]."""
     factor_per_speed: float = 0.0
@@ -79,7 +81,7 @@ class Drive:
     above: float | None = None
     """Value up to which there is no force [unit of the column]; left out: the column counts from zero both ways."""
     times: str | None = None
-    """Foreign column that the force is multiplied by, such as 1 while the motor is enabled, else 0."""
+    """Foreign column that the force is multiplied by, such as the gear's ratio, or 1 while the motor is enabled."""
 
     def force(self, table: Table, vx: np.ndarray) -> np.ndarray:
         """Return the force [N] in every row at forward speed `vx` [m/s]."""
@@ -144,8 +146,8 @@ class ColumnMap:
     """Conditions on the rows that count. In YAML `column: value`, `column: [values]` or `column: {min, max}`."""
     skip_rows: int | tuple[int, ...] = 0
     """Lines of a CSV to pass over: the first so many, or those with the listed numbers, from 1."""
-    Fxr_from: Drive | None = None
-    """What stands for Fxr where there is no force channel."""
+    Fxr_from: tuple[Drive, ...] = ()
+    """What stands for Fxr where there is no force channel: the sum of these. In YAML one or a list."""
     position_from: Position | None = None
     """What x and y are computed from where the log has latitude and longitude."""
     linear: tuple[str, ...] = ()
@@ -164,12 +166,14 @@ class ColumnMap:
         for name in names:
             require(name in known, f"key 'columns' maps '{name}'; the channels are {', '.join(known)}.")
             require(names.count(name) == 1, f"key 'columns' maps '{name}' twice; leave one.")
-        require(self.Fxr_from is None or "Fxr" not in names, "Fxr is in 'columns' and 'Fxr_from'; leave one.")
+        require(not self.Fxr_from or "Fxr" not in names, "Fxr is in 'columns' and 'Fxr_from'; leave one.")
         require(self.position_from is None or not {"x", "y"} & set(names),
                 "x or y is in 'columns' and in 'position_from'; leave one.")  # fmt: skip
         require(names.count("vx") == names.count("vy"), "key 'columns' maps one of vx and vy; map both, or V and beta.")
-        lacks = first_missing(names if self.Fxr_from is None else [*names, "Fxr"])
-        require(lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it, the diagnosis needs it.")
+        lacks = first_missing(names)
+        require(
+            lacks is None, f"key 'columns' maps nothing to '{lacks}'; add it{_instead(lacks)}, the diagnosis needs it."
+        )
         for name in self.linear:
             require(name in COMMANDS, f"key 'linear' has '{name}'; it may have {' and '.join(COMMANDS)}.")
         require(self.rate is None or self.rate > 0, f"key 'rate' is {self.rate}; it must be positive.")
@@ -183,19 +187,35 @@ class ColumnMap:
         """Return whether to skip line `line` of a CSV, counted from 1."""
         return line <= self.skip_rows if isinstance(self.skip_rows, int) else line in self.skip_rows
 
+    @property
+    def force_columns(self) -> str:
+        """Return what stands for Fxr, in words."""
+        names = " and ".join(f"'{one.column}'" for one in self.Fxr_from)
+        return f"column{'s' if len(self.Fxr_from) > 1 else ''} {names}"
+
     def labels(self) -> dict[str, str]:
         """Return the name of each channel in messages."""
         named = {c.name: f"column '{c.column}'" + (f" ({c.name})" if c.column != c.name else "") for c in self.columns}
-        force = {} if self.Fxr_from is None else {"Fxr": f"column '{self.Fxr_from.column}' (Fxr)"}
+        force = {"Fxr": f"{self.force_columns} (Fxr)"} if self.Fxr_from else {}
         source = " and ".join(f"'{c.column}'" for c in self.columns if c.name in VELOCITIES)
         return {name: f"{name} (columns {source})" for name in ("V", "beta")} | force | named
 
 
 def first_missing(names: Iterable[str]) -> str | None:
-    """Return the first channel missing from `names` that a log must have; vx, vy provide V."""
+    """Return the first channel missing from `names` that a log must have; vx, vy provide V, psi provides r."""
     have = set(names)
     have |= {"V"} if have.issuperset(VELOCITIES) else set()
-    return next((name for name in CHANNELS if name not in have and name not in OPTIONAL), None)
+    return next((name for name in CHANNELS if name not in have | dispensable(have)), None)
+
+
+def dispensable(names: Iterable[str]) -> set[str]:
+    """Return the channels that a log with the channels `names` may lack."""
+    return set(OPTIONAL) - ({"r"} if "psi" not in set(names) else set())
+
+
+def _instead(lacks: str | None) -> str:
+    """Return what a map may have in place of the missing channel, in words."""
+    return {"V": " (or vx and vy)", "r": " (or psi)"}.get(lacks or "", "")
 
 
 def load_columns(name: str | Path) -> ColumnMap:
@@ -211,8 +231,9 @@ def load_columns(name: str | Path) -> ColumnMap:
         | (test if isinstance(test, dict) else {"values": test if isinstance(test, list) else [test]})
         for column, test in _mapping(values, "where", path).items()
     ]
-    if isinstance(values.get(RUN), str):
-        values[RUN] = [values[RUN]]
+    for key in (RUN, "Fxr_from"):
+        if isinstance(values.get(key), str | dict):
+            values[key] = [values[key]]
     return from_dict(ColumnMap, values, str(path))
 
 
@@ -221,9 +242,8 @@ def standard_columns(table: Table) -> ColumnMap:
     velocities = [name for name in VELOCITIES if name in table]
     names = [name for name in (*CHANNELS, *EXTRA) if name in table] + velocities * (len(velocities) == 2)
     if (lacks := first_missing(names)) is not None:
-        instead = " (or vx and vy)" if lacks == "V" else ""
         raise BadInput(
-            f"{table.path}: column '{lacks}' is missing; add it{instead}, "
+            f"{table.path}: column '{lacks}' is missing; add it{_instead(lacks)}, "
             "or name the column that holds it in a column map, "
             f"which `driftjax inspect {table.path} --guess` proposes. There are {similar_names(lacks, table.names)}."
         )
@@ -238,9 +258,9 @@ def map_channels(table: Table, columns: ColumnMap) -> dict[str, np.ndarray]:
         values = {"V": np.hypot(vx, vy), "beta": np.arctan2(vy, vx)} | values
     if columns.position_from is not None:
         values |= columns.position_from.metres(table)
-    if columns.Fxr_from is not None:
-        forward = np.cos(values["beta"]) if "beta" in values else 1.0
-        values["Fxr"] = columns.Fxr_from.force(table, values["V"] * forward)
+    if columns.Fxr_from:
+        vx = values["V"] * np.cos(values.get("beta", 0.0))
+        values["Fxr"] = np.sum([one.force(table, vx) for one in columns.Fxr_from], axis=0)
     none = np.full(len(table.lines), np.nan)
     return {name: none for name in OPTIONAL} | values
 

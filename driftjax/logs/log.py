@@ -37,7 +37,7 @@ class Run:
     beta: np.ndarray
     """Sideslip [rad], left positive; NaN throughout where the log has none."""
     r: np.ndarray
-    """Yaw rate [rad/s], left positive."""
+    """Yaw rate [rad/s], left positive; NaN throughout where the log has none."""
     delta: np.ndarray
     """Commanded steering angle [rad], left positive; mean over the time to the next sample."""
     Fxr: np.ndarray

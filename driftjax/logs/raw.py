@@ -54,8 +54,9 @@ def raw_runs(table: Table, columns: ColumnMap | None, notes: list[str]) -> list[
         known = (*(channel.name for channel in columns.columns), RUN)
         if ignored := [f"'{name}'" for name in table.names if name not in known]:
             notes.append(f"{path}: columns that the log format does not have were left out: {', '.join(ignored)}.")
-    elif columns.Fxr_from is not None:
-        notes.append(f"{path}: column '{columns.Fxr_from.column}' stands for Fxr, as the column map says.")
+    elif columns.Fxr_from:
+        verb = "stand" if len(columns.Fxr_from) > 1 else "stands"
+        notes.append(f"{path}: {columns.force_columns} {verb} for Fxr, as the column map says.")
     table = _filtered(table, columns, notes)
     if columns.position_from is not None:
         north, east = columns.position_from.start(table)

@@ -129,14 +129,12 @@ def _if_readable(read: Callable[[Path, list[str]], dict[str, Series]], path: Pat
 
 def _roles(columns: ColumnMap) -> dict[str, str]:
     """Return the role of every mapped column except the time: measured, command or state."""
-    drive = columns.Fxr_from
     state = [*columns.run, *(condition.column for condition in columns.where)]
-    state += [drive.times] if drive and drive.times else []
+    state += [drive.times for drive in columns.Fxr_from if drive.times]
     held = [name for name in COMMANDS if name not in columns.linear]
     command = [channel.column for channel in columns.columns if channel.name in held]
     measured = [channel.column for channel in columns.columns if channel.name not in held]
-    if drive:
-        (command if "Fxr" in held else measured).append(drive.column)
+    (command if "Fxr" in held else measured).extend(drive.column for drive in columns.Fxr_from)
     measured += [columns.position_from.latitude, columns.position_from.longitude] if columns.position_from else []
     ranks = {"measured": measured, "command": command, "state": state}  # what is measured is, whatever else it is for
     roles = dict(chain.from_iterable(((name, role) for name in names) for role, names in reversed(ranks.items())))

@@ -50,11 +50,11 @@ def single_track(m: float, Iz: float, a: float, b: float, stiffness: float, drag
     return rates
 
 
-def f1tenth_bag(path: Path) -> None:
+def f1tenth_bag(path: Path, stiffness: float = 45.0, seed: int = 0) -> None:
     """25 s of an F1TENTH car: odometry of its state estimate, the VESC's IMU and the drive commands."""
-    t, rng = np.arange(0, 25, 0.02), np.random.default_rng(0)
+    t, rng = np.arange(0, 25, 0.02), np.random.default_rng(seed)
     force, steer = lambda t: 3 * np.sin(0.4 * t) + 2, lambda t: steered(t, 0.15)
-    rates = single_track(3.47, 0.047, 0.159, 0.171, 45.0, 0.2, force, steer)
+    rates = single_track(3.47, 0.047, 0.159, 0.171, stiffness, 0.2, force, steer)
     states = driven(rates, t, np.array([3.0, 0, 0, 0, 0, 0.3]), substeps=4)
     vx, vy, r, x, y, psi = states.T
     ax, ay = (np.gradient(vx, t) - vy * r, np.gradient(vy, t) + vx * r)

@@ -57,3 +57,37 @@ def test_the_two_wrong_stiffnesses_of_the_matlab_example_are_named_and_nothing_e
     for effect, truth in (("friction", 1 / 4), ("drive_gain", 1 / 3)):
         low, high = causes[effect]["ci95"]
         assert low <= truth <= high and high - low < 0.02
+
+
+def run_commands(page: str) -> None:
+    """Run the commands of a page's blocks without a language."""
+    for command in re.findall(r"^driftjax (.*)$", page, re.MULTILINE):
+        assert main(command.split()) == 0
+
+
+@pytest.mark.slow
+def test_after_calibration_on_one_f1tenth_bag_another_shows_its_softer_tyres(tmp_path, monkeypatch):
+    """All axles of the second car are a third softer than those of the first."""
+    monkeypatch.chdir(tmp_path)
+    page = (PAGES / "f1tenth.md").read_text(encoding="utf-8")
+    write_inputs("f1tenth", page)
+    f1tenth_bag(Path("other_bag"), stiffness=30.0, seed=1)
+    assert main("inspect my_bag --guess --vehicle f1tenth.yaml --write map.yaml".split()) == 0
+    run_commands(page)
+    diagnosis = json.loads(Path("runs/other/diagnosis.json").read_text())
+    causes = [{cause["effect"], *cause["rivals"]} for cause in diagnosis["causes"]]
+    assert diagnosis["verdict"] in ("NAMED", "SET") and len(causes) <= 3
+    assert any("stiffness_front" in cause for cause in causes) or any("friction" in cause for cause in causes)
+
+
+@pytest.mark.slow
+def test_the_friction_of_the_second_of_two_logs_is_the_difference(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (PAGES / "compare.md").read_text(encoding="utf-8")
+    for command in re.findall(r"^driftjax (simulate .*|compare dry/.*)$", page, re.MULTILINE):
+        assert main([*command.split(), *(["--out", "runs/both"] if command.startswith("compare") else [])]) == 0
+    comparison = json.loads(Path("runs/both/compare.json").read_text())
+    (difference,) = comparison["differences"]
+    size = difference["parameters"]["p"]
+    assert comparison["verdict"] == "NAMED" and difference["effect"] == "friction"
+    assert size["ci95"][0] <= -0.06 <= size["ci95"][1] and size["ci95"][1] - size["ci95"][0] < 0.05

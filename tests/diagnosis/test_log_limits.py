@@ -18,7 +18,8 @@ from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
 from driftjax.diagnosis.propose import added_information
-from driftjax.diagnosis.runs import resolved_log, run_observer, take
+from driftjax.diagnosis.resolve import resolved_log
+from driftjax.diagnosis.runs import run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import effects_by_name

@@ -26,6 +26,12 @@ def test_channels_are_taken_out_and_with_the_sideslip_the_pose():
     assert set(masked(run, MASKS["no force"]).extra) == {"psi", "x", "ay"} and np.isfinite(run.beta).all()
 
 
+def test_a_yaw_rate_is_taken_out_but_not_the_heading():
+    wave = np.sin(np.arange(20.0))
+    run = dj.Run("a", 0.01 * np.arange(20), 10 + wave, wave, wave, wave, wave, 0.01, {"psi": wave, "ay": wave})
+    assert np.isnan(masked(run, MASKS["no yaw rate"]).r).all() and "psi" in masked(run, MASKS["no yaw rate"]).extra
+
+
 def test_cases_are_the_same_for_a_seed_and_every_fifth_hides_nothing():
     cases = draw_study(Config(cases=5, cars=("rc",)))
     assert [len(case.names) for case in cases].count(0) == 1 and cases == draw_study(Config(cases=5, cars=("rc",)))

@@ -51,6 +51,34 @@ def foreign(path: Path) -> dict[str, list]:
     return values
 
 
+def test_a_force_is_the_sum_of_engine_and_brakes(tmp_path):
+    plain = columns()
+    n = len(plain["t"])
+    torque = list(map(float, range(n)))
+    write(tmp_path / "log.csv", plain | {"torque": torque, "gear": n * [3.0], "front": n * [1.0], "rear": n * [0.5]})
+    force = "[{column: torque, factor: 2, times: gear}, {column: front, factor: -9}, {column: rear, factor: -4}]"
+    channels = "columns: {t: t, V: V, r: r, delta: delta}"
+    (tmp_path / "map.yaml").write_text(f"{channels}\nFxr_from: {force}\n")
+    log = read_log(tmp_path / "log.csv", load_columns(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(log.runs[0].Fxr, 6 * np.arange(len(log.runs[0].t)) - 9 - 2)
+    assert any("columns 'torque' and 'front' and 'rear' stand for Fxr" in note for note in log.notes)
+
+
+def test_a_log_without_a_yaw_rate_needs_a_heading(tmp_path):
+    ColumnMap(tuple(Channel(one, one) for one in ("t", "V", "delta", "psi")))
+    with pytest.raises(BadInput, match=re.escape("nothing to 'r'; add it (or psi)")):
+        ColumnMap(tuple(Channel(one, one) for one in ("t", "V", "beta", "delta", "Fxr")))
+    channels = {name: values for name, values in columns().items() if name != "r"}
+    write(tmp_path / "log.csv", channels)
+    with pytest.raises(BadInput, match=re.escape("column 'r' is missing; add it (or psi)")):
+        read_log(tmp_path / "log.csv")
+    write(tmp_path / "log.csv", channels | {"psi": channels["beta"]})
+    log = read_log(tmp_path / "log.csv")
+    assert np.isnan(log.runs[0].r).all() and any(
+        "has no r; the rate of the heading stands for it" in note for note in log.notes
+    )
+
+
 def test_a_column_map_converts_filters_and_names(tmp_path):
     values = foreign(tmp_path / "log.csv")
     (tmp_path / "map.yaml").write_text(MAP)
@@ -131,7 +159,7 @@ def test_column_maps_that_do_not_fit_the_file_are_reported(tmp_path):
             replace(fits, where=(Condition("okay", (1.0,)),)),
             "column 'okay' is missing; add it or correct the column map",
         ),
-        (replace(fits, Fxr_from=Drive("gas")), "column 'gas' is missing"),
+        (replace(fits, Fxr_from=(Drive("gas"),)), "column 'gas' is missing"),
         (
             replace(fits, columns=tuple(replace(c, factor=1.0) for c in fits.columns)),
             r"column 'millis' \(t\) steps by 10",

@@ -19,6 +19,7 @@ from driftjax.logs.columns import (
     Condition,
     Drive,
     Position,
+    dispensable,
     first_missing,
 )
 from driftjax.logs.guess.assign import (
@@ -81,7 +82,7 @@ class Guess:
 
     def lacks(self) -> str | None:
         """Return the first channel which a log must have and no column was recognised as; None if all are there."""
-        return first_missing([one.channel for one in self.channels] + (["Fxr"] if self.Fxr_from else []))
+        return first_missing(one.channel for one in self.channels)
 
     def column_map(self) -> ColumnMap:
         """Return the map; raises `BadInput` that names a needed channel which no column was recognised as."""
@@ -96,8 +97,8 @@ class Guess:
             position = Position(latitude.column, earth["longitude"].column, latitude.factor / DEG)
         run = () if self.run is None else (self.run,)
         stamps: Any = self.stamps
-        return ColumnMap(channels, run, self.where, Fxr_from=self.Fxr_from, position_from=position, rate=self.rate,
-                         stamps=stamps)  # fmt: skip
+        return ColumnMap(channels, run, self.where, Fxr_from=(self.Fxr_from,) if self.Fxr_from else (),
+                         position_from=position, rate=self.rate, stamps=stamps)  # fmt: skip
 
     def content(self) -> dict[str, Any]:
         """Return the guess as plain values, for JSON."""
@@ -307,9 +308,10 @@ def _open(
     log: LogColumns, assigned: dict[str, ChannelAssignment], lacks: list[str], guesses: list[Guessed]
 ) -> list[str]:
     """Return sentences about channels without a column, and columns without a channel."""
-    needed = [name for name in lacks if name not in OPTIONAL]
+    may_lack = dispensable(assigned)
+    needed = [name for name in lacks if name not in may_lack]
     sentences = [f"No column was recognised as {', '.join(needed)}, which the diagnosis needs."] if needed else []
-    sentences += [f"No column was recognised as {name}: {OPTIONAL[name]}." for name in lacks if name in OPTIONAL]
+    sentences += [f"No column was recognised as {name}: {OPTIONAL[name]}." for name in lacks if name in may_lack]
     used = {one.column for one in guesses}
     rest = [one.name for one in log.columns if one.name not in used]
     pedals = [name for name in rest if PEDALS & set(words_of(name))]
