@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import least_squares
 
 from driftjax.core import BadInput, require
 from driftjax.environment import require_float64
@@ -28,6 +27,8 @@ def fit_tir(file: TyreFile, data: Mapping[str, np.ndarray], names: Sequence[str]
     root mean square. The fit is local: with many coefficients begin with a few, such as PCY1, PDY1, PEY1, PKY1.
     Raises `BadInput` for columns that are no such arrays and for data without a measured force.
     """
+    from scipy.optimize import least_squares  # takes a second to load, with every command and worker
+
     require_float64()
     known = (*COEFFICIENTS, *SCALES, "PKY4")
     if unknown := [name for name in names if name not in known]:

@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import least_squares
 
 from driftjax.core import BadInput, as_float
 from driftjax.parallel import call
@@ -76,6 +75,8 @@ def nominal_tyre(file: TyreFile, Fz: float) -> tuple[float, float, float]:
     `BadInput` where the curve has another shape, more than 10 % of its peak off (root mean square), or no peak of a
     tyre.
     """
+    from scipy.optimize import least_squares  # takes a second to load, with every command and worker
+
     alpha = np.linspace(0.0, WIDEST, SAMPLES + 1)[1:]
     force = np.abs(np.asarray(call(_lateral, magic_formula(file), jnp.asarray(alpha), jnp.asarray(Fz))))
     start = _start(file, alpha, force, Fz)
