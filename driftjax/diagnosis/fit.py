@@ -53,6 +53,7 @@ from driftjax.vehicle.universal import Universal, universal_car
 
 MOST_ROWS = 512  # pieces times hypotheses evaluated together: those of a long log fill the memory
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
+NOT_BY_HEADING = ("gyro_bias", "gyro_scale", "relaxation_length")  # which its rate lacks, or is too smooth for
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
@@ -125,8 +126,8 @@ def initial_problem(
 ) -> Problem:
     """Build the problem with an initial guess of the noise and fixed observer gains.
 
-    Effects `without` which the search is done keep their start values, as do those whose columns a run lacks and, where
-    the force is not known, those that depend on it.
+    Effects `without` which the search is done keep their start values, as do those whose columns or sensor a run lacks
+    and, where the force is not known, those that depend on it.
     """
     data = measured_pieces(vehicle, runs)
     known = data.force_known
@@ -135,11 +136,12 @@ def initial_problem(
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
-    searched = [one.name not in without and set(one.needs) <= has and judged(one) for one in effects]
+    fixed = {*without, *(NOT_BY_HEADING if any(run.yaw_rate_of_heading for run in runs) else ())}
+    searched = [one.name not in fixed and set(one.needs) <= has and judged(one) for one in effects]
     active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
-    owner, fixed = np.array([i for i, _ in parameters]), fixed_gain(data)
-    return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), fixed)
+    owner, gains = np.array([i for i, _ in parameters]), fixed_gain(data)
+    return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), gains)
 
 
 def depends_on_force(effect: Effect) -> bool:

@@ -20,7 +20,7 @@ def resolved_log(vehicle: VehicleConfig, log: Log) -> Log:
     For a wheelbase of 2.65 m these are 77 Hz or a little more. Others cost time, and what differs from one to the next
     is the sensor's filter rather than the car. Raises `BadInput` as `with_yaw_rate` does.
     """
-    return with_yaw_rate(vehicle, log).thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G))
+    return with_yaw_rate(vehicle, log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G)))
 
 
 def with_yaw_rate(vehicle: VehicleConfig, log: Log) -> Log:
@@ -45,4 +45,4 @@ def _with_rate_of_heading(vehicle: VehicleConfig, run: Run) -> Run:
         raise BadInput(
             f"Run '{run.name}' has neither a yaw rate nor a heading; map r or psi, or leave it out (--runs)."
         )
-    return dataclasses.replace(run, r=r)
+    return dataclasses.replace(run, r=r, yaw_rate_of_heading=True)

@@ -48,6 +48,8 @@ class Run:
     """What else was measured: x, y, s, e [m], psi [rad], ax, ay [m/s^2], wheel speeds wfl, wfr, wrl, wrr [rad/s]."""
     linear: tuple[str, ...] = ()
     """Which of delta and Fxr change linearly between samples, as measured ones do; others are held."""
+    yaw_rate_of_heading: bool = False
+    """Whether r is the rate of the heading, for want of a sensor of its own."""
 
     @property
     def command_changes(self) -> np.ndarray:
