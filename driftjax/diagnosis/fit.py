@@ -53,7 +53,7 @@ from driftjax.vehicle.universal import Universal, universal_car
 
 MOST_ROWS = 512  # pieces times hypotheses evaluated together: those of a long log fill the memory
 STABILITY_LIMIT = 2.5  # decay over a step that the Runge-Kutta method bears: 2.78
-NOT_BY_HEADING = ("gyro_bias", "gyro_scale", "relaxation_length")  # which its rate lacks, or is too smooth for
+GYRO = ("gyro_bias", "gyro_scale")  # errors that the rate of a heading does not have
 BY_FORCE = ("traction_limit", "combined_slip", "load_transfer_long")  # effects that only a force shows
 LOST = 100.0  # largest derivative in a piece over the median of all pieces, from which the observer has lost the car
 LOST_LIMITS = (1e3, 1e8)  # whatever that median, in noise per typical size
@@ -136,7 +136,7 @@ def initial_problem(
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
-    fixed = {*without, *(NOT_BY_HEADING if any(run.yaw_rate_of_heading for run in runs) else ())}
+    fixed = {*without, *(GYRO if any(run.yaw_rate_of_heading for run in runs) else ())}
     searched = [one.name not in fixed and set(one.needs) <= has and judged(one) for one in effects]
     active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
@@ -279,22 +279,26 @@ def evaluate_fits(problem: Problem, thetas: Sequence[np.ndarray]) -> list[Fit]:
     A delay assigns the first measurements to times before the run; these cost what noise costs, since leaving them out
     would reward the delay.
     """
-    num, fits = len(problem.data.run), []
+    model, data, num, fits = problem.model, problem.data, len(problem.data.run), []
     for k in range(0, len(thetas), together := max(MOST_ROWS // num, 1)):
         some = np.asarray(thetas[k : k + together])
         row = np.arange(len(some) * num)
-        path = run_observers(problem.model, problem.data, some[row // num], row % num, problem.gains)
-        fits += [_fit_of(problem, one, take(path, row // num == i)) for i, one in enumerate(some)]
+        path = run_observers(model, data, some[row // num], row % num, problem.gains)
+        motions = [None] * len(some)
+        if problem.motion is not None:
+            motions = whitened_residuals(model, data, some, problem.motion)
+        its = row.reshape(-1, num)
+        fits += [_fit_of(problem, *one, take(path, at)) for *one, at in zip(some, motions, its, strict=True)]
     return fits
 
 
-def _fit_of(problem: Problem, theta: np.ndarray, path: Path) -> Fit:
-    """Return the fit of the hypothesis `theta` (K,), whose observer followed `path`."""
+def _fit_of(problem: Problem, theta: np.ndarray, motion: tuple[np.ndarray, int] | None, path: Path) -> Fit:
+    """Return the fit of the hypothesis `theta` (K,), whose observer followed `path`, with its residual `motion`."""
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)
     cost = float(np.sum(e**2)) + float(np.sum(problem.data.padded.valid * problem.data.informative - used))
-    if problem.motion is not None:
-        further, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
+    if motion is not None:
+        further, missing = motion
         e, cost = np.concatenate([e, further], axis=2), cost + float(np.sum(further**2)) + missing
     moved = theta - problem.start
     cost += float(moved @ problem.prior @ moved)

@@ -18,7 +18,16 @@ from jaxtyping import Float
 from driftjax.core import Control, State
 from driftjax.diagnosis.noise import PRIOR, robust_deviation
 from driftjax.diagnosis.observer import PaddedRun, align_measurements
-from driftjax.diagnosis.runs import FURTHER, MeasuredMotion, Pieces, map_pieces, padded_size
+from driftjax.diagnosis.runs import (
+    FURTHER,
+    MeasuredMotion,
+    Pieces,
+    batches,
+    concatenate_trees,
+    padded_size,
+    take,
+    theta_of_pieces,
+)
 from driftjax.parallel import call
 from driftjax.sim.record import road_acceleration
 from driftjax.vehicle.universal import Universal
@@ -192,37 +201,47 @@ def _whole_windows(known: Array, motion: MeasuredMotion, W: Array, n: int) -> Ar
 
 
 def batched_residuals(model, theta, runs, motion, W, room, dt):
-    """Apply `motion_residuals` to a batch of pieces."""
-    return eqx.filter_vmap(motion_residuals, in_axes=(None, None, 0, 0, None, None, None))(
+    """Apply `motion_residuals` to a batch of pieces, with parameters `theta` (B, K) of their own."""
+    return eqx.filter_vmap(motion_residuals, in_axes=(None, 0, 0, 0, None, None, None))(
         model, theta, runs, motion, W, room, dt
     )  # fmt: skip
 
 
+def kinematic_columns(model: Universal) -> np.ndarray:
+    """Return the indices of the parameters of sensors and road, on which alone the residuals depend."""
+    return np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
+
+
 def batched_derivatives(model, theta, runs, motion, W, room, dt):
-    """Return the derivatives (P, n, 5, K) by theta of the pose and accelerations predicted from V, beta and r."""
-    columns = np.flatnonzero([effect.kinematic for effect in model.effects for _ in effect.parameters])
+    """Return the derivatives (B, n, 5, K) by theta of the pose and accelerations predicted from V, beta and r."""
+    columns, num = kinematic_columns(model), theta.shape[-1]
     value = lambda theta: batched_residuals(model, theta, runs, motion, W, room, dt).e
-    by = jax.vmap(lambda d: jax.jvp(value, (theta,), (d,))[1], out_axes=-1)(jnp.eye(len(theta))[columns])
-    return jnp.zeros((*by.shape[:-1], len(theta))).at[..., columns].set(-by)
+    along = lambda d: jax.jvp(value, (theta,), (jnp.broadcast_to(d, theta.shape),))[1]
+    by = jax.vmap(along, out_axes=-1)(jnp.eye(num)[columns])
+    return jnp.zeros((*by.shape[:-1], num)).at[..., columns].set(-by)
 
 
 def piece_residuals(model: Universal, data: Pieces, theta: np.ndarray) -> MotionResiduals:
     """Compare all pieces with their further channels; leading axes (P, n)."""
-    return _map_windows(batched_residuals, model, data, theta)
+    return _map_windows(batched_residuals, model, data, theta_of_pieces(data, theta), np.arange(len(data.run)))
 
 
 def piece_derivatives(model: Universal, data: Pieces, theta: np.ndarray) -> np.ndarray:
     """Return the derivatives (P, n, 5, K) of the computed motion of all pieces by theta."""
-    return _map_windows(batched_derivatives, model, data, theta)
+    return _map_windows(batched_derivatives, model, data, theta_of_pieces(data, theta), np.arange(len(data.run)))
 
 
-def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray):
-    """Apply `function` to all pieces with an array of windows of a padded size, and return the windows that exist."""
-    W, where = window_size(model, data.dt), jnp.asarray(theta)
-    n = (data.size - 1) // W
-    one = lambda run, motion: call(function, model, where, run, motion, jnp.asarray(W), padded_size(n, ROOM), data.dt)
-    by_piece = map_pieces(one, len(data.run), data.padded, data.motion, batch=BATCH)
-    return jax.tree.map(lambda a: a[:, :n], by_piece)
+def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray, piece: np.ndarray):
+    """Apply `function` with the parameters `theta` (R, K) to the pieces with the numbers `piece` (R,), in batches.
+
+    The array of windows has a padded size; those that exist are returned.
+    """
+    W, room = window_size(model, data.dt), padded_size(n := (data.size - 1) // window_size(model, data.dt), ROOM)
+    parts = []
+    for batch in batches(len(piece), BATCH):
+        runs, motion = take((data.padded, data.motion), piece[batch])
+        parts.append(call(function, model, jnp.asarray(theta[batch]), runs, motion, jnp.asarray(W), room, data.dt))
+    return jax.tree.map(lambda a: a[:, :n], concatenate_trees(parts, len(piece)))
 
 
 def window_ends(model: Universal, data: Pieces) -> slice:
@@ -310,12 +329,26 @@ def orthonormal(own: np.ndarray) -> np.ndarray:
     return U[:, s > INDEPENDENT * s.max(initial=0.0)].reshape(*own.shape[:-1], -1)
 
 
-def whitened_residuals(model: Universal, data: Pieces, theta: np.ndarray, noise: MotionNoise) -> tuple[np.ndarray, int]:
-    """Return the whitened residuals (P, T, 5) of a car `theta`, at the ends of windows, and how many windows it lacks.
+def whitened_residuals(
+    model: Universal, data: Pieces, thetas: np.ndarray, noise: MotionNoise
+) -> list[tuple[np.ndarray, int]]:
+    """Return the whitened residuals (P, T, 5) of every car of `thetas` (R, K), and how many windows it lacks.
 
-    What the further channels may err by themselves is projected out at each theta (Golub and Pereyra 1973).
+    They stand at the ends of windows. What the further channels may err by themselves is projected out at each theta
+    (Golub and Pereyra 1973). Cars with the same sensors and road share their residuals.
     """
-    e, own, there = _whitened(piece_residuals(model, data, theta), noise)
+    _, first, which = np.unique(thetas[:, kinematic_columns(model)], axis=0, return_index=True, return_inverse=True)
+    P = len(data.run)
+    row = np.arange(P * len(first))
+    residuals = _map_windows(batched_residuals, model, data, thetas[first[row // P]], row % P)
+    each = [_projected(take(residuals, slice(k, k + P)), model, data, noise) for k in range(0, len(row), P)]
+    return [each[k] for k in which.reshape(-1)]
+
+
+def _projected(
+    residuals: MotionResiduals, model: Universal, data: Pieces, noise: MotionNoise
+) -> tuple[np.ndarray, int]:
+    e, own, there = _whitened(residuals, noise)
     e = e - np.einsum("pnic,c->pni", own, np.einsum("pnic,pni->c", own, e))
     return _at_ends(e, model, data), int(noise.used.sum() - there.sum())
 

@@ -11,7 +11,6 @@ from driftjax.vehicle import VehicleConfig
 from driftjax.vehicle.single_track import G
 
 RESOLUTION = 40.0  # samples in sqrt(L/g) that resolve a car: its fastest motion takes a tenth of that time
-CUBICS = 0.5  # window of the cubics that a heading is differentiated by [sqrt(L/g)]
 
 
 def resolved_log(vehicle: VehicleConfig, log: Log) -> Log:
@@ -20,27 +19,26 @@ def resolved_log(vehicle: VehicleConfig, log: Log) -> Log:
     For a wheelbase of 2.65 m these are 77 Hz or a little more. Others cost time, and what differs from one to the next
     is the sensor's filter rather than the car. Raises `BadInput` as `with_yaw_rate` does.
     """
-    return with_yaw_rate(vehicle, log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G)))
+    return with_yaw_rate(log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G)))
 
 
-def with_yaw_rate(vehicle: VehicleConfig, log: Log) -> Log:
+def with_yaw_rate(log: Log) -> Log:
     """Return the log with the rate of the heading as the yaw rate of runs without one; a note says so.
 
     What a sensor reads is the true value and noise that does not depend on it, and so must be what stands for it:
-    cubics over short windows have little bias. A smoothing spline, which errs least, lacks some of the motion, and
-    that was named as effects of the car. Raises `BadInput` for a run without yaw rate and heading.
+    cubics over five samples. A smoothing spline, which errs least, and longer windows lack some of the motion, and that
+    was named as effects of the car. Raises `BadInput` for a run without yaw rate and heading.
     """
     lacking = {run.name for run in log.runs if not np.isfinite(run.r).any()}
     if not lacking:
         return log
-    runs = tuple(_with_rate_of_heading(vehicle, run) if run.name in lacking else run for run in log.runs)
+    runs = tuple(_with_rate_of_heading(run) if run.name in lacking else run for run in log.runs)
     note = f"The yaw rate of {len(lacking)} runs is the rate of their heading."
     return dataclasses.replace(log, runs=runs, notes=(*log.notes, note))
 
 
-def _with_rate_of_heading(vehicle: VehicleConfig, run: Run) -> Run:
-    window = CUBICS * float(np.sqrt((vehicle.a + vehicle.b) / G))
-    _, r = smooth_with_rate(run.extra.get("psi", run.r), run.dt, window, order=3)
+def _with_rate_of_heading(run: Run) -> Run:
+    _, r = smooth_with_rate(run.extra.get("psi", run.r), run.dt, 5 * run.dt, order=3)
     if not np.isfinite(r).any():
         raise BadInput(
             f"Run '{run.name}' has neither a yaw rate nor a heading; map r or psi, or leave it out (--runs)."

@@ -187,9 +187,9 @@ def by_commands(model: Universal, theta: Array, runs: PaddedRun, dt: float) -> t
     return eqx.filter_vmap(command_derivatives, in_axes=(None, None, 0, None))(model, theta, runs, dt)
 
 
-def map_pieces(function, num: int, *trees, batch: int = BATCH_SIZE):
+def map_pieces(function, num: int, *trees):
     """Apply `function` to all pieces of `trees` (leading axis) in batches of one size, with one program."""
-    return concatenate_trees([function(*take(trees, row)) for row in batches(num, batch)], num)
+    return concatenate_trees([function(*take(trees, row)) for row in batches(num, BATCH_SIZE)], num)
 
 
 def batches(num: int, size: int) -> list[np.ndarray]:

@@ -130,7 +130,7 @@ def test_the_cost_of_a_delay_has_no_minimum_but_at_its_value(channel: str):
     for delay in DT / 8 * delays:
         theta = np.zeros(len(scale))
         theta[column] = delay / scale[column]
-        e, missing = whitened_residuals(problem.model, problem.data, theta, problem.motion)
+        ((e, missing),) = whitened_residuals(problem.model, problem.data, theta[None], problem.motion)
         costs.append(np.sum(e**2) + missing)
     turns = np.flatnonzero((np.diff(costs[:-1]) < 0) & (np.diff(costs[1:]) > 0)) + 1
     assert len(turns) > 0

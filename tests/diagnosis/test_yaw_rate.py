@@ -24,16 +24,16 @@ def estimated(run: dj.Run) -> tuple[np.ndarray, tuple[str, ...]]:
     return log.runs[0].r, log.notes
 
 
-def test_the_rate_of_a_noisy_heading_has_little_noise_and_no_bias():
+def test_the_rate_of_a_noisy_heading_has_no_bias():
     noise = 0.002 * np.random.default_rng(0).standard_normal(len(T))
     noise[100:110] = np.nan
     run, true = turning(psi=0.4 * (1 - np.cos(2 * T)) + noise)
     r, notes = estimated(run)
     there, known = np.isfinite(noise), np.isfinite(r)
-    assert known[there].all() and known.mean() > 0.97
-    assert np.std((r - true)[known]) < 0.5 * np.nanstd(np.gradient(noise, DT))
+    assert known[there].mean() > 0.99 and not known[102:108].any()
+    assert np.std((r - true)[known]) < 1.5 * np.nanstd(np.gradient(noise, DT))
     silent, _ = estimated(turning(psi=0.4 * (1 - np.cos(2 * T)))[0])
-    np.testing.assert_allclose(silent, true, atol=0.002)
+    np.testing.assert_allclose(silent, true, atol=1e-4)
     assert any("rate of their heading" in note for note in notes)
 
 
