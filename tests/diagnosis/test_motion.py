@@ -138,6 +138,20 @@ def test_the_cost_of_a_delay_has_no_minimum_but_at_its_value(channel: str):
     assert DT / 8 * np.argmin(costs) == pytest.approx(late[channel], abs=DT / 4)
 
 
+def test_several_cars_have_the_residuals_that_each_has_alone():
+    problem = problem_of(run_of(9))
+    assert problem.motion is not None
+    thetas = np.zeros((4, len(NAMES)))
+    thetas[1, NAMES.index("channel_delay.d_V")] = 0.4
+    thetas[3, NAMES.index("gyro_bias.p")] = -1.0
+    of = lambda thetas: whitened_residuals(problem.model, problem.data, thetas, problem.motion)
+    for theta, (e, missing) in zip(thetas, of(thetas), strict=True):
+        ((alone, lacks),) = of(theta[None])
+        np.testing.assert_allclose(e, alone, atol=1e-9)
+        assert missing == lacks
+    assert np.abs(of(thetas)[1][0] - of(thetas)[0][0]).max() > 0.1
+
+
 def test_derivatives_agree_with_finite_differences():
     problem = problem_of(run_of(6))
     model, data, scale = problem.model, problem.data, np.asarray(problem.model.scale)
