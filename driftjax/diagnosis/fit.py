@@ -136,7 +136,7 @@ def initial_problem(
     has = frozenset.intersection(*(frozenset(run.extra) for run in runs))
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
-    fixed = {*without, *(GYRO if any(run.yaw_rate_of_heading for run in runs) else ())}
+    fixed = {*without, *(() if data.yaw_rate_measured else GYRO)}
     searched = [one.name not in fixed and set(one.needs) <= has and judged(one) for one in effects]
     active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))

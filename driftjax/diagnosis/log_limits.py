@@ -1,4 +1,4 @@
-"""Find what a log leaves unidentifiable: without sideslip or drive force, or where the observer loses the car."""
+"""Find what a log leaves unidentifiable: without sideslip, yaw rate or force, or where the observer loses the car."""
 
 from typing import NamedTuple
 
@@ -36,6 +36,9 @@ class Unidentifiable(NamedTuple):
             words += [
                 f"Such a sensor would tell {name} from {', '.join(rivals)}." for name, rivals in self.ruled_out.items()
             ]
+        if "r" in self.channels:
+            words.append("The log has no yaw rate; the rate of the heading was used, which is less sharp: small "
+                         "delays and inertias may stand for that.")  # fmt: skip
         if "Fxr" in self.channels:
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "
                          "drive, brakes and drag are not judged.")  # fmt: skip
@@ -47,7 +50,8 @@ class Unidentifiable(NamedTuple):
 def find_unidentifiable(problem: Problem, selection: Selection, rivals: dict[int, tuple[int, ...]]) -> Unidentifiable:
     """Find what missing channels leave unidentifiable; `rivals` are those of each named effect."""
     data, names = problem.data, [effect.name for effect in problem.effects]
-    lacks = [name for name, there in (("beta", not data.skip), ("Fxr", data.force_known)) if not there]
+    known = {"beta": not data.skip, "r": data.yaw_rate_measured, "Fxr": data.force_known}
+    lacks = [name for name, there in known.items() if not there]
     not_judged = () if data.force_known else tuple(names[i] for i in problem.unidentifiable_effects)
     lost_s = time_lost(problem, selection.linearisation)
     if not data.skip or not rivals:

@@ -67,6 +67,7 @@ class Pieces(NamedTuple):
     motion: MeasuredMotion | None = None  # where runs have any of these channels
     skip: int = 0  # samples from the start of a piece in which the observer finds a state that is not measured
     force_known: bool = True  # where not, it was estimated from V, whose innovations then say nothing
+    yaw_rate_measured: bool = True  # where not, the rate of the heading stands for it
 
     @property
     def size(self) -> int:
@@ -144,7 +145,8 @@ def pieces(vehicle: VehicleConfig, runs: tuple[Run, ...]) -> Pieces:
     padded = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *rows)
     unknown = not all(map(has_sideslip, runs))
     skip = round(UNKNOWN_START * np.sqrt((vehicle.a + vehicle.b) / G) / dt) if unknown else 0
-    return Pieces(padded, np.array(number), block, len(names), dt, known, skip)
+    measured = not any(run.yaw_rate_of_heading for run in runs)
+    return Pieces(padded, np.array(number), block, len(names), dt, known, skip, yaw_rate_measured=measured)
 
 
 def _further_of(run: Run, k: int, size: int) -> np.ndarray:

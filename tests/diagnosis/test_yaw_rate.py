@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import driftjax as dj
+from driftjax.diagnosis.fit import initial_problem
+from driftjax.diagnosis.log_limits import Unidentifiable
 from driftjax.diagnosis.resolve import resolved_log
 
 DT = 0.02
@@ -43,3 +45,15 @@ def test_a_measured_yaw_rate_stays_and_a_run_with_nothing_is_refused():
     assert estimated(measured)[0] is measured.r and not estimated(measured)[1]
     with pytest.raises(dj.BadInput, match="Run 'turning' has neither a yaw rate nor a heading; map r or psi"):
         estimated(dataclasses.replace(run, extra={"psi": NONE}))
+
+
+def test_errors_of_a_gyro_are_not_judged_by_a_heading_and_the_sentence_says_so():
+    run, true = turning(psi=0.4 * (1 - np.cos(2 * T)))
+    vehicle, effects = dj.load_vehicle("sedan"), dj.effects_by_name(("mass", "gyro_bias", "gyro_scale"))
+    (estimate,) = resolved_log(vehicle, dj.Log((run,))).runs
+    of_heading, measured = (
+        initial_problem(vehicle, effects, (one,)) for one in (estimate, dataclasses.replace(run, r=true))
+    )
+    assert of_heading.active.tolist() == [True, False, False] and measured.active.all()
+    assert not of_heading.data.yaw_rate_measured and measured.data.yaw_rate_measured
+    assert "has no yaw rate" in Unidentifiable(("r",), {}, {}, ()).sentence
