@@ -1,7 +1,8 @@
 """What differs between runs of a real 1:6 car and those of its simulation on the same paths?
 
-`python -m experiments.paired_runs --data FOLDER` with a copy of uwsbel/sbel-reproducibility compares real and simulated
-runs of each path, and writes a run folder with its report per path and `paired_runs.json`.
+`python -m experiments.paired_runs --data FOLDER` with a copy of uwsbel/sbel-reproducibility fits the steering of the
+nominal car to the simulated runs of each path, compares real with simulated ones, and writes a run folder with its
+report per path and `paired_runs.json`.
 
 The files have neither names of columns nor times, and nothing there describes them. Columns 1 to 4 fit each other as
 position, heading and speed, and the last is the steering, from -1 to 1. The sample time is the length of the path over
@@ -24,6 +25,7 @@ PATHS = ("rd_path", "syn_path", "lot17")
 REAL = {"rd_path": ("pid_1", "mpc_1", "nn_mc_1", "nn_mpc_1"), "syn_path": ("pid_1", "mpc_1", "nn_mc_1", "nn_mpc_1"),
         "lot17": ("pid_1", "pid_2", "mpc_1", "mpc_2")}  # fmt: skip
 SIMULATED = ("sim_pid", "sim_mpc", "sim_nn_mc", "sim_nn_mpc")
+STEERING = ("steer_gain", "steer_lag", "steer_delay", "steer_offset")
 RATE = 10.0  # Hz, about that of the files
 STEERS = 0.1  # rad
 SLOW = 0.4  # m/s: below it the car starts or stops
@@ -73,8 +75,9 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
     folder = cfg.out / name
     if not (folder / "compare.json").is_file():
         real, simulated = (first_seconds(log, cfg.seconds).split_runs(cfg.cut) for log in logs)
-        comparison = dj.compare(CAR, real, simulated)
-        comparison.save(folder)
+        say = lambda text: print(f"{name}: {text}", flush=True)
+        car = dj.calibrate(CAR, simulated, STEERING, report=say).vehicle
+        dj.compare(car, real, simulated, report=say).save(folder)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
 

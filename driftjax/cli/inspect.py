@@ -25,7 +25,7 @@ class InspectOptions:
     """Column map of foreign logs: a shipped name or a YAML; left out: the log format."""
     vehicle: Path | None = None
     """Vehicle whose wheelbase the yaw rate is compared by: a shipped name or a vehicle YAML; left out: it is not. With
-    `--guess` it tells a steering wheel from a road wheel, and its mass gives a force from the acceleration."""
+    `--guess` it tells a steering wheel from a road wheel."""
     guess: bool = False
     """Propose a column map for a single log instead: which column is which channel, in which unit, how certain."""
     write: Path | None = None
@@ -65,9 +65,7 @@ def propose(flags: InspectOptions, vehicle: VehicleConfig | None) -> int:
     """Print a column map for the log and write it where `--write` says."""
     require(len(flags.logs) == 1 and flags.columns is None and flags.out is None,
             "flag '--guess' is for one log; leave out --columns and --out.")  # fmt: skip
-    guess = guess_columns(
-        flags.logs[0], wheelbase=vehicle.a + vehicle.b if vehicle else None, mass=vehicle.m if vehicle else None
-    )
+    guess = guess_columns(flags.logs[0], wheelbase=vehicle.a + vehicle.b if vehicle else None)
     print(guess)
     if flags.write is None:
         print(f"\n{guess.yaml()}", end="")

@@ -34,7 +34,7 @@ class Binned(NamedTuple):
 class ForceSummary(NamedTuple):
     """Summary of one model's residual forces over all explanatory variables."""
 
-    rms: np.ndarray  # (3,) [N]
+    rms: np.ndarray  # (3,) [N]; NaN, as are all values of it, for a force that was estimated
     variables: dict[str, Binned]
     p_value: float  # that chance gives the largest ratio
 
@@ -82,8 +82,8 @@ def summarise_forces(residual: ResidualForces, seed: int) -> ForceSummary:
     rms = np.sqrt((residual.forces**2).mean(axis=0))
     if not over:
         return ForceSummary(rms, over, 1.0)
-    largest = np.max([one.null_ratio.max(axis=1) for one in over.values()], axis=0)
-    most = max(float(one.ratio.max()) for one in over.values())
+    largest = np.max([np.nanmax(one.null_ratio, axis=1) for one in over.values()], axis=0)
+    most = max(float(np.nanmax(one.ratio)) for one in over.values())
     return ForceSummary(rms, over, float((1 + np.sum(largest >= most)) / (DRAWS + 1)))
 
 
@@ -102,7 +102,7 @@ def describe_worst(summary: ForceSummary, vehicle: VehicleConfig) -> str:
         np.max([one.systematic for one in summary.variables.values()], axis=0) if summary.variables else summary.rms
     )
     clear = summary.p_value < LEVEL
-    force = int(np.argmax((systematic if clear else summary.rms) / size))
+    force = int(np.nanargmax((systematic if clear else summary.rms) / size))
     amount = f"{float(f'{summary.rms[force]:.3g}'):g} N RMS ({100 * summary.rms[force] / size[force]:.2g} % of mu Fz)"
     if not clear:
         text = f"No residual force goes with anything looked at (p = {summary.p_value:.2f}); the largest is "

@@ -78,11 +78,16 @@ def nominal_noise(problem: Problem, path: Path, steps: Steps) -> Noise:
 def residual_forces(
     vehicle: VehicleConfig, problem: Problem, path: Path, steps: Steps, noise: Noise, runs: Sequence[Run]
 ) -> ResidualForces:
-    """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`."""
+    """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`.
+
+    A drive force that was estimated is the one that explains the speed: nothing is known of what is beyond it (NaN).
+    """
     valid = np.asarray(path.valid)
     x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
     forces = disturbance_forces(vehicle, x, u[..., 0], push)
+    if not problem.data.force_known:
+        forces[..., 0] = np.nan
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
     over = variables(vehicle, problem, x, u, runs)
     return ResidualForces(

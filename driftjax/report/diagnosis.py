@@ -146,5 +146,5 @@ def residual_force_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
         one = shown["residual_forces"][name]
         by = one["worst_variable"]
         share = f"{by} ({100 * one['explained'][by]:.0f} % of the variance)" if by else "-"
-        rows.append((name, f"{one['rms_N']:.4g}", f"{one['rms_extended_N']:.4g}", share))
+        rows.append((name, number(one["rms_N"], ".4g"), number(one["rms_extended_N"], ".4g"), share))
     return rows

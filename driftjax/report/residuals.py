@@ -18,12 +18,14 @@ NEWTON = 0.2  # of kilonewtons below which a car's drive force is drawn in newto
 
 
 def plot_residual_forces(data: xr.Dataset) -> Figure | None:
-    """Plot mean residual forces in bins with 95 % intervals, a row per force, a column per explanatory variable."""
+    """Plot mean residual forces in bins with 95 % intervals, a row per known force, a column per variable."""
     drivers = [str(name) for name in data["driver"].values]
     if not drivers:
         return None
-    figure, axes = new_figure(3, len(drivers), (max(1.75 * len(drivers) + 1.2, 6.0), 6.4), sharex="col", sharey="row")
-    for row, (force, label) in enumerate(FORCES.items()):
+    forces = [force for force in FORCES if bool(data["bin_mean"].sel(force=force).notnull().any())]
+    size = max(1.75 * len(drivers) + 1.2, 6.0), 1.9 * len(forces) + 0.7
+    figure, axes = new_figure(len(forces), len(drivers), size, sharex="col", sharey="row")
+    for row, force in enumerate(forces):
         limit = float(data["force_limit"].sel(force=force)) / 100
         for column, driver in enumerate(drivers):
             axis = axes[row, column]
@@ -42,9 +44,9 @@ def plot_residual_forces(data: xr.Dataset) -> Figure | None:
                     axis.set_title(f"explains {100 * share:.0f} %", fontsize=8.5, pad=3,
                                    fontweight="bold" if share > 0.25 else "normal")  # fmt: skip
             axis.axhline(0, color="0.4", lw=0.7)
-            if row == 2:
+            if row == len(forces) - 1:
                 axis.set_xlabel(words)
-        axes[row, 0].set_ylabel(label)
+        axes[row, 0].set_ylabel(FORCES[force])
     legend_below(figure, axes[0, 0], 2)
     figure.suptitle("Residual forces: what each axle does beyond the model (95 % intervals); above each panel the"
                     " share of the nominal\nresidual's variance that the variable explains", fontsize=10.5)  # fmt: skip

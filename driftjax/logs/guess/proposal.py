@@ -17,7 +17,6 @@ from driftjax.logs.columns import (
     Channel,
     ColumnMap,
     Condition,
-    Drive,
     Position,
     dispensable,
     first_missing,
@@ -74,7 +73,6 @@ class Guess:
     stamps: str
     open: tuple[str, ...] = field(default=())
     """Sentences about what could not be assigned or confirmed."""
-    Fxr_from: Drive | None = None
     where: tuple[Condition, ...] = ()
     """Rows that count: those driven forwards, where some are not."""
     rate: float | None = None
@@ -97,8 +95,7 @@ class Guess:
             position = Position(latitude.column, earth["longitude"].column, latitude.factor / DEG)
         run = () if self.run is None else (self.run,)
         stamps: Any = self.stamps
-        return ColumnMap(channels, run, self.where, Fxr_from=(self.Fxr_from,) if self.Fxr_from else (),
-                         position_from=position, rate=self.rate, stamps=stamps)  # fmt: skip
+        return ColumnMap(channels, run, self.where, position_from=position, rate=self.rate, stamps=stamps)
 
     def content(self) -> dict[str, Any]:
         """Return the guess as plain values, for JSON."""
@@ -116,10 +113,6 @@ class Guess:
             scaled = "" if np.isclose(factor, 1) else f", factor: {factor:.9g}"
             names = ", ".join(f"{name}: {_quoted(one.column)}" for name, one in sorted(earth.items()))
             lines.append(f"position_from: {{{names}{scaled}}}")
-        if self.Fxr_from is not None:
-            lines.append(
-                f"Fxr_from: {{column: {_quoted(self.Fxr_from.column)}, factor: {self.Fxr_from.factor:g}}}  # kg"
-            )
         if self.run is not None:
             lines.append(f"run: {_quoted(self.run)}")
         for one in self.where:
@@ -151,13 +144,12 @@ class Guess:
         return "\n".join([*lines, "", *self.open]).rstrip()
 
 
-def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: float | None = None) -> Guess:
+def guess_columns(path: str | Path, *, wheelbase: float | None = None) -> Guess:
     """Propose a column map for a log of any format that `read_log` reads; raises `BadInput` as that does.
 
     Columns are recognised by name and unit, and by how they follow each other: which sign and unit a yaw rate has,
     which of two speeds is that of the position, how late a channel is. The car's `wheelbase` [m] tells a steering
-    wheel from a road wheel; with its `mass` [kg] the drive force is mass times longitudinal acceleration where no
-    column holds it.
+    wheel from a road wheel.
     """
     log = read_log_columns(Path(path))
     assigned = assign_channels(log)
@@ -174,11 +166,10 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None, mass: flo
     guesses = [Guessed("t", log.time, log.time_factor, 0.0, 1.0, "rises steadily", None)]
     for role in sorted(assigned, key=lambda role: ORDER.index(role) if role in ORDER else len(ORDER)):
         guesses.append(_guessed(assigned[role], v, log.dt, offset if role == "psi" else None))
-    drive = _drive(assigned, mass)
-    lacks = [name for name in CHANNELS if not _provided(name, assigned, drive)]
+    lacks = [name for name in CHANNELS if not _provided(name, assigned)]
     where, rate = _forwards(assigned, v, left), _even_rate(log, guesses, left)
     left += _open(log, assigned, lacks, guesses)
-    return Guess(Path(path), tuple(guesses), log.run, log.stamps, tuple(left), drive, where, rate)
+    return Guess(Path(path), tuple(guesses), log.run, log.stamps, tuple(left), where, rate)
 
 
 def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
@@ -292,16 +283,10 @@ def _rounded(factor: float) -> float:
     return float(f"{factor:.10g}")
 
 
-def _drive(assigned: dict[str, ChannelAssignment], mass: float | None) -> Drive | None:
-    if mass is None or "Fxr" in assigned or "ax" not in assigned:
-        return None
-    return Drive(assigned["ax"].column.name, _rounded(mass * assigned["ax"].factor))
-
-
-def _provided(name: str, assigned: dict[str, ChannelAssignment], drive: Drive | None) -> bool:
+def _provided(name: str, assigned: dict[str, ChannelAssignment]) -> bool:
     if name in ("V", "beta") and {"vx", "vy"} <= set(assigned):
         return True
-    return name == "t" or name in assigned or (name == "Fxr" and drive is not None)
+    return name == "t" or name in assigned
 
 
 def _open(
@@ -317,10 +302,6 @@ def _open(
     pedals = [name for name in rest if PEDALS & set(words_of(name))]
     if "Fxr" in lacks and pedals:
         sentences.append(f"The drive force may follow from {_list(pedals)}: write 'Fxr_from'.")
-    elif "Fxr" in lacks and "ax" in assigned:
-        sentences.append(
-            f"Mass times '{assigned['ax'].column.name}' may stand for Fxr: give --vehicle, or write 'Fxr_from'."
-        )
     if log.flags:
         sentences.append(f"Rows may be chosen by {_list(log.flags)}: write 'where'.")
     if rest:
