@@ -1,5 +1,6 @@
 """Residual forces: the map from rates, the smoother against a dense solution, bins, and a hidden effect at one axle."""
 
+import dataclasses
 import functools
 
 import jax.numpy as jnp
@@ -155,7 +156,10 @@ def test_a_driver_that_hardly_varies_and_bins_of_one_block_are_left_out():
 @functools.cache
 def left_over(name: str, size: float):
     """Residual forces of the nominal car on a recording of one with a hidden effect."""
-    runs = recorded(hidden(**{name: size}), 3, 4)
+    return summary_of(recorded(hidden(**{name: size}), 3, 4))
+
+
+def summary_of(runs):
     problem = build_problem(sedan(), EFFECTS, runs)
     path, steps = observer_path(problem, np.zeros(len(ORDER)))
     noise = nominal_noise(problem, path, steps)
@@ -171,3 +175,11 @@ def test_hidden_rear_friction_shows_at_the_rear_axle_and_as_disturbances():
     assert (noise.disturbance > 1.2 * given.disturbance).any()
     # rear friction is short by 2 typical sizes, and with it the saturated rear force
     assert 0.3 < size[2] / (2 * EFFECTS[ORDER.index("friction_rear")].parameters[0].typical) < 1.2
+
+
+def test_a_drive_force_that_was_estimated_has_no_residual():
+    runs = recorded(hidden(friction_rear=-2.0), 3, 4)
+    summary, *_ = summary_of(tuple(dataclasses.replace(run, Fxr=np.full_like(run.t, np.nan)) for run in runs))
+    assert np.isnan(summary.rms[0]) and np.isfinite(summary.rms[1:]).all() and 0 < summary.p_value <= 1
+    assert best_variable(summary, 0) is None
+    assert "axle" in describe_worst(summary, sedan()) and "nan" not in describe_worst(summary, sedan())
