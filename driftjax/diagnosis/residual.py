@@ -81,13 +81,14 @@ def residual_forces(
     """Return the residual forces on `runs`, those of `problem`, of the model that gave `path`.
 
     A drive force that was estimated is the one that explains the speed: nothing is known of what is beyond it (NaN).
+    The disturbance of the speed is an error of that force then, and no rate that axles cause.
     """
     valid = np.asarray(path.valid)
     x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt)
     u = np.asarray(path.u)
-    forces = disturbance_forces(vehicle, x, u[..., 0], push)
-    if not problem.data.force_known:
-        forces[..., 0] = np.nan
+    known = problem.data.force_known
+    forces = disturbance_forces(vehicle, x, u[..., 0], push if known else push * [0, 1, 1])
+    forces[..., 0] = forces[..., 0] if known else np.nan
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))
     over = variables(vehicle, problem, x, u, runs)
     return ResidualForces(

@@ -181,5 +181,5 @@ def test_a_drive_force_that_was_estimated_has_no_residual():
     runs = recorded(hidden(friction_rear=-2.0), 3, 4)
     summary, *_ = summary_of(tuple(dataclasses.replace(run, Fxr=np.full_like(run.t, np.nan)) for run in runs))
     assert np.isnan(summary.rms[0]) and np.isfinite(summary.rms[1:]).all() and 0 < summary.p_value <= 1
-    assert best_variable(summary, 0) is None
+    assert best_variable(summary, 0) is None and (summary.rms[1:] < 0.5 * force_limits(sedan())[1:]).all()
     assert "axle" in describe_worst(summary, sedan()) and "nan" not in describe_worst(summary, sedan())
