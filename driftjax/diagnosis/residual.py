@@ -84,9 +84,9 @@ def residual_forces(
     The disturbance of the speed is an error of that force then, and no rate that axles cause.
     """
     valid = np.asarray(path.valid)
-    x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt)
-    u = np.asarray(path.u)
     known = problem.data.force_known
+    x, push = smooth_disturbances(path, steps, valid, noise, problem.data.dt, speed_known=not known)
+    u = np.asarray(path.u)
     forces = disturbance_forces(vehicle, x, u[..., 0], push if known else push * [0, 1, 1])
     forces[..., 0] = forces[..., 0] if known else np.nan
     keep = samples_in_run(valid) & (np.arange(valid.shape[1]) >= round(SKIPPED_START / problem.data.dt))

@@ -1,8 +1,9 @@
 """Smooth disturbances of the car's rates along the observer's path, from all samples of a run.
 
 The observer's path is one the car could have taken but for the observer's corrections and disturbances. Around it the
-model is linear; state, disturbances and slow errors of the sensors follow from the recursions of Rauch, Tung and
-Striebel (1965). All pieces of the runs go side by side.
+model is linear; state, disturbances and slow errors of the sensors follow from the recursions of Bierman (1973). Those
+of Rauch, Tung and Striebel (1965) invert covariances, which rounding forbids where one error is known far better than
+another. All pieces of the runs go side by side.
 """
 
 from typing import NamedTuple
@@ -35,12 +36,13 @@ class LinearModel(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Predicted and filtered means and covariances of w."""
+    """Predictions of w by the filter, and what corrects them."""
 
     predicted: np.ndarray  # (P, T, 9)
-    covariance: np.ndarray  # (P, T, 9, 9)
-    filtered: np.ndarray
-    filtered_covariance: np.ndarray
+    covariance: np.ndarray  # (P, T, 9, 9) of the predictions
+    filtered_covariance: np.ndarray  # (P, T, 9, 9) and after the update
+    keep: np.ndarray  # (P, T, 9, 9) share of a predicted error that the update leaves
+    weighted: np.ndarray  # (P, T, 9) innovations over their covariance, by w
 
 
 def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: Decay) -> LinearModel:
@@ -60,6 +62,19 @@ def linear_model(path: Path, steps: Steps, valid: np.ndarray, decay: Decay) -> L
     return LinearModel(F, c, each(measurement_matrix, D, valid), y, valid, first)
 
 
+def with_speed_of_path(model: LinearModel) -> LinearModel:
+    """Return the linear model of a run whose speed is known, that of the path: it has no error and shows none.
+
+    So it is where the drive force was estimated from it. The disturbance of the speed then acts through that force.
+    """
+    of_others = np.arange(9) > 0
+    F = np.where(of_others[:, None] & of_others, model.F, 0.0)
+    return LinearModel(
+        F, model.c * of_others, np.where(of_others[:3, None], model.H, 0.0), model.y * of_others[:3],
+        model.valid * of_others[:3], model.first * of_others,
+    )  # fmt: skip
+
+
 def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
     """Run the Kalman filter of w along every piece."""
     R, Q = noise.sigma**2, np.asarray(process_covariance(noise, decay_of(noise, dt)))
@@ -70,11 +85,12 @@ def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
         H, valid = model.H[:, k], model.valid[:, k]
         S = H @ P @ H.swapaxes(1, 2) + np.eye(3) * (valid * R + 1 - valid)[:, None, :]
         L = np.linalg.solve(S, H @ P).swapaxes(1, 2)
-        better = mean + np.einsum("pij,pj->pi", L, model.y[:, k] - np.einsum("pij,pj->pi", H, mean))
+        off = model.y[:, k] - np.einsum("pij,pj->pi", H, mean)
+        better = mean + np.einsum("pij,pj->pi", L, off)
         keep = np.eye(9) - L @ H
         # in this form (Joseph) rounding cannot make a variance negative where the car is unstable
         less = keep @ P @ keep.swapaxes(1, 2) + (L * (valid * R)[:, None, :]) @ L.swapaxes(1, 2)
-        rows.append((mean, P, better, less))
+        rows.append((mean, P, less, keep, np.einsum("pij,pi->pj", H, np.linalg.solve(S, off[..., None])[..., 0])))
         F = model.F[:, k]
         mean = np.einsum("pij,pj->pi", F, better) - model.c[:, k]
         P = F @ less @ F.swapaxes(1, 2) + Q
@@ -82,18 +98,19 @@ def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
 
 
 def smooth_disturbances(
-    path: Path, steps: Steps, valid: np.ndarray, noise: Noise, dt: float
+    path: Path, steps: Steps, valid: np.ndarray, noise: Noise, dt: float, *, speed_known: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the state (P, T, 3) and disturbances of its rates (P, T, 3) given all samples of a run.
 
     They are expectations: where the data have little information, a disturbance is underestimated.
     """
     model = linear_model(path, steps, valid, decay_of(noise, dt))
+    model = with_speed_of_path(model) if speed_known else model
     went = kalman_filter(model, noise, dt)
-    w = [went.filtered[:, -1]]
-    for k in range(model.y.shape[1] - 2, -1, -1):
-        F, P = model.F[:, k], went.filtered_covariance[:, k]
-        back = np.linalg.solve(went.covariance[:, k + 1], F @ P).swapaxes(1, 2)
-        w.append(went.filtered[:, k] + np.einsum("pij,pj->pi", back, w[-1] - went.predicted[:, k + 1]))
+    later, w = np.zeros_like(went.predicted[:, 0]), []
+    for k in range(model.y.shape[1] - 1, -1, -1):
+        later = np.einsum("pji,pj->pi", went.keep[:, k], later) - went.weighted[:, k]
+        w.append(went.predicted[:, k] - np.einsum("pij,pj->pi", went.covariance[:, k], later))
+        later = np.einsum("pji,pj->pi", model.F[:, k - 1], later)
     offset = np.stack(w[::-1], axis=1)
     return np.asarray(path.z)[..., :3] + offset[..., :3], offset[..., 3:6]

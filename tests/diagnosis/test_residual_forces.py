@@ -76,8 +76,11 @@ def made_up(num: int = 40, seed: int = 4) -> tuple[Path, Steps, np.ndarray]:
     return path, Steps(many(full), C, many(D), many(none), slip, push, jnp.asarray(still), path.valid, first), valid
 
 
-def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
+@pytest.mark.parametrize("speed_known", [False, True])
+def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured(speed_known):
+    """A known speed has no error: none that moves to other channels, and none to be measured."""
     path, steps, valid = made_up()
+    read_valid = valid * [not speed_known, 1, 1]
     A, T = np.asarray(steps.A)[0, 0, :3, :3], int(samples_in_run(valid).sum())
     decays = np.exp(-DT / np.repeat([NOISE.correlation, NOISE.slow_correlation], 3))
     sizes, slow = np.concatenate([NOISE.disturbance, NOISE.slow]), np.diag(NOISE.slow**2)
@@ -86,17 +89,19 @@ def test_the_smoother_is_the_conditional_mean_of_all_that_was_measured():
     C = np.zeros((T, 9, T, 9))  # covariance of w at all times
     C[0, :, 0] = np.diag([*(4 * NOISE.sigma**2 + NOISE.slow**2), *sizes**2])
     C[0, :3, 0, 6:] = C[0, 6:, 0, :3] = -slow  # the first state is the measured one
+    if speed_known:
+        F[0] = F[:, 0] = C[0, 0] = C[:, :, 0, 0] = 0.0
     for k in range(1, T):
         for j in range(k):
             C[k, :, j] = F @ C[k - 1, :, j]
             C[j, :, k] = C[k, :, j].T
         C[k, :, k] = F @ C[k - 1, :, k - 1] @ F.T + Q
-    which = np.flatnonzero(valid[0, :T].ravel())
+    which = np.flatnonzero(read_valid[0, :T].ravel())
     read = np.kron(np.eye(T), np.hstack([np.eye(3), np.zeros((3, 3)), np.eye(3)]))[which]  # state plus slow error
     C, y = C.reshape(9 * T, 9 * T), np.asarray(path.e)[0, :T].ravel()[which]
     S = read @ C @ read.T + np.diag(np.tile(NOISE.sigma**2, T)[which])
     expected = (C @ read.T @ np.linalg.solve(S, y)).reshape(T, 9)
-    x, d = smooth_disturbances(path, steps, valid, NOISE, DT)
+    x, d = smooth_disturbances(path, steps, valid, NOISE, DT, speed_known=speed_known)
     np.testing.assert_allclose(x[0, :T], expected[:, :3], atol=1e-8)
     np.testing.assert_allclose(d[0, :T], expected[:, 3:6], atol=1e-8)
     assert np.isfinite(x).all() and np.isfinite(d).all()
