@@ -45,8 +45,10 @@ class Config:
     """Paths that were driven."""
     compare: bool = True
     """Compare; otherwise only say how far the cars turn."""
-    seconds: float = 60.0
+    seconds: float = 30.0
     """Of every run, from its start, that are compared."""
+    most: int = 3
+    """Effects named in each log, and differences, at most: the search for eight takes more than 45 min."""
     cut: float = 15.0
     """Length of the parts of a run [s]."""
     out: Path = Path("runs/paired-runs")
@@ -77,7 +79,7 @@ def compared(logs: list[dj.Log], cfg: Config, name: str) -> dict[str, Any]:
         real, simulated = (first_seconds(log, cfg.seconds).split_runs(cfg.cut) for log in logs)
         say = lambda text: print(f"{name}: {text}", flush=True)
         car = dj.calibrate(CAR, simulated, STEERING, report=say).vehicle
-        dj.compare(car, real, simulated, report=say).save(folder)
+        dj.compare(car, real, simulated, dj.CompareConfig(most=cfg.most), report=say).save(folder)
     content = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     return {key: content[key] for key in ("verdict", "sentence", "differences")}
 
