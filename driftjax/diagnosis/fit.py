@@ -287,12 +287,12 @@ def evaluate_fits(problem: Problem, thetas: Sequence[np.ndarray]) -> list[Fit]:
         motions = [None] * len(some)
         if problem.motion is not None:
             motions = whitened_residuals(model, data, some, problem.motion)
-        its = row.reshape(-1, num)
-        fits += [_fit_of(problem, *one, take(path, at)) for *one, at in zip(some, motions, its, strict=True)]
+        for theta, its, motion in zip(some, row.reshape(-1, num), motions, strict=True):
+            fits.append(_fit_of(problem, theta, take(path, its), motion))
     return fits
 
 
-def _fit_of(problem: Problem, theta: np.ndarray, motion: tuple[np.ndarray, int] | None, path: Path) -> Fit:
+def _fit_of(problem: Problem, theta: np.ndarray, path: Path, motion: tuple[np.ndarray, int] | None) -> Fit:
     """Return the fit of the hypothesis `theta` (K,), whose observer followed `path`, with its residual `motion`."""
     e = np.asarray(whiten(problem.gains, path.e))
     used = path.valid * np.any(problem.gains.whitening, axis=-1)

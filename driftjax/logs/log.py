@@ -200,7 +200,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 def _run(name: str, part: Segment) -> Run:
     main = {key: part.values[key] for key in CHANNELS[1:]}
     extra = {key: part.values[key] for key in EXTRA if key in part.values}
-    return Run(name, part.t, **main, dt=part.dt, extra=extra, linear=part.linear)
+    return Run(name, part.t, **main, dt=part.dt, extra=extra, linear=part.linear, yaw_rate_of_heading=False)
 
 
 def _free_name(name: str, taken: Container[str]) -> str:

@@ -67,7 +67,7 @@ def test_after_calibration_on_one_f1tenth_bag_another_shows_its_softer_tyres_and
     page = (PAGES / "f1tenth.md").read_text(encoding="utf-8")
     write_inputs("f1tenth", page)
     f1tenth_bag(Path("other_bag"), stiffness=30.0, seed=1)
-    assert main("inspect my_bag --guess --vehicle f1tenth.yaml --write map.yaml".split()) == 0
+    assert main(["inspect", "my_bag", "--guess", "--vehicle", "f1tenth.yaml", "--write", "map.yaml"]) == 0
     for command in re.findall(r"^driftjax (.*)$", page, re.MULTILINE):
         assert main(command.split()) == 0
     diagnosis = json.loads(Path("runs/other/diagnosis.json").read_text())

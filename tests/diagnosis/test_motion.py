@@ -140,11 +140,11 @@ def test_the_cost_of_a_delay_has_no_minimum_but_at_its_value(channel: str):
 
 def test_several_cars_have_the_residuals_that_each_has_alone():
     problem = problem_of(run_of(9))
-    assert problem.motion is not None
+    assert (noise := problem.motion) is not None
     thetas = np.zeros((4, len(NAMES)))
     thetas[1, NAMES.index("channel_delay.d_V")] = 0.4
     thetas[3, NAMES.index("gyro_bias.p")] = -1.0
-    of = lambda thetas: whitened_residuals(problem.model, problem.data, thetas, problem.motion)
+    of = lambda thetas: whitened_residuals(problem.model, problem.data, thetas, noise)
     for theta, (e, missing) in zip(thetas, of(thetas), strict=True):
         ((alone, lacks),) = of(theta[None])
         np.testing.assert_allclose(e, alone, atol=1e-9)
