@@ -1,9 +1,8 @@
 """Smooth disturbances of the car's rates along the observer's path, from all samples of a run.
 
 The observer's path is one the car could have taken but for the observer's corrections and disturbances. Around it the
-model is linear; state, disturbances and slow errors of the sensors follow from the recursions of Bierman (1973). Those
-of Rauch, Tung and Striebel (1965) invert covariances, which rounding forbids where one error is known far better than
-another. All pieces of the runs go side by side.
+model is linear; state, disturbances and slow errors of the sensors follow from the recursions of Bierman (1973), which
+invert no covariance of theirs. All pieces of the runs go side by side.
 """
 
 from typing import NamedTuple
