@@ -72,8 +72,8 @@ class Drive:
     """Model of a part of the commanded force: (factor + factor_per_speed vx) (column - above) times [N]."""
 
     column: str
-    """Foreign column: throttle, torque of an engine, or pressure of a brake with a negative factor. No acceleration, in
-    which tyres and air have their part, too: without a command the force is estimated from the speed."""
+    """Foreign column: throttle, torque of an engine, pressure of a brake with a negative factor, or a commanded
+    acceleration. Tyres and air have their part in a measured one: leave the force out, and it is estimated."""
     factor: float = 1.0
     """Force at standstill [N per unit of the column]."""
     factor_per_speed: float = 0.0

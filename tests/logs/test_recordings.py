@@ -258,8 +258,9 @@ def test_the_map_of_the_documentation_is_read(tmp_path):
     (tmp_path / "map.yaml").write_text(next(block for block in blocks if "/odom." in block))
     ns = every(0.01, 2.0)
     odom, imu, command, enabled = bags.drive(ns, ns, ns)
-    imu.columns["linear_acceleration.x"] = np.cos(ns / 1e9)
-    command = command._replace(columns={"drive.steering_angle": command.columns["data"][:, 0]})
+    imu.columns["linear_acceleration.x"] = np.sin(ns / 1e9)
+    driven = {"drive.steering_angle": command.columns["data"][:, 0], "drive.acceleration": np.cos(ns / 1e9)}
+    command = command._replace(columns=driven)
     path = bags.write_mcap_json(tmp_path / "log.mcap", [odom, imu, command, enabled])
     (run,) = read_log([path], load_columns(tmp_path / "map.yaml")).runs
     np.testing.assert_allclose(run.Fxr, 1500 * np.cos(run.t), atol=1e-6)
