@@ -52,6 +52,7 @@ from driftjax.vehicle.effect.families import FAMILY_OF
 ROUNDS = 3  # of fitting both logs and searching for differences, at most
 NO_FORCE = ("A log has no drive force; in both that which explains the measured speed was used, so that drive, brakes "
             "and drag are not compared.")  # fmt: skip
+OWN_LOST = 0.1  # error of the nominal car over that of a log's own car below which that one is no yardstick
 LITTLE = 0.3  # overlap of a channel below which two logs hardly share its range
 
 
@@ -324,6 +325,9 @@ def gap_sentence(gap: Gap, names: str, named: bool) -> str:
     worse, low, high = gap.decisive
     if not np.isfinite(worse):
         return f"No run of {names[1]} is long enough to measure the gap."
+    if gap.ratio["nominal"][DECISIVE, -1, 0] < OWN_LOST:
+        return (f"The gap on {names[1]} is not measured: its own car errs far more than the nominal one, as where the "
+                "observer loses it; start from a car nearer to the real one.")  # fmt: skip
     text = (f"The car of {names[0]} predicts {names[1]} with {worse:.2f} [{low:.2f}, {high:.2f}] times the error of "
             f"{names[1]}'s own {gap.models['own'].horizons[DECISIVE]:.2g} s ahead")  # fmt: skip
     if not named or gap.closed is None:

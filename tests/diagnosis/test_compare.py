@@ -12,7 +12,7 @@ from diagnosis.recorded import EFFECTS
 
 import driftjax as dj
 from driftjax.cli import main
-from driftjax.diagnosis.compare import CompareConfig, Difference, judge, range_sentence
+from driftjax.diagnosis.compare import CompareConfig, Difference, gap_sentence, judge, range_sentence
 from driftjax.diagnosis.gain import Errors, Share
 from driftjax.diagnosis.gap import Gap, Overlap
 from driftjax.logs import Run, write_log
@@ -108,9 +108,17 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(flags, words, capsys):
 def gap_of(closed: float, left: float) -> Gap:
     """A gap of twice the error, of which the share `closed` is closed."""
     errors = Errors(np.ones((4, 4, 3)), (0.01, 0.5, 1.0, 2.0), np.arange(4), np.arange(4))
-    ratio = {"other": np.full((4, 4, 3), [2.0, 1.8, 2.2])}
+    ratio = {"other": np.full((4, 4, 3), [2.0, 1.8, 2.2]), "nominal": np.full((4, 4, 3), [3.0, 2.8, 3.2])}
     share = Share(closed, (closed - 0.05, min(closed + 0.05, 1.0)), left, (left / 2, 2 * left))
     return Gap({"own": errors}, ratio, share, True)
+
+
+def test_a_log_that_its_own_car_does_not_predict_measures_no_gap():
+    """The observer may lose that car where the sideslip is not measured; predictions are of 1e22 then."""
+    gap = gap_of(0.9, 0.1)
+    lost = gap._replace(ratio={"other": 1e-5 * gap.ratio["other"], "nominal": 1e-5 * gap.ratio["nominal"]})
+    assert "2.00 [1.80, 2.20] times the error of B's own" in gap_sentence(gap, "AB", True)
+    assert gap_sentence(lost, "AB", True).startswith("The gap on B is not measured: its own car errs far more")
 
 
 def difference(probability: float = 1.0, at_bound: bool = False) -> Difference:
