@@ -11,7 +11,7 @@ from driftjax.core import BadInput, require
 from driftjax.diagnosis.calibration_fit import CalibrationFit, fit_by_predictions, fit_by_steps, fit_by_the_better
 from driftjax.diagnosis.comparison import Comparison
 from driftjax.diagnosis.evidence import half_widths
-from driftjax.diagnosis.fit import Problem, at_bound, information, initial_problem, time_lost, with_noise
+from driftjax.diagnosis.fit import GYRO, Problem, at_bound, information, initial_problem, time_lost, with_noise
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps, predict
 from driftjax.diagnosis.held_out import PredictionGain, check_held_out, compare_models, split_runs
 from driftjax.diagnosis.identifiability import Identifiability, identifiability
@@ -243,7 +243,8 @@ def select_effects(problem: Problem, wanted: Sequence[str]) -> tuple[tuple[int, 
     numbers = [i for i, effect in enumerate(problem.effects) if effect.name in wanted]
     selected = tuple(i for i in numbers if problem.active[problem.columns((i,))].all())
     others = (problem.effects[i].name for i in numbers if i not in selected)
-    return selected, {name: " and ".join(EFFECTS[name].needs or ("Fxr",)) for name in others}
+    sensor = lambda name: ("r",) if name in GYRO else ("Fxr",)
+    return selected, {name: " and ".join(EFFECTS[name].needs or sensor(name)) for name in others}
 
 
 def calibration_gain(

@@ -38,7 +38,7 @@ def with_yaw_rate(log: Log) -> Log:
 
 
 def _with_rate_of_heading(run: Run) -> Run:
-    _, r = smooth_with_rate(run.extra.get("psi", run.r), run.dt, 5 * run.dt, order=3)
+    _, r = smooth_with_rate(run.extra.get("psi", run.r), run.dt, 4 * run.dt, order=3)
     if not np.isfinite(r).any():
         raise BadInput(
             f"Run '{run.name}' has neither a yaw rate nor a heading; map r or psi, or leave it out (--runs)."

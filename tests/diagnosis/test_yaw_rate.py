@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import driftjax as dj
+from driftjax.diagnosis.calibrate import select_effects
 from driftjax.diagnosis.fit import initial_problem
 from driftjax.diagnosis.log_limits import Unidentifiable
 from driftjax.diagnosis.resolve import resolved_log
@@ -56,4 +57,5 @@ def test_errors_of_a_gyro_are_not_judged_by_a_heading_and_the_sentence_says_so()
     )
     assert of_heading.active.tolist() == [True, False, False] and measured.active.all()
     assert not of_heading.data.yaw_rate_measured and measured.data.yaw_rate_measured
+    assert select_effects(of_heading, ("mass", "gyro_scale")) == ((0,), {"gyro_scale": "r"})
     assert "has no yaw rate" in Unidentifiable(("r",), {}, {}, ()).sentence
