@@ -236,8 +236,9 @@ def _map_windows(function, model: Universal, data: Pieces, theta: np.ndarray, pi
 
     The array of windows has a padded size; those that exist are returned.
     """
-    W, room = window_size(model, data.dt), padded_size(n := (data.size - 1) // window_size(model, data.dt), ROOM)
-    parts = []
+    W = window_size(model, data.dt)
+    n = (data.size - 1) // W
+    room, parts = padded_size(n, ROOM), []
     for batch in batches(len(piece), BATCH):
         runs, motion = take((data.padded, data.motion), piece[batch])
         parts.append(call(function, model, jnp.asarray(theta[batch]), runs, motion, jnp.asarray(W), room, data.dt))

@@ -38,8 +38,7 @@ class Filtered(NamedTuple):
     """Predictions of w by the filter, and what corrects them."""
 
     predicted: np.ndarray  # (P, T, 9)
-    covariance: np.ndarray  # (P, T, 9, 9) of the predictions
-    filtered_covariance: np.ndarray  # (P, T, 9, 9) and after the update
+    covariance: np.ndarray  # (P, T, 9, 9)
     keep: np.ndarray  # (P, T, 9, 9) share of a predicted error that the update leaves
     weighted: np.ndarray  # (P, T, 9) innovations over their covariance, by w
 
@@ -89,7 +88,7 @@ def kalman_filter(model: LinearModel, noise: Noise, dt: float) -> Filtered:
         keep = np.eye(9) - L @ H
         # in this form (Joseph) rounding cannot make a variance negative where the car is unstable
         less = keep @ P @ keep.swapaxes(1, 2) + (L * (valid * R)[:, None, :]) @ L.swapaxes(1, 2)
-        rows.append((mean, P, less, keep, np.einsum("pij,pi->pj", H, np.linalg.solve(S, off[..., None])[..., 0])))
+        rows.append((mean, P, keep, np.einsum("pij,pi->pj", H, np.linalg.solve(S, off[..., None])[..., 0])))
         F = model.F[:, k]
         mean = np.einsum("pij,pj->pi", F, better) - model.c[:, k]
         P = F @ less @ F.swapaxes(1, 2) + Q

@@ -1,6 +1,6 @@
 """Column maps: source columns of the channels, row conditions, and the source of the force."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -208,9 +208,9 @@ def first_missing(names: Iterable[str]) -> str | None:
     return next((name for name in CHANNELS if name not in have | dispensable(have)), None)
 
 
-def dispensable(names: Iterable[str]) -> set[str]:
+def dispensable(names: Container[str]) -> set[str]:
     """Return the channels that a log with the channels `names` may lack."""
-    return set(OPTIONAL) - ({"r"} if "psi" not in set(names) else set())
+    return {name for name in OPTIONAL if name != "r" or "psi" in names}
 
 
 def _instead(lacks: str | None) -> str:

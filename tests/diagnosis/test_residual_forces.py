@@ -113,7 +113,7 @@ def test_an_unstable_car_is_smoothed_over_a_long_run():
     A[..., :3, :3] = [[1.0, -1.0, 0.2], [0.0, 1.05, 0.1], [0.1, 3.0, 1.1]]
     assert np.abs(np.linalg.eigvals(A[0, 0, :3, :3])).max() > 1.15
     steps = steps._replace(A=jnp.asarray(A))
-    spread = kalman_filter(linear_model(path, steps, valid, decay_of(NOISE, DT)), NOISE, DT).filtered_covariance
+    spread = kalman_filter(linear_model(path, steps, valid, decay_of(NOISE, DT)), NOISE, DT).covariance
     np.testing.assert_allclose(spread, spread.swapaxes(-1, -2), atol=1e-12)
     driven = samples_in_run(valid)
     assert np.linalg.eigvalsh(spread[driven]).min() > 0 and spread[driven].max() < 2
