@@ -54,8 +54,8 @@ def run(argv: list[str]) -> int:
         for path in write_inspection(log.runs, folder.path):
             print(f"figure: {path}")
         again = log_flags(flags.logs, flags.columns, flags.vehicle or UNKNOWN_CAR)
-        print("next: a slope near -1 is a wrong sign, near 57.3 or 3.6 a wrong unit; where there is none, "
-              f"`driftjax diagnose {again}` says what the simulated car lacks.")  # fmt: skip
+        print("next: a slope near -1 is a wrong sign, near 57.3 or 3.6 a wrong unit, near 0 another quantity; where "
+              f"there is none, `driftjax diagnose {again}` says what the simulated car lacks.")  # fmt: skip
         return 0
 
     return run_in(folder, work)

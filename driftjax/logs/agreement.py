@@ -44,8 +44,12 @@ class Check(NamedTuple):
 
 def _course(y: Channels, rate: Channels) -> tuple[np.ndarray, np.ndarray]:
     """Return the sideslip, and the course less the heading."""
+    return y["beta"], _course_less_heading(y, rate)
+
+
+def _course_less_heading(y: Channels, rate: Channels) -> np.ndarray:
     angle = np.arctan2(rate["y"], rate["x"]) - y["psi"]
-    return y["beta"], np.angle(np.exp(1j * angle))
+    return np.angle(np.exp(1j * angle))
 
 
 def _along(y: Channels, rate: Channels) -> np.ndarray:
@@ -69,7 +73,7 @@ def _gentle(y: Channels, values: np.ndarray) -> np.ndarray:
 
 CHECKS = (
     Check("V", "speed of the position", "m/s", ("x", "y"), lambda y, rate: (y["V"], np.hypot(rate["x"], rate["y"]))),
-    Check("beta", "course less heading", "rad", ("x", "y", "psi"), _course),
+    Check("beta", "course less heading", "rad", ("beta", "x", "y", "psi"), _course),
     Check("r", "rate of the heading", "rad/s", ("psi",), lambda y, rate: (y["r"], rate["psi"])),
     Check("ax", "V' cos(beta) - V (beta' + r) sin(beta)", "m/s^2", ("ax",), lambda y, dy: (y["ax"], _along(y, dy))),
     Check("ay", "V' sin(beta) + V (beta' + r) cos(beta)", "m/s^2", ("ay",), lambda y, dy: (y["ay"], _across(y, dy))),
@@ -78,6 +82,11 @@ CHECKS = (
     Check("r", "rear wheels; slope: radius / track", "rad/s", ("wrl", "wrr"),
           lambda y, rate: (y["r"], y["wrr"] - y["wrl"])),
 )  # fmt: skip
+
+
+WITHOUT_SIDESLIP = Check(
+    "ay", "V r, as no sideslip is known", "m/s^2", ("ay",), lambda y, dy: (y["ay"], y["V"] * y["r"])
+)
 
 
 def steering_check(wheelbase: float) -> Check:
@@ -91,22 +100,30 @@ def steering_check(wheelbase: float) -> Check:
 
 def agreements(runs: Sequence[Run], wheelbase: float | None = None) -> list[Agreement]:
     """Return every check whose columns all `runs` have; the steering check needs the wheelbase [m]."""
-    has = set.intersection(*(set(run.extra) for run in runs))
-    checks = [check for check in CHECKS if set(check.needs) <= has]
-    checks += [] if wheelbase is None else [steering_check(wheelbase)]
+    has = set.intersection(*(set(run.extra) | ({"beta"} if np.isfinite(run.beta).any() else set()) for run in runs))
     smoothed = [smooth_channels(run) for run in runs]
+    sideslip_known = any(np.isfinite(y["beta"]).any() for y, _ in smoothed)
+    checks = [check for check in (*CHECKS, *(WITHOUT_SIDESLIP,) * (not sideslip_known)) if set(check.needs) <= has]
+    checks += [] if wheelbase is None else [steering_check(wheelbase)]
     evaluated = [evaluate_check(check, [check.pair(*one) for one in smoothed], runs[0].dt) for check in checks]
     return [one for one in evaluated if one is not None]
 
 
 def smooth_channels(run: Run) -> tuple[Channels, Channels]:
-    """Return the channels of a run and their rates, as `smooth_with_rate` does; NaN at low speed too."""
+    """Return the channels of a run and their rates, as `smooth_with_rate` does; NaN at low speed too.
+
+    A sideslip that was not measured is that of the pose, where there is one.
+    """
     V = fill_gaps(run.V)
     fast = V > SLOW * V.max()
     steered = run.delta - run.command_changes[:, 0] / 2  # at the sample
     raw = {"V": run.V, "beta": run.beta, "r": run.r, "delta": steered} | run.extra
-    both = {name: [np.where(fast, one, np.nan) for one in smooth_with_rate(y, run.dt)] for name, y in raw.items()}
-    return {name: y for name, (y, _) in both.items()}, {name: rate for name, (_, rate) in both.items()}
+    smoothed = lambda y: [np.where(fast, one, np.nan) for one in smooth_with_rate(y, run.dt)]
+    both = {name: smoothed(y) for name, y in raw.items()}
+    y, rate = ({name: pair[i] for name, pair in both.items()} for i in range(2))
+    if not np.isfinite(run.beta).any() and {"x", "y", "psi"} <= set(y):
+        y["beta"], rate["beta"] = smoothed(_course_less_heading(y, rate))
+    return y, rate
 
 
 def smooth_with_rate(y: np.ndarray, dt: float, window: float = WINDOW, order: int = 2) -> tuple[np.ndarray, np.ndarray]:

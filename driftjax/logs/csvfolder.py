@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.csvtable import is_number
+from driftjax.logs.cells import MISSING, is_number
 from driftjax.logs.fields import QUATERNION, heading
 from driftjax.logs.parse import parse_table
 from driftjax.logs.series import Series, pick_channels
 from driftjax.logs.stamps import NANOSECONDS, SECONDS, units_of_time
-from driftjax.logs.table import MISSING, Table, read_bytes
+from driftjax.logs.table import Table, read_bytes
 
 KIND = "folder of CSV files"
 WHOLE, REST = (*SECONDS, "s"), (*NANOSECONDS, "ns", "nanoseconds")  # of a time in two columns

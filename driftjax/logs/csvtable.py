@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
-from driftjax.logs.table import MISSING, Table, decode_text
+from driftjax.logs.cells import is_number, is_time
+from driftjax.logs.table import Table, decode_text
 from driftjax.logs.unit_words import parse_unit
 
 DELIMITERS = (",", ";", "\t")
@@ -40,14 +41,6 @@ def csv_table(path: Path, content: bytes, skip: Callable[[int], bool]) -> Table:
     return Table(path, stripped(names), tuple(zip(*rows, strict=True)), np.array(lines, int), stripped(units))
 
 
-def is_number(cell: str) -> bool:
-    """Return whether a cell holds a finite number."""
-    try:
-        return cell.strip().lower() not in MISSING and np.isfinite(float(cell))
-    except ValueError:
-        return False
-
-
 def are_units(cells: Sequence[str], below: Sequence[str]) -> bool:
     """Return whether a row holds units: words above numbers, of which one is a unit where others are 1."""
     if not any(map(is_number, cells)):
@@ -70,7 +63,7 @@ def _rows(path: Path, text: str, skip: Callable[[int], bool]) -> tuple[list[int]
                 lines.append(reader.line_num)
                 rows.append(cells)
             elif not rows:
-                comments.append([cells[0].lstrip().lstrip("#"), *cells[1:]])
+                comments.append([_without_quotes(cells[0].lstrip().lstrip("#").strip()), *cells[1:]])
     except csv.Error as error:
         raise BadInput(f"{path}, row {reader.line_num}: is no CSV ({error}); correct the row.") from None
     if not rows:
@@ -83,19 +76,29 @@ def _header(
 ) -> tuple[CsvCells, CsvCells, int]:
     """Return names, units (empty if the comments have none) and the number of the first row below the names.
 
-    The names may be the last comment before numbers or units, or the one before it if that holds units.
+    The names may be the last comment before numbers or units in which no cell is there twice, as those of groups are.
     """
     first = rows[0]
     widths = {len(first), len(first) - (not first[-1].strip())}
     fitting = [cells for cells in comments if len(cells) in widths]
-    if fitting and (any(map(is_number, first)) or (_mostly_units(first) and not _mostly_units(fitting[-1]))):
-        if len(fitting) > 1 and _mostly_units(fitting[-1]) and not _mostly_units(fitting[-2]):
-            return fitting[-2], fitting[-1] if len(fitting[-1]) == len(fitting[-2]) else [], 0
-        return fitting[-1], [], 0
-    if all(map(is_number, first)):
+    if fitting and (any(map(_is_value, first)) or (_mostly_units(first) and not _mostly_units(fitting[-1]))):
+        words = [cells for cells in fitting if not _mostly_units(cells)]
+        names = next((cells for cells in reversed(words) if len(set(cells)) == len(cells)), (words or fitting)[-1])
+        units = fitting[-1] if fitting[-1] is not names and _mostly_units(fitting[-1]) else []
+        return names, units if len(units) == len(names) else [], 0
+    if all(map(_is_value, first)):
         raise BadInput(f"{path}, row {lines[0]}: holds numbers where the names of the columns should be; write a row "
                        "of names above it.")  # fmt: skip
     return first, [], 1
+
+
+def _is_value(cell: str) -> bool:
+    """Return whether a cell holds what is measured: a finite number or a time."""
+    return is_number(cell) or is_time(cell)
+
+
+def _without_quotes(cell: str) -> str:
+    return cell[1:-1] if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
 
 
 def _mostly_units(cells: CsvCells) -> bool:

@@ -183,8 +183,12 @@ def _table(path: Path, kind: str | None, content: bytes, columns: ColumnMap | No
         return read_recording(path, kind, columns, notes)
     time = next((channel.column for channel in columns.columns if channel.name == "t"), None) if columns else "t"
     table = parse_table(path, content, columns.skips if columns else lambda line: False, time)
-    if table.units:
-        shown = ", ".join(f"{name} {unit}" for name, unit in zip(table.names, table.units, strict=True) if unit)
+    stated = {name: unit for name, unit in zip(table.names, table.units, strict=False) if unit}
+    if columns is not None:
+        mapped = {channel.column for channel in columns.columns}
+        stated = {name: unit for name, unit in stated.items() if name in mapped}
+    if stated:
+        shown = ", ".join(f"{name} {unit}" for name, unit in stated.items())
         notes.append(f"{path}: the units that it states ({shown}) change nothing; factors stand in the column map.")
     return table
 

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.cells import cells_as_numbers
 from driftjax.logs.extras import printable
 from driftjax.logs.series import similar_names
-
-MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})  # cells that hold no value, in lower case
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +36,10 @@ class Table:
         return Table(self.path, self.names, tuple(columns), self.lines[mask], self.units)
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return column `name` as floats, NaN where a value is missing; raises `BadInput` that names the row."""
+        """Return column `name` as floats, NaN where a value is missing, times of day in seconds.
+
+        Raises `BadInput` that names the row.
+        """
         column = self._column(name)
         values = column if isinstance(column, np.ndarray) else self._parse(name, column)
         if np.isinf(values).any():
@@ -63,18 +65,14 @@ class Table:
         return self.columns[self.names.index(name)]
 
     def _parse(self, name: str, cells: Sequence[str]) -> np.ndarray:
-        values = np.empty(len(cells))
-        for i, cell in enumerate(cells):
-            try:
-                values[i] = float(cell) if cell else np.nan
-            except ValueError:
-                if cell.strip().lower() not in MISSING:
-                    raise BadInput(
-                        f"{self.path}, row {self.lines[i]}: column '{name}' holds '{printable(cell.strip())}', "
-                        f"not a number{' with a decimal point' * (',' in cell)}; "
-                        "correct it, or leave the cell empty where the value is missing."
-                    ) from None
-                values[i] = np.nan
+        values, wrong = cells_as_numbers(cells)
+        if wrong:
+            cell = cells[wrong[0]].strip()
+            raise BadInput(
+                f"{self.path}, row {self.lines[wrong[0]]}: column '{name}' holds '{printable(cell)}', "
+                f"not a number{' with a decimal point' * (',' in cell)}; "
+                "correct it, or leave the cell empty where the value is missing."
+            )
         return values
 
 

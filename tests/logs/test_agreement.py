@@ -47,6 +47,17 @@ def test_channels_of_one_motion_agree():
         assert one.shift_half_width < 0.01, name
 
 
+def test_lateral_acceleration_is_checked_without_a_measured_sideslip():
+    """By the sideslip of the pose, and by V r where there is none; an axis the other way shows."""
+    run = replace(drive(ay_slope=-1.0), beta=np.full(NUM, np.nan))
+    agreement = agreement_of(run)
+    assert agreement["ay", "V'"].slope == pytest.approx(-1, abs=0.02) and ("beta", "course") not in agreement
+    assert agreement["ax", "V'"].slope == pytest.approx(1, abs=0.05)
+    bare = agreement_of(replace(run, extra={"ay": run.extra["ay"]}))
+    assert bare["ay", "V"].slope == pytest.approx(-1, abs=0.1) and len(bare) == 2
+    assert ("ay", "V") not in agreement
+
+
 def test_wheels_tell_their_radius_and_by_how_much_the_speed_is_late():
     """As that of a satellite receiver; the car is 1.6 m wide between its wheels of 0.3 m."""
     run, late = drive(), drive(V_late=0.1)

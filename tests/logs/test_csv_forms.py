@@ -27,6 +27,8 @@ def parsed(tmp_path, text: str | bytes):
 COMMA = text_of("t;V;r", delimiter=";").replace(".", ",")
 FORMS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
     "units in a second comment": (text_of("# t,V,r", "# s,m/s,rad/s"), UNITS),
+    "groups between names and units in comments": (
+        text_of('# "t","V","r"', '# "C1","C1","C1"', '# "s","m/s","rad/s"'), UNITS),
     "words before names in comments": (text_of("# made,by,hand", "# t,V,r"), ()),
     "units without a hash below names": (text_of("# t,V,r", "s,m/s,rad/s"), UNITS),
     "a delimiter at the end of rows": (text_of("t,V,r", end=","), ()),
@@ -49,6 +51,32 @@ def test_what_loggers_and_spreadsheets_write_is_read(tmp_path, form):
     assert list(table.names) == NAMES and table.units == units
     for k, name in enumerate(NAMES):
         np.testing.assert_array_equal(table.numbers(name), [float(row[k]) for row in ROWS])
+
+
+TIMES = {
+    "a date": ("2024-02-11 23:59:59.{:03d}", "2024-02-12 00:00:00.{:03d}"),
+    "ISO 8601": ("2024-02-11T23:59:59.{:03d}Z", "2024-02-12T00:00:00.{:03d}Z"),
+    "with a zone": ("2024-02-11T23:59:59.{:03d}+01:00", "2024-02-11T23:00:00.{:03d}Z"),
+    "joined by lines": ("2024_02_11_23_59_59_{:03d}", "2024_02_12_00_00_00_{:03d}"),
+    "of a spreadsheet": ("2024/2/11 23:59:59.{:03d}", "2024/2/12 0:00:00.{:03d}"),
+    "a clock": ("23:59:59.{:03d}", "00:00:00.{:03d}"),
+}
+
+
+@pytest.mark.parametrize("form", TIMES)
+def test_times_of_day_are_seconds(tmp_path, form):
+    """Past midnight, too; names are found above them."""
+    before, after = TIMES[form]
+    stamps = [before.format(ms) for ms in range(500, 1000, 20)] + [after.format(ms) for ms in range(0, 500, 20)]
+    table = parsed(tmp_path, "\n".join(["# made by hand", "# t,V", *(f"{stamp},1" for stamp in stamps)]))
+    assert table.names == ("t", "V")
+    np.testing.assert_allclose(np.diff(table.numbers("t")), 0.02, atol=1e-6)
+
+
+@pytest.mark.parametrize("cell", ["1_000", "2024_02_11", "2024-13-11 10:00:00", "25 km"])
+def test_what_is_neither_number_nor_time_is_refused(tmp_path, cell):
+    with pytest.raises(BadInput, match=re.escape(f"row 3: column 't' holds '{cell}', not a number")):
+        parsed(tmp_path, f"t,V\n1,2\n{cell},2\n").numbers("t")
 
 
 @pytest.mark.parametrize("mark", ["1", "-", "", "[-]"])

@@ -120,6 +120,21 @@ def test_channels_without_two_values_close_together_are_guessed_without_warnings
     assert "t" in placed(written(tmp_path / "log.csv", d))
 
 
+def test_a_log_of_a_simulator_that_starts_anew(tmp_path):
+    """Its heading jumps, the speed is a little negative there, and its accelerometer leaves out the turning."""
+    d = {name: drive()[name] for name in ("t", "V", "r", "x", "y", "psi", "ax", "ay", "delta")}
+    d["psi"], d["ay"] = d["psi"] % (2 * np.pi), 0.01 * np.cos(9 * T)
+    for name, value in {"V": -0.01, "x": 0.0, "y": 0.0, "psi": 0.0, "r": 0.0}.items():
+        d[name][-3:] = value
+    path = written(tmp_path / "log.csv", d)
+    guess = guess_columns(path)
+    assert {one.channel for one in guess.channels} == set(d) - {"ay"}
+    assert any("'ay' is named like ay but does not follow V r" in one for one in guess.open)
+    guess.write(tmp_path / "map.yaml")
+    log = read_log(path, str(tmp_path / "map.yaml"))
+    assert log.runs[0].V.min() > 1 and len(log.runs[0].t) == len(T) - 3
+
+
 def test_what_is_missing_is_named(tmp_path):
     d = drive()
     guess = guess_columns(written(tmp_path / "log.csv", {key: d[key] for key in ("t", "V", "r")}))

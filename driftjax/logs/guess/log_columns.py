@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.logs.cells import cells_as_numbers
 from driftjax.logs.columns import Stamps
 from driftjax.logs.guess.names import meaning
 from driftjax.logs.parse import parse_table
 from driftjax.logs.recording import TIME, all_series, recording_kind
 from driftjax.logs.sampling import even_rate
 from driftjax.logs.stamps import units_of_time
-from driftjax.logs.table import MISSING, read_bytes
+from driftjax.logs.table import read_bytes
 
 FINEST = 0.02  # s, of the time base
 MOST = 10000  # samples; a longer log is read from its start
@@ -23,6 +24,7 @@ CLEAR = 0.9  # score of such a name
 NUMERIC = 0.9  # share of cells that must be numbers
 LEAST_TIME = 0.3  # least score of the name of a time
 JUMP = 0.9  # share of a turn that is a jump of an angle
+SMOOTH = 0.99  # share of the other steps of an angle that must be small
 ABSURD = 1e6  # times the size of most values of a column, from which one is none that was measured
 LARGEST = 1e30  # size of any measured quantity, in any unit
 
@@ -160,14 +162,8 @@ def _by_values(columns: list[tuple[str, str, np.ndarray]]) -> tuple[list[tuple],
 
 def _numbers(cells: Sequence[str]) -> np.ndarray | None:
     """Return text as numbers, NaN where one is missing; None if it is no column of numbers."""
-    values = np.full(len(cells), np.nan)
-    wrong = 0
-    for i, cell in enumerate(cells):
-        try:
-            values[i] = float(cell)
-        except ValueError:
-            wrong += cell.strip().lower() not in MISSING
-    return values if wrong <= (1 - NUMERIC) * len(cells) else None
+    values, wrong = cells_as_numbers(cells)
+    return values if len(wrong) <= (1 - NUMERIC) * len(cells) else None
 
 
 def _time(path: Path, numbers: dict[str, np.ndarray]) -> tuple[str, float]:
@@ -228,4 +224,5 @@ def unwrapped(y: np.ndarray) -> np.ndarray:
 
 
 def _smooth(steps: np.ndarray, turn: float) -> bool:
-    return bool(steps.size) and float(np.max(steps)) < turn / 6
+    """Return whether all but single steps, as where a simulator starts anew, are a small part of a turn."""
+    return bool(steps.size) and float(np.quantile(steps, SMOOTH)) < turn / 6

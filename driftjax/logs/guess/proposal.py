@@ -31,14 +31,23 @@ from driftjax.logs.guess.assign import (
 )
 from driftjax.logs.guess.log_columns import LogColumns, read_log_columns
 from driftjax.logs.guess.names import UNKNOWN, meaning, words_of
-from driftjax.logs.guess.relations import LENGTHS, Signal, course, fast, heading_offset
+from driftjax.logs.guess.relations import (
+    LENGTHS,
+    Signal,
+    course,
+    fast,
+    fit_relation,
+    heading_offset,
+    kinematic_relations,
+)
 from driftjax.logs.sampling import proposed_rate
 from driftjax.logs.unit_words import DEG
 
 PEDALS = {"throttle", "gas", "accelerator", "pedal", "brake", "motor", "torque", "duty", "current", "power"}
 UNSURE = 0.8  # of the certainty that is left where a sign is only the file's, or another column fits as well
 RIGHT_ANGLE, NEAR_ANGLE = np.pi / 2, 0.1  # offsets of a heading that are meant to be whole right angles [rad]
-NEAR_ZERO = 0.1  # m/s; less is noise at a standstill
+REFUTED = 0.25  # correlation below which a column is not what its name says
+NEAR_ZERO = 0.1  # m/s, of a speed ahead; less is noise at a standstill
 ORDER = (*CHANNELS[:3], "vx", "vy", *CHANNELS[3:], "x", "y", "psi", "ax", "ay", "s", "e", "wfl", "wfr", "wrl", "wrr")
 
 
@@ -156,6 +165,7 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None) -> Guess:
     v = channel_signals(assigned, log.dt)
     left: list[str] = []
     assigned = _without_course(assigned, v, log.dt, left)
+    assigned = _without_refuted(assigned, v, log.dt, left)
     if {"latitude", "longitude"} <= set(assigned):
         assigned = {role: one for role, one in assigned.items() if role not in ("x", "y")}
     assigned = _one_pair_of_speeds(assigned)
@@ -175,9 +185,13 @@ def guess_columns(path: str | Path, *, wheelbase: float | None = None) -> Guess:
 def _forwards(assigned: dict[str, ChannelAssignment], v: dict[str, Signal], left: list[str]) -> tuple[Condition, ...]:
     """Return the condition that leaves out rows driven backwards, if there are any."""
     role = next((role for role in ("V", "vx") if role in v), None)
-    if role is None or not (back := np.nanmean(v[role].y < 0)) or np.nanmin(v[role].y) > -NEAR_ZERO:
+    if role is None:
         return ()
     one = assigned[role]
+    speed = one.factor * one.column.y  # as it is read, not smoothed
+    back = np.mean(speed[np.isfinite(speed)] < 0)
+    if not back or (role == "vx" and np.nanmin(speed) > -NEAR_ZERO):  # a speed `V` below zero is refused, however small
+        return ()
     least = float(f"{SLOW * np.nanpercentile(v[role].y, 99) / one.factor:.2g}")
     left.append(f"'{one.column.name}' is negative in {100 * back:.2g} % of the samples, driven backwards: rows below "
                 f"{least:g} are left out.")  # fmt: skip
@@ -210,6 +224,24 @@ def _without_course(
     name = assigned["psi"].column.name
     left.append(f"'{name}' is the direction of travel, not the heading of the car; it was left out.")
     return {role: one for role, one in assigned.items() if role != "psi"}
+
+
+def _without_refuted(
+    assigned: dict[str, ChannelAssignment], v: dict[str, Signal], dt: float, left: list[str]
+) -> dict[str, ChannelAssignment]:
+    """Remove accelerations by name that follow nothing that they should, as those of another frame."""
+    for role in ("ax", "ay"):
+        if role not in assigned or assigned[role].fit is not None:
+            continue
+        one = assigned[role]
+        moving = fast(v, len(one.signal.y))
+        fits = [fit_relation(rule, one.signal, moving) for rule in kinematic_relations(role, v, dt)]
+        there = [fit for fit in fits if fit is not None]
+        if there and all(abs(fit.correlation) < REFUTED for fit in there):
+            left.append(f"'{one.column.name}' is named like {role} but does not follow {there[0].relation.name} "
+                        f"({there[0].correlation:.2f}); it was left out.")  # fmt: skip
+            assigned = {other: each for other, each in assigned.items() if other != role}
+    return assigned
 
 
 def _note_turned(assigned: dict[str, ChannelAssignment], left: list[str]) -> None:
