@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.acceleration import with_inertial_force
-from driftjax.diagnosis.channel_estimates import has_force
+from driftjax.diagnosis.channel_estimates import TURNED, has_force
 from driftjax.diagnosis.motion import (
     MotionNoise,
     estimate_motion_noise,
@@ -137,7 +137,8 @@ def initial_problem(
     parameters = [(i, p) for i, effect in enumerate(effects) for p in effect.parameters]
     judged = lambda one: known or not depends_on_force(one)
     fixed = {*without, *(() if data.yaw_rate_measured else GYRO)}
-    searched = [one.name not in fixed and set(one.needs) <= has and judged(one) for one in effects]
+    places = has | {"psi"} if TURNED in has else has
+    searched = [one.name not in fixed and set(one.needs) <= places and judged(one) for one in effects]
     active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
     owner, gains = np.array([i for i, _ in parameters]), fixed_gain(data)

@@ -1,10 +1,11 @@
-"""Prepare a log for a diagnosis: a yaw rate where it has none, and no more samples than the car needs."""
+"""Prepare a log for a diagnosis: a yaw rate or heading where it has none, and no more samples than the car needs."""
 
 import dataclasses
 
 import numpy as np
 
 from driftjax.core import BadInput
+from driftjax.diagnosis.channel_estimates import with_turned
 from driftjax.logs import Log, Run
 from driftjax.logs.agreement import smooth_with_rate
 from driftjax.vehicle import VehicleConfig
@@ -14,12 +15,13 @@ RESOLUTION = 40.0  # samples in sqrt(L/g) that resolve a car: its fastest motion
 
 
 def resolved_log(vehicle: VehicleConfig, log: Log) -> Log:
-    """Return the log with a yaw rate, without more samples than the motion of a car of this size needs.
+    """Return the log with yaw rate and heading, without more samples than the motion of a car of this size needs.
 
     For a wheelbase of 2.65 m these are 77 Hz or a little more. Others cost time, and what differs from one to the next
     is the sensor's filter rather than the car. Raises `BadInput` as `with_yaw_rate` does.
     """
-    return with_yaw_rate(log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G)))
+    log = with_yaw_rate(log.thin(RESOLUTION / np.sqrt((vehicle.a + vehicle.b) / G)))
+    return dataclasses.replace(log, runs=with_turned(log.runs))
 
 
 def with_yaw_rate(log: Log) -> Log:

@@ -4,9 +4,13 @@ Scores are summed over blocks of time, and blocks get random signs: the largest 
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
 Miller 2008).
 
-|T| cannot exceed the root of the number of blocks in which an effect acts. An effect that acts in few (a power limit, a
-patch of road) is therefore tested by its score over the standard deviation that follows from information and
-dispersion, without the block of the largest score. Both tests share the family-wise rate.
+|T| cannot exceed the sum of a block's shares in it: where two blocks say most, it is small however well all blocks
+agree. Scores are therefore compared as normal numbers that are as rare under random signs of their own blocks
+(Robinson 1982), so that each effect has the same chance (minP instead of maxT; Westfall and Young 1993).
+
+An effect that acts in few blocks (a power limit, a patch of road) cannot be rare in this sense. It is tested by its
+score over the standard deviation that follows from information and dispersion, without the block of the largest score.
+Both tests share the family-wise rate.
 """
 
 from collections.abc import Sequence
@@ -29,6 +33,7 @@ COLOUR = 0.9  # quantile of the dispersions of other effects that theirs is at l
 MEDIAN = float(chdtri(1, 0.5))  # of the square of a standard normal number
 NONE = 1e-9  # information in typical sizes below which the data hold none
 CONDITION = 1e-8  # share of an effect's information that must be its own for it to be testable
+TILTS = np.concatenate([[0.0], np.geomspace(0.05, 1e3, 48)])  # at which sums with random signs are approximated
 ROUNDED = 1e-12  # eigenvalue of an information matrix, over the largest, that is but rounding
 
 
@@ -37,7 +42,7 @@ class Scores(NamedTuple):
 
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
-    T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
+    T: np.ndarray  # (K,) scores on the scale of normal numbers, 0 for members and for signs that an effect cannot have
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) predicted fall of the cost with each effect, 0 for members
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
@@ -195,9 +200,26 @@ def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def studentised_scores(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the studentised scores (K,): sums over blocks (C, K) over their root sum of squares; 0 unless `own`."""
-    spread = np.sqrt((effective**2).sum(axis=0))
-    return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
+    """Return the `normal_scores` (K,) of the sums over blocks (C, K), 0 unless `own`."""
+    T = np.zeros(len(own))
+    T[own] = normal_scores(effective[:, own], effective[:, own].sum(axis=0)[None])[0]
+    return T
+
+
+def normal_scores(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """Return sums `U` (n, k) of scores by block (C, k) as normal numbers that random signs exceed as seldom.
+
+    The signed root of twice the large-deviation rate of such sums, the leading term of their saddlepoint approximation
+    (Robinson 1982, J. R. Stat. Soc. B 44); U over its root sum of squares where blocks are many and alike.
+    """
+    size = np.sqrt((effective**2).sum(axis=0))
+    unit, T = np.abs(effective) / size, U / size
+    x = TILTS[:, None, None] * unit
+    mean = np.einsum("ck,gck->gk", unit, np.tanh(x))
+    rate = TILTS[:, None] * mean - (x + np.log1p(np.exp(-2 * x)) - np.log(2)).sum(axis=1)
+    root = np.sqrt(2 * np.maximum(rate, 0.0))
+    each = [np.interp(np.abs(T[:, k]), mean[:, k], root[:, k]) for k in range(len(size))]
+    return np.sign(T) * np.stack(each, axis=1) if each else T
 
 
 def joint_score(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
@@ -236,7 +258,7 @@ def null_max_scores(
     It is that of |T|, where `one_sided` scores count only if positive, and of the joint scores of `together`.
     """
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
-    by_chance = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
+    by_chance = normal_scores(effective[:, own], signs @ effective[:, own])
     by_chance = np.where(one_sided[own], np.maximum(by_chance, 0.0), np.abs(by_chance))
     joint = [joint_score(effective[:, c], signs @ effective[:, c]) for c in together]
     return np.sort(np.max([by_chance.max(axis=1, initial=0.0), *joint], axis=0))

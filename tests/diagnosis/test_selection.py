@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, problem_of, recorded, sedan
+from scipy.special import ndtr
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
@@ -14,7 +15,7 @@ from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, info
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.refine import TOLERANCE
 from driftjax.diagnosis.runs import Linearisation, Pieces
-from driftjax.diagnosis.score import covariance, overdispersion, partial_out, scores, sums_by_block
+from driftjax.diagnosis.score import covariance, normal_scores, overdispersion, partial_out, scores, sums_by_block
 from driftjax.diagnosis.select import Selection, search
 from driftjax.vehicle.parameters import EffectParameterValue
 
@@ -130,7 +131,7 @@ def test_an_effect_in_the_data_has_a_significant_score_and_its_true_gain():
 
 
 def test_several_parameters_of_an_effect_are_tested_together():
-    """Four that act in six blocks each, so that no |T| can pass the root of six; together they do."""
+    """Four that act in six blocks each, whose signs agree by chance once in 32 times; together they stand out."""
     problem = made_up()._replace(owner=np.array([0, 0, 0, 0, 1]))
     rng, J, shape = np.random.default_rng(13), np.zeros((1, BLOCKS * LENGTH, 3, SIZE)), (1, BLOCKS * LENGTH, 3)
     for k in range(4):
@@ -142,9 +143,37 @@ def test_several_parameters_of_an_effect_are_tested_together():
         by_chance.append(scores(problem, followed(e, J), np.zeros(SIZE), (), seed).p_value)
         results.append(scores(problem, followed(e + J @ [0.8, -0.8, 0.8, -0.8, 0.0], J), np.zeros(SIZE), (), seed))
     assert np.mean(np.array(by_chance) < 0.05) < 0.12  # p < 1e-3 at a rate of 5 %
-    assert max(np.abs(one.T[:4]).max() for one in results) < np.sqrt(6) + 1e-9
+    assert max(np.abs(one.T[:4]).max() for one in results) < np.sqrt(2 * 6 * np.log(2)) + 1e-6
     assert np.median([one.joint[0] for one in results]) > np.sqrt(6) + 1
     assert np.median([one.p_value for one in results]) < 0.01
+
+
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_scores_are_as_rare_as_normal_numbers_however_unlike_the_blocks_are(spread):
+    """By random signs themselves; scores that are studentised have no tail where blocks are unlike."""
+    rng = np.random.default_rng(15)
+    blocks = rng.choice([-1.0, 1.0], (60, 3)) * np.exp(spread * rng.normal(size=(60, 3)))
+    U = rng.choice([-1.0, 1.0], (200_000, 60)) @ blocks
+    z = normal_scores(blocks, U)
+    for level in (2.0, 3.0):
+        by_chance = np.mean(np.abs(z) > level, axis=0)
+        assert (by_chance > 0.7 * 2 * ndtr(-level)).all() and (by_chance < 3.5 * 2 * ndtr(-level)).all()
+    np.testing.assert_array_equal(np.argsort(z, axis=0), np.argsort(U, axis=0))
+    if not spread:
+        np.testing.assert_allclose(z, U / np.sqrt(60), rtol=0.08)
+
+
+def test_an_effect_that_all_blocks_agree_on_is_found_though_two_say_most():
+    rng, problem, found = np.random.default_rng(16), made_up(), []
+    for seed in range(20):
+        J = rng.normal(size=(1, BLOCKS * LENGTH, 3, SIZE))
+        J[:, : 2 * LENGTH, :, 3] *= 8.0
+        e = rng.normal(size=J.shape[:3]) + 0.3 * J[..., 3]
+        result = scores(problem, followed(e, J), np.zeros(SIZE), (), seed)
+        studentised = np.abs(result.blocks[:, 3].sum()) / np.sqrt((result.blocks[:, 3] ** 2).sum())
+        found.append((result.p_value_of(3, np.array([3])), studentised))
+    p_values, studentised = np.array(found).T
+    assert np.median(studentised) < 2.2 and np.mean(p_values < 0.05) > 0.9
 
 
 def test_signs_that_an_effect_cannot_have_are_not_tested():

@@ -1,4 +1,4 @@
-"""Logs without a yaw rate: it is the rate of the heading."""
+"""Logs without a yaw rate, which is that of the heading, or without a heading, the integral of the yaw rate."""
 
 import dataclasses
 
@@ -59,3 +59,29 @@ def test_errors_of_a_gyro_are_not_judged_by_a_heading_and_the_sentence_says_so()
     assert not of_heading.data.yaw_rate_measured and measured.data.yaw_rate_measured
     assert select_effects(of_heading, ("mass", "gyro_scale")) == ((0,), {"gyro_scale": "r"})
     assert "has no yaw rate" in Unidentifiable(("r",), {}, {}, ()).sentence
+
+
+def test_one_drive_without_a_heading_faces_the_wind_by_the_integral_of_its_yaw_rate():
+    run, true = turning()
+    drive = dj.Log((dataclasses.replace(run, r=true),))
+    vehicle, effects = dj.load_vehicle("sedan"), dj.effects_by_name(("mass", "side_wind", "road_grade"))
+    halves = resolved_log(vehicle, drive.split_runs(5)).runs
+    assert len(halves) == 2
+    problem = initial_problem(vehicle, effects, halves)
+    assert problem.active.all() and problem.data.motion is None  # what was integrated is no measurement
+    psi = np.concatenate([half.extra["turned"] for half in halves])
+    np.testing.assert_allclose(psi, 0.4 * (1 - np.cos(2 * T)), atol=0.02)
+    place = problem.data.padded.place.psi[problem.data.run == 1]
+    assert place[0, 0] == pytest.approx(psi[len(halves[0].t)], abs=1e-9)
+    with_heading = dataclasses.replace(drive.runs[0], extra={"psi": psi})
+    assert "turned" not in resolved_log(vehicle, dj.Log((with_heading,))).runs[0].extra
+
+
+def test_several_drives_without_a_heading_say_nothing_of_wind_and_slopes_and_the_sentence_says_so():
+    run, true = turning()
+    first = dataclasses.replace(run, r=true)
+    second = dataclasses.replace(first, name="second", t=first.t + 60)
+    vehicle, effects = dj.load_vehicle("sedan"), dj.effects_by_name(("mass", "side_wind", "road_grade"))
+    problem = initial_problem(vehicle, effects, resolved_log(vehicle, dj.Log((first, second))).runs)
+    assert problem.active.tolist() == [True, False, False, False, False]
+    assert "wind and slopes of the road are not judged" in Unidentifiable(("psi",), {}, {}, ()).sentence
