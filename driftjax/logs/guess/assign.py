@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from driftjax.logs.geodesy import east_north
 from driftjax.logs.guess.log_columns import Column, LogColumns
@@ -127,6 +126,8 @@ def _turned(assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, Chan
 
 def _assigned(known: list[_Known], assigned: dict[str, ChannelAssignment], dt: float) -> dict[str, ChannelAssignment]:
     """Return the best assignment, one column to a channel, by scores that follow from the last one."""
+    from scipy.optimize import linear_sum_assignment  # takes a second to load, with every command and worker
+
     v = channel_signals(assigned, dt)
     roles = list(DIMENSIONS)[1:]  # all but the time
     mask = fast(v, len(known[0].signal.y)) if known else np.ones(0, bool)
