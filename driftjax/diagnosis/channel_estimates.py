@@ -1,7 +1,6 @@
 """Estimate sideslip and heading of logs without them, and find which channels a log has."""
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,16 +34,17 @@ def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
 
 
 def with_turned(runs: Sequence[Run]) -> tuple[Run, ...]:
-    """Return the runs with the integral of the yaw rate beside each, if they are one drive without a heading.
+    """Return the runs, if none has a heading, with the integral of the yaw rate beside each.
 
-    It tells how the car faces wind and slopes, from the start of the drive on. Of several drives, whose first headings
-    are unknown, none is given.
+    It tells how the car faces wind and slopes, if all drives begin in one direction: it is 0 where a drive begins, and
+    goes on where a run follows the one before it.
     """
-    apart = [after.t[0] - before.t[-1] for before, after in itertools.pairwise(runs)]
-    one_drive = all(0 < gap <= CONTIGUOUS * runs[0].dt for gap in apart)
-    if not one_drive or any({"psi", TURNED} & set(run.extra) for run in runs):
+    if any({"psi", TURNED} & set(run.extra) for run in runs):
         return tuple(runs)
-    turned = np.cumsum(np.concatenate([fill_gaps(run.r) for run in runs])) * runs[0].dt
-    parts = np.split(turned, np.cumsum([len(run.t) for run in runs])[:-1])
-    pairs = zip(runs, parts, strict=True)
-    return tuple(dataclasses.replace(run, extra=run.extra | {TURNED: part}) for run, part in pairs)
+    turned, before = [], None
+    for run in runs:
+        follows = before is not None and 0 < run.t[0] - before.t[-1] <= CONTIGUOUS * run.dt
+        psi = np.cumsum(fill_gaps(run.r)) * run.dt + (turned[-1].extra[TURNED][-1] if follows else 0.0)
+        turned.append(dataclasses.replace(run, extra=run.extra | {TURNED: psi}))
+        before = run
+    return tuple(turned)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.diagnosis.channel_estimates import TURNED
 from driftjax.diagnosis.fit import Problem, information, time_lost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
@@ -44,8 +43,8 @@ class Unidentifiable(NamedTuple):
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "
                          "drive, brakes and drag are not judged.")  # fmt: skip
         if "psi" in self.channels:
-            words.append("The log has no heading, so that wind and slopes of the road are not judged; where they act, "
-                         "drag, a bank or a steering offset may be named instead.")  # fmt: skip
+            words.append("The log has no heading; wind and slopes of the road are judged by the integral of the yaw "
+                         "rate, as if all drives began in one direction.")  # fmt: skip
         if self.lost_s:
             words.append(f"The observer loses the car in {self.lost_s:.1f} s of the log, which do not count.")
         return " ".join(words)
@@ -55,7 +54,7 @@ def find_unidentifiable(problem: Problem, selection: Selection, rivals: dict[int
     """Find what missing channels leave unidentifiable; `rivals` are those of each named effect."""
     data, names = problem.data, [effect.name for effect in problem.effects]
     known = {"beta": not data.skip, "r": data.yaw_rate_measured, "Fxr": data.force_known,
-             "psi": bool({"psi", TURNED} & problem.extra_columns)}  # fmt: skip
+             "psi": "psi" in problem.extra_columns}  # fmt: skip
     lacks = [name for name, there in known.items() if not there]
     not_judged = () if data.force_known else tuple(names[i] for i in problem.unidentifiable_effects)
     lost_s = time_lost(problem, selection.linearisation)

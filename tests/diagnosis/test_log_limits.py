@@ -168,7 +168,7 @@ def test_samples_that_do_not_resolve_the_car_any_better_are_left_out():
         assert resolved_log(vehicle, fast).runs[0].dt == pytest.approx(dt)
         most = 1.01 * np.sqrt((vehicle.a + vehicle.b) / 9.81) / 40
         assert dt <= most < dt + 0.001  # the next is too long
-    assert resolved_log(sedan(), Log(measured())).runs == measured()  # several drives without a heading
+    assert resolved_log(sedan(), Log(measured())).runs == measured()
 
 
 def test_the_force_is_that_of_the_car_with_its_effects_not_of_the_nominal_one():
