@@ -79,9 +79,16 @@ def run_in(folder: RunFolder, work: Callable[[], int], resume: str = "") -> int:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print notes, such as those of a log or the `unmodelled_effects` of a car."""
+    """Print notes, such as those of a log or the `unmodelled_effects` of a car.
+
+    Of notes that say the same of several logs or runs, `WHERE: what`, the first is printed with their number.
+    """
+    alike: dict[str, list[str]] = {}
     for note in notes:
-        print(f"note: {note}", flush=True)
+        where, separator, what = note.partition(": ")
+        alike.setdefault(what if separator else note, []).append(note)
+    for first, *others in alike.values():
+        print(f"note: {first}{f' The same holds for {len(others)} more.' if others else ''}", flush=True)
 
 
 def by_steps(report: ProgressReport, steps: Mapping[str, int]) -> Callable[[str], None]:

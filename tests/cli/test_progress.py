@@ -149,3 +149,13 @@ def test_a_diagnosis_says_what_to_do_next():
     assert "drive `slalom` for 10 s" in said(manoeuvre="slalom")
     assert "`driftjax play 'runs/my car'`" in said() and "extended.yaml" not in said()
     assert "extended.yaml" in said(causes=("steer_lag",))
+
+
+def test_notes_that_say_the_same_of_several_runs_are_printed_once(capsys):
+    console.print_notes(
+        [*(f"log.csv, run '{i}': has no beta; it is inferred." for i in range(4)), "log.csv: was thinned."]
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "note: log.csv, run '0': has no beta; it is inferred. The same holds for 3 more.", "note: log.csv: was thinned."
+    ]  # fmt: skip
