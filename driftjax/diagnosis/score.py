@@ -4,9 +4,10 @@ Scores are summed over blocks of time, and blocks get random signs: the largest 
 chance gives whatever the dependence within a block and between effects (Romano and Wolf 2005; Cameron, Gelbach and
 Miller 2008).
 
-|T| cannot exceed the sum of a block's shares in it: where two blocks say most, it is small however well all blocks
-agree. Scores are therefore compared as normal numbers that are as rare under random signs of their own blocks
-(Robinson 1982), so that each effect has the same chance (minP instead of maxT; Westfall and Young 1993).
+|T| cannot exceed the sum of the blocks' shares in it: where two blocks say most it is small, however well all agree.
+How rare a score is by itself is therefore told by a normal number that random signs of its own blocks exceed as seldom
+(Robinson 1982). Naming goes by the largest |T|: it asks for more than that all blocks agree a little, as they do where
+a model is wrong in a way that no effect has.
 
 An effect that acts in few blocks (a power limit, a patch of road) cannot be rare in this sense. It is tested by its
 score over the standard deviation that follows from information and dispersion, without the block of the largest score.
@@ -42,7 +43,7 @@ class Scores(NamedTuple):
 
     H: np.ndarray  # (K, K) information of all parameters
     blocks: np.ndarray  # (C, K) score of each block
-    T: np.ndarray  # (K,) scores on the scale of normal numbers, 0 for members and for signs that an effect cannot have
+    T: np.ndarray  # (K,) studentised scores, 0 for members and for signs that an effect cannot have
     joint: np.ndarray  # (E,) as |T|, all parameters of an effect together; 0 where it has one, or one of one sign only
     gain: np.ndarray  # (E,) predicted fall of the cost with each effect, 0 for members
     null_max: np.ndarray  # (DRAWS,) largest |T| or joint score that random signs gave, in ascending order
@@ -51,6 +52,7 @@ class Scores(NamedTuple):
     few: np.ndarray | None = (
         None  # (K,) p-value of what acts in few blocks among these, 1 elsewhere; None: nothing does
     )
+    rarity: np.ndarray | None = None  # (K,) T as normal numbers that random signs exceed as seldom; None: T itself
 
     @property
     def p_value(self) -> float:
@@ -69,9 +71,10 @@ class Scores(NamedTuple):
     def single_p_value(self, effect: int, columns: np.ndarray) -> float:
         """Return the p-value of one effect alone, not adjusted for the others, from the tail of a normal distribution.
 
-        Random signs cannot give ones as small as a false discovery rate needs.
+        Random signs cannot give ones as small as a false discovery rate needs, so that their tail is approximated.
         """
-        size = max(np.abs(self.T[columns]).max(), self.joint[effect])
+        alone = self.T if self.rarity is None else self.rarity
+        size = max(np.abs(alone[columns]).max(), self.joint[effect])
         return self._either(min(2 * float(ndtr(-size)) * len(columns), 1.0), columns)
 
     def _either(self, p_value: float, columns: np.ndarray) -> float:
@@ -136,7 +139,9 @@ def scores(
         problem, effective, np.asarray(linearisation.J) @ P if selected else np.asarray(linearisation.J), own, one_sided
     )
     few = None if few is None else np.where(allowed, few, 1.0)
-    return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed, few)
+    rarity = np.zeros(len(T))
+    rarity[own] = np.where(allowed[own], normal_scores(effective[:, own], U[None, own])[0], 0.0)
+    return Scores(H, blocks, T, joint, gains, chance, effective[:, own], seed, few, rarity)
 
 
 def benjamini_yekutieli(p_values: np.ndarray, rate: float) -> np.ndarray:
@@ -200,10 +205,9 @@ def block_dispersion(effective: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def studentised_scores(effective: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the `normal_scores` (K,) of the sums over blocks (C, K), 0 unless `own`."""
-    T = np.zeros(len(own))
-    T[own] = normal_scores(effective[:, own], effective[:, own].sum(axis=0)[None])[0]
-    return T
+    """Return the studentised scores (K,): sums over blocks (C, K) over their root sum of squares; 0 unless `own`."""
+    spread = np.sqrt((effective**2).sum(axis=0))
+    return np.where(own, effective.sum(axis=0) / np.where(own, spread, 1.0), 0.0)
 
 
 def normal_scores(effective: np.ndarray, U: np.ndarray) -> np.ndarray:
@@ -258,7 +262,7 @@ def null_max_scores(
     It is that of |T|, where `one_sided` scores count only if positive, and of the joint scores of `together`.
     """
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, len(effective)))
-    by_chance = normal_scores(effective[:, own], signs @ effective[:, own])
+    by_chance = (signs @ effective[:, own]) / np.sqrt((effective[:, own] ** 2).sum(axis=0))
     by_chance = np.where(one_sided[own], np.maximum(by_chance, 0.0), np.abs(by_chance))
     joint = [joint_score(effective[:, c], signs @ effective[:, c]) for c in together]
     return np.sort(np.max([by_chance.max(axis=1, initial=0.0), *joint], axis=0))

@@ -31,7 +31,7 @@ def plot_scores(data: xr.Dataset) -> Figure:
     rows = every[:BARS] + [row for row in every[BARS:] if row[3]]
     figure, axes = new_figure(1, 2, (9.5, 0.24 * len(rows) + 1.6), sharey=True)
     at, colours = np.arange(len(rows)), [EXPLORED if row[3] else PLAIN for row in rows]
-    labels = ("predicted fall of the cost [-]", "|score|, as a normal number [-]")
+    labels = ("predicted fall of the cost [-]", "|studentised score| [-]")
     for axis, column, label in zip(axes[0], (1, 2), labels, strict=True):
         axis.barh(at, [row[column] for row in rows], color=colours, zorder=2)
         axis.grid(False, axis="y")

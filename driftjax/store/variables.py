@@ -170,7 +170,7 @@ DIAGNOSIS: dict[str, Variable] = {
     "parameter": Variable(("parameter",), "1", "parameter of an effect, effect.parameter"),
     "effect": Variable(("effect",), "1", "effect of the catalogue"),
     "promise": Variable(("effect",), "1", "predicted fall of the cost with the effect's best linear step"),
-    "score": Variable(("parameter",), "1", "score of a parameter at the nominal car, as a normal number"),
+    "score": Variable(("parameter",), "1", "studentised score of a parameter at the nominal car"),
     "named": Variable(("parameter",), "1", "whether the effect was named"),
     "other": Variable(("other",), "1", "parameter of an effect, effect.parameter"),
     "cosine": Variable(("parameter", "other"), "1", "magnitude of the cosine between two parameters' signatures"),
