@@ -18,7 +18,7 @@ from driftjax.store import RunFolder
 from driftjax.studies.closed_loop import ClosedLoopCase, add_closed_loop, load_case
 from driftjax.vehicle import VehicleConfig, load_vehicle, unmodelled_effects
 
-STEPS = {"noise and nominal car": 12, "naming": 82, "gain": 4, "show": 2, "done": 0}
+STEPS = {"noise and nominal car": 25, "naming": 60, "gain": 10, "show": 5, "done": 0}
 
 
 @dataclasses.dataclass(frozen=True)
