@@ -325,20 +325,18 @@ def significance(
 ) -> dict[int, Significance]:
     """Test each named effect for significance, in order of its Shapley share.
 
-    A p-value is that of the largest score of all effects, or that of the effect alone times their number (Bonferroni),
-    which is less where few blocks say most. Those of the largest share, as many as the test alone may name, are
-    significant where their own p-value is below 5 %; others are exploratory, under a false discovery rate of 10 % among
-    all effects.
+    Those of the largest share, as many as the test alone may name, are significant where their own p-value is below
+    5 %; others are exploratory, under a false discovery rate of 10 % among all effects.
     """
     alone = {i: own_scores(problem, selection, model, i) for i in selection.selected}
+    own = {i: alone[i].p_value_of(i, problem.columns((i,))) for i in alone}
     active = [i for i in range(len(problem.effects)) if problem.active[problem.columns((i,))].all()]
     single = np.array([alone.get(i, selection.scores).single_p_value(i, problem.columns((i,))) for i in active])
     passed = dict(zip(active, benjamini_yekutieli(single, DISCOVERY_RATE), strict=True))
-    adjusted = dict(zip(active, len(active) * single, strict=True))
-    own = {i: min(alone[i].p_value_of(i, problem.columns((i,))), adjusted[i]) for i in alone}
     first = sorted(alone, key=lambda i: -shares[i])[: selection.free]
     passes = {i: i in first and own[i] < LEVEL for i in alone}
-    return {i: Significance(own[i], not passes[i], passes[i] or bool(passed.get(i, True))) for i in alone}
+    by_chance = {i: min(len(active) * alone[i].own_p_value(i, problem.columns((i,))), own[i]) for i in alone}
+    return {i: Significance(own[i], not passes[i], passes[i] or bool(passed.get(i, True)), by_chance[i]) for i in alone}
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:

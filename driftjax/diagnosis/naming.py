@@ -67,7 +67,7 @@ def leave_out_unconfirmed(
     then more probable than an effect that stays, the two names contradict each other: it is left out too.
     """
     names = {i: problem.effects[i].name for i in selection.selected}
-    weak = [i for i, one in (selection.significance or {}).items() if one.p_value > STRONG]
+    weak = [i for i, one in (selection.significance or {}).items() if one.by_chance > STRONG]
     unconfirmed = tuple(i for i in weak if names[i] not in found_again)
     if not (np.isnan(share) and unconfirmed):
         return selection, ()

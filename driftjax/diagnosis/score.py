@@ -71,10 +71,16 @@ class Scores(NamedTuple):
     def single_p_value(self, effect: int, columns: np.ndarray) -> float:
         """Return the p-value of one effect alone, not adjusted for the others, from the tail of a normal distribution.
 
-        Random signs cannot give ones as small as a false discovery rate needs, so that their tail is approximated.
+        Random signs cannot give ones as small as a false discovery rate needs.
         """
-        alone = self.T if self.rarity is None else self.rarity
-        size = max(np.abs(alone[columns]).max(), self.joint[effect])
+        return self._tail(self.T, effect, columns)
+
+    def own_p_value(self, effect: int, columns: np.ndarray) -> float:
+        """Return the p-value of one effect alone as its own blocks give it, not as if they were many and alike."""
+        return self._tail(self.T if self.rarity is None else self.rarity, effect, columns)
+
+    def _tail(self, scores: np.ndarray, effect: int, columns: np.ndarray) -> float:
+        size = max(np.abs(scores[columns]).max(), self.joint[effect])
         return self._either(min(2 * float(ndtr(-size)) * len(columns), 1.0), columns)
 
     def _either(self, p_value: float, columns: np.ndarray) -> float:

@@ -36,6 +36,7 @@ class Significance(NamedTuple):
     p_value: float  # that chance gives any effect a score as large as its own beside the other members
     exploratory: bool  # whether it is not significant at the family-wise rate
     supported: bool  # whether it is significant at that rate or at the false discovery rate
+    by_chance: float  # the p-value, or that of its own blocks (Bonferroni) where these agree though few say most
 
 
 class Selection(NamedTuple):

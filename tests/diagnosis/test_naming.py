@@ -112,7 +112,7 @@ def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
     lag, gain = ORDER.index("steer_lag"), ORDER.index("drive_gain")
     both = selection_of(problem, ["steer_lag", "drive_gain"])
     with_p_values = lambda **of: both._replace(
-        significance={i: Significance(of[ORDER[i]], False, True) for i in both.selected}
+        significance={i: Significance(of[ORDER[i]], False, True, of[ORDER[i]]) for i in both.selected}
     )
     weak = with_p_values(steer_lag=0.02, drive_gain=0.02)
     assert leave_out_unconfirmed(problem, weak, np.nan, ("steer_lag", "drive_gain", "mass"), 0) == (weak, ())

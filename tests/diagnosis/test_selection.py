@@ -173,7 +173,7 @@ def test_an_effect_that_all_blocks_agree_on_is_rare_though_two_say_most():
             scores(problem, followed(e, J), np.zeros(SIZE), (), seed) for e in (noise + 0.3 * J[..., 3], noise)
         )
         columns = np.array([3])
-        found.append((abs(there.T[3]), there.single_p_value(3, columns), nothing.single_p_value(3, columns)))
+        found.append((abs(there.T[3]), there.own_p_value(3, columns), nothing.own_p_value(3, columns)))
     T, rare, by_chance = np.array(found).T
     assert np.median(T) < 2.2 and np.median(rare) < 1e-4 and (by_chance < 0.05).sum() <= 3
 
