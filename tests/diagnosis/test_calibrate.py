@@ -72,7 +72,7 @@ def test_help_names_the_default_effects(capsys):
     ("flags", "words"),
     [
         (["--effects", "frictoin"], "effect 'frictoin': no such effect"),
-        (["--effects", "side_wind"], "effect 'side_wind' needs the column psi, which a run lacks"),
+        (["--effects", "friction_patch"], "effect 'friction_patch' needs the column s, which a run lacks"),
         (["--held-out", "1"], "key 'held_out' is 1"),
         (["--runs", "lap*"], "no run is called lap*; the log holds drift"),
     ],
