@@ -33,6 +33,11 @@ def sideslip(vehicle: VehicleConfig, run: Run) -> np.ndarray:
     return np.arctan(vehicle.b * fill_gaps(run.r) / np.maximum(fill_gaps(run.V), slowest))
 
 
+def integrated_yaw_rate(run: Run) -> np.ndarray:
+    """Return the integral (n,) of the yaw rate of a run [rad]."""
+    return np.cumsum(fill_gaps(run.r)) * run.dt
+
+
 def with_turned(runs: Sequence[Run]) -> tuple[Run, ...]:
     """Return the runs, if none has a heading, with the integral of the yaw rate beside each.
 
@@ -44,7 +49,7 @@ def with_turned(runs: Sequence[Run]) -> tuple[Run, ...]:
     turned, before = [], None
     for run in runs:
         follows = before is not None and 0 < run.t[0] - before.t[-1] <= CONTIGUOUS * run.dt
-        psi = np.cumsum(fill_gaps(run.r)) * run.dt + (turned[-1].extra[TURNED][-1] if follows else 0.0)
+        psi = integrated_yaw_rate(run) + (turned[-1].extra[TURNED][-1] if follows else 0.0)
         turned.append(dataclasses.replace(run, extra=run.extra | {TURNED: psi}))
         before = run
     return tuple(turned)

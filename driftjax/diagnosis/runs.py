@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from driftjax.core import State
-from driftjax.diagnosis.channel_estimates import TURNED, has_sideslip, sideslip
+from driftjax.diagnosis.channel_estimates import TURNED, has_sideslip, integrated_yaw_rate, sideslip
 from driftjax.diagnosis.noise_model import Decay, Noise
 from driftjax.diagnosis.observer import (
     Gains,
@@ -111,7 +111,7 @@ def places(vehicle: VehicleConfig, run: Run, lap: float) -> Place:
     """Return time, heading, share of the lap of length `lap` [m] and sliding work along a run (n,)."""
     V, beta, r = fill_gaps(run.V), sideslip(vehicle, run), fill_gaps(run.r)
     heading = run.extra.get("psi", run.extra.get(TURNED))
-    psi = np.cumsum(r) * run.dt if heading is None else fill_gaps(heading)
+    psi = integrated_yaw_rate(run) if heading is None else fill_gaps(heading)
     s = fill_gaps(run.extra["s"]) if "s" in run.extra else np.zeros_like(V)
     heat = np.asarray(eqx.filter_jit(heat_rate)(vehicle.build(), State(*map(jnp.asarray, (V, beta, r)))))
     columns = run.t - run.t[0], psi, s / lap, np.cumsum(heat) * run.dt

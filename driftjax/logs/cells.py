@@ -15,9 +15,7 @@ DAY = 86400.0  # s
 
 
 def _number(cell: str) -> float:
-    """Return the number in a cell, NaN where the value is missing; raises `ValueError` for anything else."""
-    if cell.strip().lower() in MISSING:
-        return np.nan
+    """Return the number in a cell; raises `ValueError` for anything else."""
     if "_" in cell:  # which Python takes for a separator of thousands
         raise ValueError(cell)
     return float(cell)
@@ -28,10 +26,11 @@ def cells_as_numbers(cells: Sequence[str]) -> tuple[np.ndarray, list[int]]:
 
     What is missing or neither is NaN. A clock without a date goes on past midnight.
     """
-    first = next((cell for cell in cells if cell.strip().lower() not in MISSING), "")
+    there = [(i, cell) for i, cell in enumerate(cells) if cell.strip().lower() not in MISSING]
+    first = there[0][1] if there else ""
     read = _seconds if is_time(first) else _number
     values, wrong = np.full(len(cells), np.nan), []
-    for i, cell in enumerate(cells):
+    for i, cell in there:
         try:
             values[i] = read(cell)
         except ValueError:
@@ -53,13 +52,11 @@ def is_time(cell: str) -> bool:
 
 
 def _seconds(cell: str) -> float:
-    """Return a time of day in seconds, with a date since 1970 (UTC where no zone is given), NaN where it is missing.
+    """Return a time of day in seconds, with a date since 1970 (UTC where no zone is given).
 
     The year comes first, as in `2024-02-11 22:16:27.159`. Raises `ValueError` for anything else.
     """
     text = cell.strip()
-    if text.lower() in MISSING:
-        return np.nan
     if clock := CLOCK.fullmatch(text):
         hours, minutes, whole, part = clock.groups()
         return 3600.0 * int(hours) + 60.0 * int(minutes) + int(whole) + _fraction(part)
