@@ -64,12 +64,14 @@ def hold_segment(u: Float[Array, "4 *k"], middle: Array, num: int) -> Float[Arra
     return jnp.concatenate([u[:2] + middle * u[2:], u[2:] / num])
 
 
-def motion(model: Universal, x: State, u: Control, place: Place, aux: Aux) -> tuple[State, Array]:
-    """Return the rates of the state, and the lateral acceleration."""
+def motion(
+    model: Universal, x: State, u: Control, place: Place, aux: Aux, near: Array | None = None
+) -> tuple[State, Array, Array]:
+    """Return the rates of the state, the lateral acceleration and the drive force; for `near` see `Universal.flow`."""
     # without the barrier XLA recomputes each Runge-Kutta stage for every entry of the next
     x, aux = jax.lax.optimization_barrier((x, aux))
-    flow = model.flow(x, u, place, aux)
-    return jax.lax.optimization_barrier((rates(flow), flow.ay))
+    flow = model.flow(x, u, place, aux, near)
+    return jax.lax.optimization_barrier((rates(flow), flow.ay, flow.u.Fxr))
 
 
 def slip_of(model: Universal, x: State, u: Control) -> Float[Array, "2"]:
@@ -114,7 +116,7 @@ def slip_rate(model: Universal, x: State, dx: State, u: Control, du: Control) ->
 
 def steady_lagged_state(model: Universal, x: State, u: Control, place: Place) -> LaggedState:
     """Return the lagged state of a car that has moved as it does now for longer than the lags."""
-    dx, ay = motion(model, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
+    dx, ay, _ = motion(model, x, u, place, Aux(jnp.zeros(2), jnp.zeros(())))
     moving = slip_rate(model, x, dx, u, Control(*jnp.zeros(2)))
     return LaggedState(slip_of(model, x, u) - relaxation_time(model, x) * moving, ay)
 
@@ -153,17 +155,19 @@ def _evaluate(
     place: Place,
     dt: Array,
     push: Float[Array, "3"],
-) -> Float[Array, "4"]:
-    """Return the rates of V, beta and r, `push` added, and the lateral acceleration at a fraction `share` of a step.
+    excess: Array,
+) -> tuple[Float[Array, "4"], Array]:
+    """Return the rates of V, beta and r, `push` added, with the lateral acceleration, at a fraction `share` of a step.
 
     At the `first` evaluation, at the start of the step, the quantities that the lags depend on are not known yet; they
-    follow from its result.
+    follow from its result. By `excess` the drive force is above the input; returned too, near that given.
     """
     x = State(y[0], y[1], y[2])
     offsets = first_offsets(model, at_start, dt), lag_offsets(model, at_start, x, share, dt)
     aux = jax.tree.map(lambda a, b: jnp.where(first, a, b), *offsets)
-    dx, ay = motion(model, x, at_start.hold.at(share), place, aux)
-    return jnp.concatenate([jnp.stack(dx) + push, ay[None]])
+    u = at_start.hold.at(share)
+    dx, ay, force = motion(model, x, u, place, aux, u.Fxr + excess)
+    return jnp.concatenate([jnp.stack(dx) + push, ay[None]]), force - u.Fxr
 
 
 def _first_slip_rate(model: Universal, at_start: StepStart, dx: Float[Array, "3"], dt: Array) -> Float[Array, "2"]:
@@ -199,16 +203,20 @@ def lagged_step(
         hold = hold._replace(mean=hold.mean._replace(Fxr=hold.mean.Fxr + model.base.m * added[0]))
         added = added.at[0].set(0.0)
     begun = lambda known: StepStart(x, lagged, hold, known[:2], known[2])
+    offsets = first_offsets(model, begun(nothing), dt)
+    u = hold.at(0.0)
+    above = model.approximate_drive_force(x, u, place, offsets) - u.Fxr
 
     def on(carry, row):
-        k, end, known = carry
+        k, end, known, above = carry
         first, into, weight = row
-        derivative = _evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added)
+        derivative, above = _evaluate(model, begun(known), start + into * dt * k, into, first, place, dt, added, above)
         moving = _first_slip_rate(model, begun(known), derivative[:3], dt)
         k = jnp.where(first, k, derivative[:3])
         known = jnp.where(first, jnp.concatenate([moving, derivative[3:]]), known)
-        return (k, end + weight * dt * k, known), k
+        return (k, end + weight * dt * k, known, above), k
 
-    (_, end, known), slopes = jax.lax.scan(on, (nothing, start, nothing), _evaluations(method, start.dtype))
+    evaluations = _evaluations(method, start.dtype)
+    (_, end, known, _), slopes = jax.lax.scan(on, (nothing, start, nothing, above), evaluations)
     end = State(end[0], end[1], end[2])
     return end, lagged_after(model, begun(known), end, dt), State(*slopes[1]), State(*slopes[-1])

@@ -35,7 +35,7 @@ class Universal(eqx.Module):
     scale: Float[Array, " K"]  # typical size of each parameter, SI
     theta: Float[Array, " K"]
     substeps: int = eqx.field(static=True)  # in which a step of the log is integrated
-    by_acceleration: bool = eqx.field(static=True)  # see `drive_force`
+    by_acceleration: bool = eqx.field(static=True)  # see `approximate_drive_force`
     car: CarParameters  # `base` after the effects of station `car`; follows from the others, set by `with_parameters`
 
     def __init__(
@@ -74,27 +74,49 @@ class Universal(eqx.Module):
                 record = effect.apply(record, *context, values[effect.name])
         return jax.lax.optimization_barrier(record) if values else record
 
-    def flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
-        """Return all intermediate quantities, from slip to forces."""
-        if self.by_acceleration:
-            u = self.drive_force(x, u, place, aux)
-        return self._flow(x, u, place, aux)
+    def flow(self, x: State, u: Control, place: Place, aux: Aux, near: Array | None = None) -> Flow:
+        """Return all intermediate quantities, from slip to forces.
 
-    def drive_force(self, x: State, u: Control, place: Place, aux: Aux) -> Control:
-        """Return `u` with the drive force with which the speed changes at the rate u.Fxr / (mass of the nominal car).
+        For a car `by_acceleration` they are linearised about the drive force `near` [N], and taken at one Newton step
+        from there: that is exact to second order, and its derivative is that of the implicit function.
+        """
+        if not self.by_acceleration:
+            return self._flow(x, u, place, aux)
+        near = jax.lax.stop_gradient(self.approximate_drive_force(x, u, place, aux) if near is None else near)
+
+        def at(F: Array) -> tuple[Flow, Array]:
+            flow = self._flow(x, u._replace(Fxr=F), place, aux)
+            return flow, self._missing_rate(u, flow)
+
+        (flow, missing), (by_force, slope) = jax.jvp(at, (near,), (jnp.ones_like(near),))
+        by_force, slope = jax.lax.stop_gradient((by_force, slope))
+        step = missing / jnp.minimum(slope, -LEAST_SLOPE / jax.lax.stop_gradient(self.car.m))
+        step = near - self._limited(near - step)
+        return jax.tree.map(lambda value, by: value - step * by, flow, by_force)
+
+    def approximate_drive_force(self, x: State, u: Control, place: Place, aux: Aux, near: Array | None = None) -> Array:
+        """Approximate the drive force [N] with which the speed changes at the rate u.Fxr / (mass of the nominal car).
 
         Inverse dynamics for logs without a drive force (`by_acceleration`): that of the car with its effects, not of
         the nominal one, so that no effect is blamed for the error of an estimate. It is at most friction times weight.
-        The last step is Newton's, and the only one differentiated: its derivative is that of the implicit function.
+        It is not differentiated: `flow` takes the last step, Newton's, and its derivative. For a car whose force is
+        known it is that force.
         """
-        most, inputs = self.base.mur * self.base.m * G, (self, x, u, place, aux)
-        fixed = jax.lax.stop_gradient(inputs)
-        mass, first = fixed[0].car.m * cos(fixed[1].beta), fixed[2].Fxr
-        approach = lambda _, F: jnp.clip(F + mass * _missing_rate(*fixed, F), -most, most)
-        F = jax.lax.fori_loop(0, ITERATIONS, approach, first)
-        slope = jax.jvp(lambda F: _missing_rate(*fixed, F), (F,), (jnp.ones_like(F),))[1]
-        step = _missing_rate(*inputs, F) / jnp.minimum(slope, -LEAST_SLOPE / fixed[0].car.m)
-        return u._replace(Fxr=jnp.clip(F - step, -most, most))
+        if not self.by_acceleration:
+            return u.Fxr
+        model, x, u, place, aux, near = jax.lax.stop_gradient((self, x, u, place, aux, near))
+        missing = lambda F: model._missing_rate(u, model._flow(x, u._replace(Fxr=F), place, aux))
+        approach = lambda _, F: model._limited(F + model.car.m * cos(x.beta) * missing(F))
+        return jax.lax.fori_loop(0, ITERATIONS, approach, u.Fxr)
+
+    def _limited(self, F: Array) -> Array:
+        """Return the drive force `F` [N], at most friction times weight."""
+        most = self.base.mur * self.base.m * G
+        return jnp.clip(F, -most, most)
+
+    def _missing_rate(self, u: Control, flow: Flow) -> Array:
+        """Return by how much the demanded rate of the speed exceeds that of `flow` [m/s^2]."""
+        return u.Fxr / self.base.m - rates(flow).V
 
     def _flow(self, x: State, u: Control, place: Place, aux: Aux) -> Flow:
         flow = self._through("slip", initial_flow(self.car, x, u, place, aux))
@@ -146,11 +168,6 @@ class Universal(eqx.Module):
     def sense(self, x: State, dx: State) -> State:
         """Return the measured state without noise; `dx` is the mean rate over the delay."""
         return self._through("sensor", x, dx)
-
-
-def _missing_rate(model: Universal, x: State, u: Control, place: Place, aux: Aux, F: Array) -> Array:
-    """Return by how much the rate of the speed exceeds that which the drive force `F` [N] gives the car [m/s^2]."""
-    return u.Fxr / model.base.m - rates(model._flow(x, u._replace(Fxr=F), place, aux)).V
 
 
 def base_car(nominal: SingleTrack) -> CarParameters:

@@ -41,7 +41,7 @@ def drive_forces(problem: Problem, theta: np.ndarray) -> np.ndarray:
     path = run_observer(problem.model, problem.data, theta, problem.gains)
     model, zero = problem.model.with_parameters(jnp.asarray(theta)), jnp.zeros(())
     place, aux = Place(zero, zero, zero, zero), Aux(jnp.zeros(2), zero)
-    force = lambda z, u: model.drive_force(State(z[0], z[1], z[2]), Control(u[0], u[1]), place, aux).Fxr
+    force = lambda z, u: model.flow(State(z[0], z[1], z[2]), Control(u[0], u[1]), place, aux).u.Fxr
     return np.asarray(jax.vmap(jax.vmap(force))(path.z, path.u))
 
 

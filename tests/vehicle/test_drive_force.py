@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from driftjax.core import Control, State
+from driftjax.sim.rollout import move
 from driftjax.vehicle import load_vehicle
 from driftjax.vehicle.effect import default_catalogue
 from driftjax.vehicle.effect.flow import Aux, Place
 from driftjax.vehicle.single_track import G
-from driftjax.vehicle.universal import universal_car
+from driftjax.vehicle.universal import Universal, universal_car
 
 NUM = 40
 
@@ -36,7 +37,7 @@ def test_the_force_behind_an_acceleration_is_that_of_the_car_with_its_effects(na
         return (
             jnp.stack(expected),
             jnp.stack(inverse.rates(x, u, place, aux)),
-            inverse.drive_force(x, u, place, aux).Fxr,
+            inverse.flow(x, u, place, aux).u.Fxr,
         )
 
     expected, rates, force = jax.vmap(both)(*map(jnp.asarray, (V, beta, r, delta, F)))
@@ -49,10 +50,33 @@ def test_the_force_behind_an_acceleration_is_that_of_the_car_with_its_effects(na
     assert abs(float(slope)) < 1e-3  # the speed follows the measurement, whatever the speed
     yaw = lambda car, u: lambda theta: car.with_parameters(theta).rates(State(V_, beta_, r_), u(theta), place, aux).r
     V_, held = jnp.asarray(5.0), Control(delta_, F_)
-    force_of = lambda t: inverse.with_parameters(t).drive_force(State(V_, beta_, r_), held, place, aux)
+    force_of = lambda t: inverse.with_parameters(t).flow(State(V_, beta_, r_), held, place, aux).u
     near = [yaw(driven, force_of)(theta.at[0].add(h)) for h in (1e-4, -1e-4)]
     by_friction = jax.jacfwd(yaw(inverse, lambda _: held))(theta)[0]
     np.testing.assert_allclose(by_friction, (near[0] - near[1]) / 2e-4, rtol=0.02)
+
+
+@pytest.mark.parametrize("name", ["sedan", "rc"])
+def test_the_force_follows_the_acceleration_through_a_step(name, monkeypatch):
+    """Each evaluation begins at the force of the one before: as good as to solve for it every time."""
+    vehicle, effects, zero = load_vehicle(name, combined_slip=1.0), default_catalogue(), jnp.zeros(())
+    car = universal_car(vehicle, effects, by_acceleration=True)
+    place, draw = Place(zero, zero, zero, zero), np.random.default_rng(1).uniform
+    V, beta = np.sqrt(G * (vehicle.a + vehicle.b)) * draw(2, 4, NUM), draw(0.1, 0.4, NUM)
+    r, delta, most = -0.5 * vehicle.mu * G / V, draw(0.0, 0.4, NUM), vehicle.mu * vehicle.m * G
+    F, rise = most * draw(-0.2, 0.3, NUM), most * draw(-0.05, 0.05, NUM)
+
+    def after(V, beta, r, delta, F, rise):
+        z, u = jnp.stack([V, beta, r, zero, zero, zero]), jnp.stack([delta, F, 0.01 + zero, rise])
+        return move(car, z, u, place, jnp.asarray(0.01)).z
+
+    inputs = tuple(map(jnp.asarray, (V, beta, r, delta, F, rise)))
+    followed, flow = jax.vmap(after)(*inputs), Universal.flow
+    monkeypatch.setattr(Universal, "flow", lambda self, x, u, place, aux, near: flow(self, x, u, place, aux))
+    solved = jax.vmap(after)(*inputs)
+    error, moved = np.abs(followed - solved)[:, 2], np.abs(solved[:, 2] - r).mean()
+    assert 0 < np.quantile(error, 0.9) < 1e-3 * moved
+    assert error.max() < 0.1 * moved  # where the drive takes all grip of the rear tyres
 
 
 def test_effects_of_the_drive_leave_a_measured_acceleration_alone():
