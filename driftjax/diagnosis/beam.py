@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnosis.fit import Fit, Problem, information_and_score
-from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.diagnosis.runs import Linearisation
 
@@ -44,7 +43,7 @@ def quadratic_cost(problem: Problem, fit: Fit, linearisation: Linearisation) -> 
 def quadratic_about(problem: Problem, fit: Fit, H: np.ndarray, score: np.ndarray) -> QuadraticCost:
     """Return the quadratic model of the cost about `fit` from information (K, K) and score (K,) of data alone."""
     moved = fit.theta - problem.start
-    H, score = H + np.eye(len(H)) / PRIOR**2, score - moved / PRIOR**2
+    H, score = H + problem.prior, score - problem.prior @ moved
     cost = fit.cost + float(2 * score @ moved + moved @ H @ moved)
     columns = tuple(problem.columns((i,)) for i in range(len(problem.effects)))
     active = tuple(c if problem.active[c].all() else c[:0] for c in columns)

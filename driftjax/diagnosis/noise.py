@@ -49,6 +49,7 @@ DAMPING = 1e-2  # of the first step of the search, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
 LEAST_CURVATURE = 1e-3  # added, since a correlation time has none where its noise vanishes
 PROMISE = 3e-3  # predicted rise of twice the log-likelihood below which the search ends
+HOPE = 10.0  # times what a step promises, a search may still fall short of its goal and go on
 
 QuadraticModel = tuple[float, np.ndarray, np.ndarray]  # value, gradient (n,), half the expected curvature (n, n)
 
@@ -92,8 +93,8 @@ def restricted_likelihood(
 
     def piece(steps, e, L):
         gains = kalman_gains(steps.A[:, :3, :3], steps.push[:, :3], steps.valid, known, dt, informative)
-        J = propagate_derivatives(steps, gains, dt)
-        e = innovations_with_gains(steps, e, L, gains, dt)
+        J = propagate_derivatives(steps, gains)
+        e = innovations_with_gains(steps, e, L, gains)
         return (
             gains.log_det,
             jnp.einsum("tij,tj->ti", gains.whitening, e),
@@ -150,7 +151,7 @@ def information_of_noise(
         gains = kalman_gains(
             steps.A[:, :3, :3], steps.push[:, :3], steps.valid, Noise.from_vector(scale.noise(x)), dt, informative
         )
-        return (gains.whitening, innovations_with_gains(steps, e, L, gains, dt)), gains.whitening
+        return (gains.whitening, innovations_with_gains(steps, e, L, gains)), gains.whitening
 
     def piece(steps, e, L):
         (by_whitening, by_e), whitening = jax.jacfwd(whitened, has_aux=True)(x, steps, e, L)
@@ -173,19 +174,21 @@ def _expansion(x: Array, scale: NoiseScale, steps: Steps, e: Array, J: Array, L:
 
 
 def fisher_scoring(
-    expand: Callable[[np.ndarray], QuadraticModel], lower: np.ndarray, upper: np.ndarray
+    expand: Callable[[np.ndarray], QuadraticModel], lower: np.ndarray, upper: np.ndarray, goal: float = np.inf
 ) -> tuple[np.ndarray, float]:
     """Minimise within bounds from 0 by damped Fisher scoring; returns the variables (n,) and the value.
 
     `expand` gives value, gradient and half the expected curvature. Damping as in Levenberg and Marquardt (Nocedal and
-    Wright 2006, Sec. 10.3): it grows where a step does not lower the value.
+    Wright 2006, Sec. 10.3): it grows where a step does not lower the value. The search ends where its steps promise too
+    little to reach a value below `goal`.
     """
     x, damping = np.clip(np.zeros(len(lower)), lower, upper), DAMPING
     value, slope, H = expand(x)
     for _ in range(ITERATIONS):
         damped = H + np.diag(damping * np.diag(H) + LEAST_CURVATURE)
         step = minimise_quadratic(-slope / 2, damped, np.maximum(lower - x, -LONGEST), np.minimum(upper - x, LONGEST))
-        if not -slope @ step - step @ H @ step > PROMISE:
+        promise = -slope @ step - step @ H @ step
+        if not promise > PROMISE or value - HOPE * promise > goal:
             break
         after = expand(x + step)
         if after[0] < value:
@@ -230,9 +233,9 @@ def estimate_noise(
     """
     steps, e, gains = spread_pieces(steps, e, gains)
     informative = informative[: e.shape[1]]
-    J, use = call(propagate_pieces, steps, gains, dt), jnp.asarray(informative, float)
+    J, use = call(propagate_pieces, steps, gains), jnp.asarray(informative, float)
 
-    def minimise(first: Noise, low: Noise, high: Noise) -> tuple[Noise, float]:
+    def minimise(first: Noise, low: Noise, high: Noise, goal: float = np.inf) -> tuple[Noise, float]:
         scale = search_scale(first)
         lower, upper = (np.asarray(scale.variables(jnp.asarray(one.as_vector()))) for one in (low, high))
 
@@ -240,7 +243,7 @@ def estimate_noise(
             value, slope, H = call(_expansion, jnp.asarray(x), scale, steps, e, J, gains.L, dt, use)
             return float(value), np.asarray(slope), np.asarray(H)
 
-        x, value = fisher_scoring(expand, lower, upper)
+        x, value = fisher_scoring(expand, lower, upper, goal)
         return Noise.from_vector(np.asarray(scale.noise(jnp.asarray(x)))), value
 
     valid = np.asarray(steps.valid)
@@ -254,8 +257,9 @@ def estimate_noise(
     white, cost = minimise(several[likeliest], low._replace(**fixed), high._replace(**fixed))
     if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
-    slow, lower_cost = minimise(white._replace(slow=np.where(observed, start.slow, low.slow)), low, high)
-    return slow if lower_cost < cost - SLOW_EVIDENCE else white
+    goal, first = cost - SLOW_EVIDENCE, white._replace(slow=np.where(observed, start.slow, low.slow))
+    slow, lower_cost = minimise(first, low, high, goal)
+    return slow if lower_cost < goal else white
 
 
 def first_noises(start: Noise, measured: np.ndarray) -> list[Noise]:

@@ -165,36 +165,41 @@ class _Update(NamedTuple):
     e: Float[Array, "3"]
     z: Float[Array, "6"]  # after the update
     d: Float[Array, "3"]  # likewise
-    before: _Estimate
+    predicted: Float[Array, "6"]  # state before the update
+    rates: Float[Array, "3 3"]  # over the step before
+    c: Float[Array, "3"]  # slow errors before the update
 
 
-def observe_runs(model: Universal, theta: Float[Array, "R K"], runs: PaddedRun, gains: Gains, dt: float) -> Path:
-    """Run the observer along a batch of runs, with parameters of their own; it ends with the longest of them."""
-    aligned, rows, first = jax.vmap(lambda theta, run, gains: _prepare(model, theta, run, gains, dt))(
-        theta, runs, gains
-    )
+def observe_runs(
+    model: Universal, theta: Float[Array, "R K"], runs: PaddedRun, L: Float[Array, "R T 9 3"], decay: Decay, dt: float
+) -> Path:
+    """Run the observer of gains `L` along a batch of runs, with parameters of their own, to the end of the longest."""
+    aligned, rows, first = jax.vmap(lambda theta, run, L: _prepare(model, theta, run, L, dt))(theta, runs, L)
     num = jnp.max(jnp.sum(rows.alive, axis=1))
     one = jax.vmap(lambda theta, decay, now, row: _observe_sample(model, theta, decay, now, row, dt))
-    start = jax.vmap(lambda now: _Update(jnp.zeros(3), now.z, now.d, now))(first)
+    start = jax.vmap(lambda now: _nothing_read(now))(first)
     updates = jax.tree.map(lambda a: jnp.repeat(a[:, None], rows.alive.shape[1], axis=1), start)
 
     def on(k, carry):
         now, updates = carry
-        after, update = one(theta, gains.decay, now, jax.tree.map(lambda a: a[:, k], rows))
+        after, update = one(theta, decay, now, jax.tree.map(lambda a: a[:, k], rows))
         return after, jax.tree.map(lambda all, new: all.at[:, k].set(new), updates, update)
 
-    e, z, d, before = jax.lax.fori_loop(0, num, on, (first, updates))[1]
-    return Path(e, z, before.z, before.rates, rows.u, d, before.c, aligned.y, aligned.valid)
+    e, z, d, predicted, rates, c = jax.lax.fori_loop(0, num, on, (first, updates))[1]
+    return Path(e, z, predicted, rates, rows.u, d, c, aligned.y, aligned.valid)
 
 
-def _prepare(
-    model: Universal, theta: Array, run: PaddedRun, gains: Gains, dt: float
-) -> tuple[PaddedRun, _Row, _Estimate]:
+def _nothing_read(now: _Estimate) -> _Update:
+    """Return the update at a sample where nothing is read: none."""
+    return _Update(jnp.zeros(3), now.z, now.d, now.z, now.rates, now.c)
+
+
+def _prepare(model: Universal, theta: Array, run: PaddedRun, L: Array, dt: float) -> tuple[PaddedRun, _Row, _Estimate]:
     """Return the run with its sensors' whole delays removed, its rows (T, ...), and the first estimate."""
     model = model.with_parameters(theta)
     run = align_measurements(model, run, dt)
     u, z = initial_state(model, run, dt)
-    rows = _Row(u, run.place, run.y, run.valid, gains.L, in_run(run.valid))
+    rows = _Row(u, run.place, run.y, run.valid, L, in_run(run.valid))
     return run, rows, _Estimate(z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3)))
 
 
@@ -209,9 +214,8 @@ def _observe_sample(
     z = set_state(model, now.z, now.z[:3] + update[:3], row.u)
     ahead = move(model, z, row.u, row.place, step, State(trend[0], trend[1], trend[2]))
     after = _Estimate(ahead.z, decay.disturbance * trend, decay.slow * (now.c + update[6:]), ahead.rates)
-    ended = _Update(jnp.zeros(3), now.z, now.d, now)
     keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(row.alive, a, b), new, old)
-    return keep(after, now), keep(_Update(e, z, trend, now), ended)
+    return keep(after, now), keep(_Update(e, z, trend, now.z, now.rates, now.c), _nothing_read(now))
 
 
 def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -283,7 +287,7 @@ def augmented_change(slip: Float[Array, "2 3"], x: Float[Array, "3 n"]) -> Float
 
 
 def propagate_derivatives(
-    steps: Steps, gains: Gains, dt: float, extra: Float[Array, "T 9 #K"] | None = None
+    steps: Steps, gains: Gains, extra: Float[Array, "T 9 #K"] | None = None
 ) -> Float[Array, "T 3 K"]:
     """Propagate the derivatives of the innovations by theta along the observer.
 
@@ -304,17 +308,17 @@ def propagate_derivatives(
     return jax.lax.scan(on, (steps.first, still, still, still), rows)[1]
 
 
-def propagate_pieces(steps: Steps, gains: Gains, dt: float) -> Float[Array, "P T 3 K"]:
+def propagate_pieces(steps: Steps, gains: Gains) -> Float[Array, "P T 3 K"]:
     """Apply `propagate_derivatives` to pieces, the leading axis."""
-    return jax.vmap(propagate_derivatives, in_axes=(0, 0, None))(steps, gains, dt)
+    return jax.vmap(propagate_derivatives)(steps, gains)
 
 
-def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains, dt: float) -> Array:
+def innovations_with_gains(steps: Steps, e: Float[Array, "T 3"], L: Array, gains: Gains) -> Array:
     """Return the innovations (T, 3) under `gains`, to first order, from those under the gains `L`."""
     still = jnp.zeros((6, 1))
     old = jnp.einsum("tij,tj->ti", L, e)
     steps = steps._replace(C=jnp.broadcast_to(still, (len(e), 6, 1)), F=-e[:, :, None], first=still)
-    return propagate_derivatives(steps, gains, dt, -old[:, :, None])[:, :, 0]
+    return propagate_derivatives(steps, gains, -old[:, :, None])[:, :, 0]
 
 
 class SampleDerivatives(NamedTuple):

@@ -265,8 +265,8 @@ def run_observers(model: Universal, data: Pieces, theta: np.ndarray, piece: np.n
     order = np.argsort(-length[piece], kind="stable")
     parts = []
     for batch in batches(len(order), LANES):
-        runs, its_gains = take((data.padded, gains), piece[order[batch]])
-        parts.append(call(observe_runs, model, jnp.asarray(theta[order[batch]]), runs, its_gains, data.dt))
+        rows = take((data.padded, gains.L, gains.decay), piece[order[batch]])
+        parts.append(call(observe_runs, model, jnp.asarray(theta[order[batch]]), *rows, data.dt))
     return take(concatenate_trees(parts, len(order)), np.argsort(order))
 
 
@@ -332,6 +332,6 @@ def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces, width: int | 
     for k in range(0, num, width):
         pad = lambda a: np.pad(a[..., k : k + width], [(0, 0)] * (a.ndim - 1) + [(0, max(k + width - num, 0))])  # noqa: B023
         part = steps._replace(C=pad(steps.C), F=pad(steps.F), first=pad(steps.first))
-        propagate = lambda steps, gains: call(propagate_pieces, steps, gains, data.dt)
+        propagate = lambda steps, gains: call(propagate_pieces, steps, gains)
         parts.append(map_pieces(propagate, len(data.run), part, gains))
     return -whiten(gains, jnp.asarray(np.concatenate(parts, axis=-1)[..., :num]))

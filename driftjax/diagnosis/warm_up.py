@@ -20,8 +20,8 @@ def compile_programs(problem: Problem) -> None:
     """Compile observer, roll-outs, predictions and the derivatives by commands for the shapes of `problem`."""
     model, data, dt, theta = problem.model, problem.data, problem.data.dt, jnp.asarray(problem.start)
     lane, number = np.zeros(LANES, int), np.arange(BATCH_SIZE)
-    many = jnp.tile(theta, (LANES, 1))
-    compile_ahead(observe_runs, model, many, *take((data.padded, problem.gains), lane), dt)
+    many, observed = jnp.tile(theta, (LANES, 1)), (data.padded, problem.gains.L, problem.gains.decay)
+    compile_ahead(observe_runs, model, many, *take(observed, lane), dt)
     runs = take(data.padded, np.zeros(BATCH_SIZE, int))
     num = jnp.asarray(prediction_starts(problem)[1])
     states, room = (BATCH_SIZE, data.size, 6), padded_size(int(num), ROOM)
