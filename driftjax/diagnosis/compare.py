@@ -18,6 +18,7 @@ from driftjax.diagnosis.contrast import (
     fit_pair,
     fit_together,
     p_value_of,
+    prefer_refitted,
     probabilities,
     search_differences,
 )
@@ -232,7 +233,7 @@ def find_differences(
             break
         effects = tuple(sorted({*pair.effects, *selected}))
         pair = fit_pair(problems, effects, (pair.fits[0].theta, pair.fits[1].theta))
-    return pair, tuple(i for i in selected if i in pair.effects)
+    return prefer_refitted(pair, tuple(i for i in selected if i in pair.effects))
 
 
 def _differences(
@@ -242,7 +243,7 @@ def _differences(
     problem, differences = pair.problems[0], []
     columns, scale = problem.columns(selected), np.asarray(problem.model.scale)
     for i in selected:
-        share = probabilities(contrast, selected, i)
+        share = probabilities(pair.contrast, selected, i, pair.refitted)
         rivals = {problem.effects[j].name: float(share[j]) for j in np.argsort(-share)
                   if j != i and share[j] > RIVAL_PROBABILITY}  # fmt: skip
         parameters = {}

@@ -6,16 +6,18 @@ tests, beam search and intervals of a diagnosis work on differences unchanged. A
 not d; a direction that only one of the logs excites has no information on d.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
 from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
-from driftjax.diagnosis.evidence import hypothesis_probabilities, rival_gains
+from driftjax.diagnosis.evidence import REFITTED, RIVAL_PROBABILITY, hypothesis_probabilities, rival_gains
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise
 from driftjax.diagnosis.noise import PRIOR
-from driftjax.diagnosis.refine import refit_to_convergence
+from driftjax.diagnosis.quadratic import minimise_quadratic
+from driftjax.diagnosis.refine import STEP_LENGTHS, refit_to_convergence
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
     CONDITION,
@@ -32,7 +34,7 @@ from driftjax.diagnosis.score import (
 from driftjax.diagnosis.select import LEVEL, MARGIN, MIN_SIZE, PARAMETER_PENALTY, STRIDE
 
 MIN_RUNS = 4  # runs of each log from which the spread between runs counts in an interval
-STEPS = 4  # Gauss-Newton steps of both logs together, at most
+STEPS = 8  # Gauss-Newton steps of both logs together, at most
 SETTLED = 0.01  # largest change of a parameter, in typical sizes, from which these steps have converged
 
 
@@ -119,16 +121,17 @@ def difference_scores(contrast: Contrast, d: np.ndarray, selected: tuple[int, ..
 
 
 def with_dispersion(contrast: Contrast) -> Contrast:
-    """Return the contrast whose costs count in units of their dispersion, as in QAIC (Burnham and Anderson 2002).
+    """Return the contrast whose costs count in units of their dispersion, as in QAIC (Burnham and Anderson 2002)."""
+    model, excess = contrast.cost, dispersion(contrast)
+    return contrast._replace(cost=model._replace(g=model.g / excess, H=model.H / excess))
 
-    That of all scores where every difference is at its best.
-    """
+
+def dispersion(contrast: Contrast) -> float:
+    """Return the dispersion of all scores where every difference is at its best; 1 where it would be less."""
     every = tuple(range(len(contrast.cost.columns)))
     best = difference_scores(contrast, best_parameters(contrast.cost, every), (), 0)
     own = np.diag(best.H) > 1.0
-    excess = max(float(np.mean((best.blocks**2).sum(axis=0)[own] / np.diag(best.H)[own])), 1.0) if own.any() else 1.0
-    model = contrast.cost
-    return contrast._replace(cost=model._replace(g=model.g / excess, H=model.H / excess))
+    return max(float(np.mean((best.blocks**2).sum(axis=0)[own] / np.diag(best.H)[own])), 1.0) if own.any() else 1.0
 
 
 def search_differences(contrast: Contrast, seed: int, most: int) -> tuple[int, ...]:
@@ -211,12 +214,29 @@ def intervals(contrast: Contrast, selected: tuple[int, ...], run_level: float = 
     return psi[columns], width
 
 
-def probabilities(contrast: Contrast, selected: tuple[int, ...], member: int) -> np.ndarray:
-    """Return the probabilities (E,) that `member`, or another effect in its place, differs."""
-    model = with_dispersion(contrast).cost
+def probabilities(
+    contrast: Contrast, selected: tuple[int, ...], member: int, refitted: dict[tuple[int, ...], float] | None = None
+) -> np.ndarray:
+    """Return the probabilities (E,) that `member`, or another effect in its place, differs.
+
+    `refitted` has the penalised costs of sets of differences in units of their dispersion, where they are known beyond
+    the linear models.
+    """
+    model, known = with_dispersion(contrast).cost, refitted or {}
     costs = -rival_gains(model, tuple(i for i in selected if i != member))
     costs[member] = -gain_of(model, best_parameters(model, selected))
-    return hypothesis_probabilities(costs, np.array([max(len(k), 1) for k in model.columns]), 1.0)
+    sizes = np.array([max(len(k), 1) for k in model.columns])
+    for rival in range(len(costs)):
+        instead = replaced(selected, member, rival)
+        if rival != member and instead in known:
+            rise = known[instead] - known[selected] - PARAMETER_PENALTY * (sizes[rival] - sizes[member])
+            costs[rival] = costs[member] + rise
+    return hypothesis_probabilities(costs, sizes, 1.0)
+
+
+def replaced(selected: tuple[int, ...], member: int, rival: int) -> tuple[int, ...]:
+    """Return the set `selected` with `rival` in the place of `member`."""
+    return tuple(sorted({*selected} - {member} | {rival}))
 
 
 class Pair(NamedTuple):
@@ -227,6 +247,7 @@ class Pair(NamedTuple):
     fits: tuple[Fit, Fit]
     linearisations: tuple[Linearisation, Linearisation]
     contrast: Contrast
+    refitted: dict[tuple[int, ...], float] | None = None  # see `probabilities`
 
 
 def fit_pair(problems: tuple[Problem, Problem], effects: tuple[int, ...], starts: tuple[np.ndarray, ...]) -> Pair:
@@ -258,47 +279,113 @@ def fit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, Sizes
     Returns the contrast about that fit. Differences and their intervals are those with all shared parameters profiled
     out, sizes in each log those with the parameters of `pair.effects` only.
     """
-    problems, contrast = pair.problems, pair.contrast
-    columns, own = problems[0].columns(pair.effects), problems[0].columns(selected)
-    for _ in range(STEPS):
-        c, d = _together(contrast, columns, own)
-        thetas = [np.clip(theta, p.lower, p.upper) for p, theta in zip(problems, (c, c + d), strict=True)]
-        moved = max(
-            np.abs(t - one.theta).max() for t, one in zip(thetas, (contrast.first, contrast.second), strict=True)
-        )
-        fits = [evaluate_fit(problem, theta) for problem, theta in zip(problems, thetas, strict=True)]
-        known = [information_of(p, fit, linearise(p, fit)) for p, fit in zip(problems, fits, strict=True)]
-        contrast = contrast_of(problems[0], *known)
-        if moved < SETTLED:
-            break
-    c, d = _together(contrast, columns, own)
+    contrast, fits = refit_together(pair, selected)
+    columns, own = pair.problems[0].columns(pair.effects), pair.problems[0].columns(selected)
+    c, d = fits[0].theta, fits[1].theta - fits[0].theta
     difference, width = intervals(contrast, selected)
     error_a, error_b = _standard_errors(contrast, columns, own, c, d)
     return contrast, Sizes(c[own], c[own] + difference, error_a, error_b, difference, width)
 
 
-def _both(contrast: Contrast) -> tuple[np.ndarray, np.ndarray]:
-    """Return the information (2K, 2K) of c and d together, and the right side (2K,) that their minimum solves."""
-    (HA, bA), (HB, bB) = contrast.first.total(), contrast.second.total()
-    return np.block([[HA + HB, HB], [HB, HB]]), np.concatenate([bA + bB, bB])
+def refit_together(pair: Pair, selected: tuple[int, ...]) -> tuple[Contrast, tuple[Fit, Fit]]:
+    """Refine both fits together by Gauss-Newton steps within bounds, each shortened until the sum of costs falls.
+
+    Sizes of `pair.effects` are shared, those of `selected` separate. Returns the contrast about the fits, too.
+    """
+    problems, contrast = pair.problems, pair.contrast
+    own, columns = problems[0].columns(selected), problems[0].columns(pair.effects)
+    shared, start = np.setdiff1d(columns, own), problems[0].start
+
+    def evaluate(thetas: Sequence[np.ndarray] | np.ndarray) -> tuple[Fit, Fit]:
+        return evaluate_fit(problems[0], thetas[0]), evaluate_fit(problems[1], thetas[1])
+
+    alike = [np.where(np.isin(np.arange(len(start)), columns), fit.theta, start) for fit in pair.fits]
+    starts = _joint_minimum(problems, contrast, shared, own), *((theta, theta) for theta in alike)
+    fits = min((evaluate(one) for one in starts), key=sum_of_costs)
+    for k in range(STEPS + 1):
+        known = [information_of(p, fit, linearise(p, fit)) for p, fit in zip(problems, fits, strict=True)]
+        contrast, before = contrast_of(problems[0], *known), np.stack([fit.theta for fit in fits])
+        step = _joint_minimum(problems, contrast, shared, own) - before
+        if k == STEPS or np.abs(step).max() < SETTLED:
+            break
+        trials = (evaluate(before + length * step) for length in (1.0, *STEP_LENGTHS))
+        better = next((one for one in trials if sum_of_costs(one) < sum_of_costs(fits)), None)
+        if better is None:
+            break
+        fits = better
+    return contrast, fits
 
 
-def _together(contrast: Contrast, columns: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return c and d (K,) of the joint minimum over the shared parameters `columns` and the differences `own`."""
-    H, right = _both(contrast)
-    K = len(contrast.start)
-    free, start = np.concatenate([columns, K + own]), np.concatenate([contrast.start, np.zeros(K)])
-    right = right - H @ start
-    solution = start.copy()
-    solution[free] += np.linalg.solve(H[np.ix_(free, free)] + np.eye(len(free)) / PRIOR**2, right[free])
-    return solution[:K], solution[K:]
+def prefer_refitted(pair: Pair, selected: tuple[int, ...]) -> tuple[Pair, tuple[int, ...]]:
+    """Replace differences by rivals that cost less where both logs are fitted together; return these costs in the pair.
+
+    The linear models are about the fit of each log by itself, and these may be far apart.
+    """
+    excess, known = dispersion(pair.contrast), dict[tuple[int, ...], float]()
+    wider = lambda effects: pair._replace(effects=tuple(sorted({*pair.effects, *effects})), refitted=known)
+
+    def penalised(effects: tuple[int, ...]) -> float:
+        if effects not in known:
+            fitted = wider(effects)
+            num = sum(len(pair.problems[0].columns(which)) for which in (fitted.effects, effects))
+            known[effects] = sum_of_costs(refit_together(fitted, effects)[1]) / excess + PARAMETER_PENALTY * num
+        return known[effects]
+
+    while selected:
+        rivals = [replaced(selected, i, j) for i in selected for j in _credible(pair.contrast, selected, i)]
+        best = min([selected, *rivals], key=penalised)
+        if best == selected:
+            break
+        selected = best
+    return wider(selected), selected
+
+
+def _credible(contrast: Contrast, selected: tuple[int, ...], member: int) -> list[int]:
+    """Return the rivals of `member` with a probability, the most probable first, at most `REFITTED`."""
+    share = probabilities(contrast, selected, member)
+    rivals = [int(j) for j in np.argsort(-share) if j not in selected and share[j] > RIVAL_PROBABILITY]
+    return rivals[:REFITTED]
+
+
+def sum_of_costs(fits: tuple[Fit, Fit]) -> float:
+    """Return the cost of both logs."""
+    return fits[0].cost + fits[1].cost
+
+
+def _joint_minimum(
+    problems: tuple[Problem, Problem], contrast: Contrast, shared: np.ndarray, own: np.ndarray
+) -> np.ndarray:
+    """Return the parameters (2, K) of both logs within their bounds that minimise the sum of the quadratic costs.
+
+    Those `shared` are the same in both logs, those of their `own` are not, and all others stay where they start.
+    """
+    problem, n, k = problems[0], len(shared), len(own)
+    H, right = np.zeros((n + 2 * k, n + 2 * k)), np.zeros(n + 2 * k)
+    each = [np.concatenate([np.arange(n), np.arange(k) + n + which * k]) for which in (0, 1)]
+    free = np.concatenate([shared, own])
+    for one, at in zip((contrast.first, contrast.second), each, strict=True):
+        information, b = one.total()
+        H[np.ix_(at, at)] += information[np.ix_(free, free)] + problem.prior[np.ix_(free, free)]
+        right[at] += b[free] - information[free] @ problem.start
+    every = np.concatenate([shared, own, own])
+    lower, upper = ((side - problem.start)[every] for side in (problem.lower, problem.upper))
+    moved, thetas = minimise_quadratic(right, H, lower, upper), np.stack([problem.start, problem.start])
+    for theta, at in zip(thetas, each, strict=True):
+        theta[free] += moved[at]
+    return thetas
+
+
+def _both(contrast: Contrast) -> np.ndarray:
+    """Return the information (2K, 2K) of c and d together."""
+    HA, HB = contrast.first.total()[0], contrast.second.total()[0]
+    return np.block([[HA + HB, HB], [HB, HB]])
 
 
 def _standard_errors(
     contrast: Contrast, columns: np.ndarray, own: np.ndarray, c: np.ndarray, d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the standard errors of the parameters `own` in the first and in the second log."""
-    K, H = len(c), _both(contrast)[0]
+    K, H = len(c), _both(contrast)
     a, b = contrast.first.at(c), contrast.second.at(c + d)
     blocks = np.concatenate([np.concatenate([a, 0 * a], axis=1), np.concatenate([b, b], axis=1)])
     free = np.concatenate([columns, K + own])
@@ -306,4 +393,4 @@ def _standard_errors(
     full[np.ix_(free, free)] = covariance(H, blocks, free)
     of = lambda rows, others: np.diag(full[np.ix_(rows, others)])
     second = of(own, own) + of(K + own, K + own) + 2 * of(own, K + own)
-    return np.sqrt(of(own, own)), np.sqrt(np.maximum(second, 0.0))
+    return np.sqrt(np.maximum(of(own, own), 0.0)), np.sqrt(np.maximum(second, 0.0))

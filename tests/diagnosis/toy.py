@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driftjax.diagnosis import evidence, multistart, naming, refine, select
+from driftjax.diagnosis import contrast, evidence, multistart, naming, refine, select
 from driftjax.diagnosis import fit as fits
 from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
 from driftjax.diagnosis.fit import Fit, Problem
@@ -54,11 +54,11 @@ def toy_problem(
         )
 
     monkeypatch.setattr(select, "held_out_errors", held_out_errors)
-    for module in (fits, select, naming, multistart):
+    for module in (contrast, fits, select, naming, multistart):
         monkeypatch.setattr(module, "evaluate_fit", evaluate)
     for module in (fits, refine, select, evidence, multistart):
         monkeypatch.setattr(module, "evaluate_fits", lambda problem, thetas: [evaluate(problem, one) for one in thetas])
-    for module in (refine, select):
+    for module in (contrast, refine, select):
         monkeypatch.setattr(module, "linearise", linearise)
     known = np.zeros(K), np.arange(K), frozenset[str](), np.ones(K, bool)
     problem = Problem(model, data, lower, upper, *known, NOTHING, NOTHING)
