@@ -42,7 +42,8 @@ class PredictionFit(NamedTuple):
         theta, rest = self.theta.copy(), np.setdiff1d(self.columns, gone)
         theta[gone] = problem.start[gone]
         H, pull = self.H[np.ix_(rest, rest)], self.H[np.ix_(rest, gone)] @ (theta - self.theta)[gone]
-        theta[rest] = minimise_quadratic(H @ self.theta[rest] - pull, H, problem.lower[rest], problem.upper[rest])
+        lower, upper = (side[rest] - theta[rest] for side in (problem.lower, problem.upper))
+        theta[rest] += minimise_quadratic(-pull, H, lower, upper)
         return theta
 
 
