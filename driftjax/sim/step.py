@@ -160,7 +160,8 @@ def _evaluate(
     """Return the rates of V, beta and r, `push` added, with the lateral acceleration, at a fraction `share` of a step.
 
     At the `first` evaluation, at the start of the step, the quantities that the lags depend on are not known yet; they
-    follow from its result. By `excess` the drive force is above the input; returned too, near that given.
+    follow from its result. `excess` is the drive force less the input of the evaluation before; that of this one is
+    returned too.
     """
     x = State(y[0], y[1], y[2])
     offsets = first_offsets(model, at_start, dt), lag_offsets(model, at_start, x, share, dt)

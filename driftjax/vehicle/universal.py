@@ -94,7 +94,7 @@ class Universal(eqx.Module):
         step = near - self._limited(near - step)
         return jax.tree.map(lambda value, by: value - step * by, flow, by_force)
 
-    def approximate_drive_force(self, x: State, u: Control, place: Place, aux: Aux, near: Array | None = None) -> Array:
+    def approximate_drive_force(self, x: State, u: Control, place: Place, aux: Aux) -> Array:
         """Approximate the drive force [N] with which the speed changes at the rate u.Fxr / (mass of the nominal car).
 
         Inverse dynamics for logs without a drive force (`by_acceleration`): that of the car with its effects, not of
@@ -104,7 +104,7 @@ class Universal(eqx.Module):
         """
         if not self.by_acceleration:
             return u.Fxr
-        model, x, u, place, aux, near = jax.lax.stop_gradient((self, x, u, place, aux, near))
+        model, x, u, place, aux = jax.lax.stop_gradient((self, x, u, place, aux))
         missing = lambda F: model._missing_rate(u, model._flow(x, u._replace(Fxr=F), place, aux))
         approach = lambda _, F: model._limited(F + model.car.m * cos(x.beta) * missing(F))
         return jax.lax.fori_loop(0, ITERATIONS, approach, u.Fxr)
