@@ -55,7 +55,8 @@ class Universal(eqx.Module):
         """Return the parameters of each effect, or of those of one station, SI."""
         values, at = {}, 0
         # the derivative of a split is one concatenation, that of an index an array of zeros for each parameter
-        physical = [one.reshape(()) for one in jax.lax.split(self.theta * self.scale, (1,) * len(self.theta))]
+        each = jax.lax.split(self.theta * self.scale, (1,) * len(self.theta))
+        physical = [one.reshape(one.shape[1:]) for one in each]  # a batch of cars has it on the last axis
         for effect in self.effects:
             if station in (None, effect.station):
                 values[effect.name] = tuple(physical[at : at + len(effect.parameters)])

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from driftjax.control.drift_batch_ocp import drift_batch_ocp
+from driftjax.control.drift_batch_ocp import drift_batch_ocp, to_batch_ocp
 from driftjax.control.mpc import DriftOCP, MPCConfig, Reference, Weights, drift_ocp
 from driftjax.control.mpc_solution import MPCProblem, solve_mpc_batch
 from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.solve import Options
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import Residual, beyond_peak, load_vehicle, no_residual
+from driftjax.vehicle import Residual, beyond_peak, build_car, load_vehicle, no_residual
 
 CAR, CONFIG = load_vehicle("sedan"), MPCConfig(horizon=4)
 UNIT = np.array([1.0, 1000.0])
@@ -98,6 +98,31 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
     exact = jax.jit(jax.jacfwd(lambda z: value(z)[0]))(z)
     np.testing.assert_allclose(dense(M), exact, rtol=1e-8, atol=1e-10 * np.abs(exact).max())
     np.testing.assert_allclose(cost[0], value(z)[1], rtol=1e-12)
+
+
+def test_cars_with_parameters_of_their_own_are_linearised_side_by_side():
+    vehicle, effects = replace(CAR, combined_slip=1.0), ("friction_rear", "drive_gain")
+    car = build_car(vehicle, effects)
+    thetas = np.array([[0.0, 0.0], [-1.5, 1.0], [1.0, -0.5]])
+    learnt = no_residual(zero_gp(1, 5, 3))
+    each = [drift_ocp(CONFIG, Weights(), vehicle, learnt, car.with_parameters(jnp.asarray(t))) for t in thetas]
+    ocp = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    batched = to_batch_ocp(ocp, jnp.full(len(each), UNIT[1]), path=False, residual=False, lags=False)
+    p, z = jax.tree.map(lambda a: a[0], reference(1, len(each))), [*X[:3], *U]
+    x, u = ([jnp.full(len(each), value) for value in some] for some in (z[:3], z[3:]))
+    y, M, _ = eqx.filter_jit(lambda batched, *args: batched.linearise(*args, None))(batched, x, u, p)
+
+    def alone(ocp, z):
+        control = Control(z[3], z[4] * UNIT[1])
+        return rk4_step(lambda w: jnp.stack(ocp.nominal(State(*w), control)), z[:3], ocp.dt)
+
+    values, slopes = eqx.filter_jit(jax.vmap(lambda ocp, z: (alone(ocp, z), jax.jacfwd(alone, 1)(ocp, z)), (0, None)))(
+        ocp, jnp.array(z)
+    )
+    assert np.ptp(values, axis=0).min() > 1e-4  # another car, another step
+    np.testing.assert_allclose(np.transpose(y), values, rtol=1e-12)
+    entries = np.array([[np.zeros(len(each)) if e is None else e for e in row] for row in M])
+    np.testing.assert_allclose(np.moveaxis(entries, -1, 0), slopes, rtol=1e-8, atol=1e-10 * np.abs(slopes).max())
 
 
 @pytest.mark.parametrize("name", NAMES)
