@@ -23,7 +23,8 @@ os.environ.setdefault("DRIFTJAX_FUSED_RESULTS", "0")  # which these emitters do 
 os.environ["XLA_FLAGS"] = f"{FLAGS} {os.environ.get('XLA_FLAGS', '')}"
 # Functions whose programs run for longer than they compile.
 LONG = (
-    "drive_batch solve_from _expansion batched_rollouts sample_derivatives observe_runs propagate_pieces predict_ahead"
+    "drive_batch solve_from _expansion batched_rollouts sample_derivatives observe_runs propagate_pieces predict_ahead "
+    "batched_residuals batched_derivatives likelihoods _riccatis by_commands"
 )
 os.environ.setdefault("DRIFTJAX_OPTIMISED", LONG.replace(" ", ","))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy is here before the package, which sets it else

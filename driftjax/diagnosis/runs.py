@@ -329,6 +329,7 @@ def whitened_derivatives(steps: Steps, gains: Gains, data: Pieces, width: int | 
     num = steps.C.shape[-1]
     width = width or num
     parts = []
+    steps = jax.tree.map(np.asarray, steps)
     for k in range(0, num, width):
         pad = lambda a: np.pad(a[..., k : k + width], [(0, 0)] * (a.ndim - 1) + [(0, max(k + width - num, 0))])  # noqa: B023
         part = steps._replace(C=pad(steps.C), F=pad(steps.F), first=pad(steps.first))

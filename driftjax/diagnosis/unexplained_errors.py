@@ -211,18 +211,16 @@ def _sensitivities(
     problem: Problem, linearisation: Linearisation, rates: list[Array], sensors: list[Array]
 ) -> np.ndarray:
     """Return whitened derivatives (P, T, 3, terms): by rates and axle forces, five per function (P, T), and sensors."""
-    steps, size = (
-        linearisation.steps,
-        {where: jnp.asarray(value) for where, value in term_scales(problem.model).items()},
-    )
-    force = steps.push @ rates_of_forces(problem.model.base.nominal, linearisation.path) * size["force"]
-    push = jnp.concatenate([steps.push * size["rate"], force], axis=-1)
-    rate_columns = jnp.concatenate([push * one[..., None, None] for one in rates], axis=-1)
-    readings = jnp.concatenate([jnp.diag(size["sensor"]) * one[..., None, None] for one in sensors], axis=-1)
-    zeros = lambda like, num: jnp.zeros((*like.shape[:-1], num))
-    C = jnp.concatenate([rate_columns, zeros(rate_columns, readings.shape[-1])], axis=-1)
-    F = jnp.concatenate([zeros(readings, rate_columns.shape[-1]), readings], axis=-1)
-    terms = steps._replace(C=C, F=F, first=jnp.zeros_like(C[:, 0]))
+    steps, size = linearisation.steps, term_scales(problem.model)
+    by_force = np.asarray(rates_of_forces(problem.model.base.nominal, linearisation.path))
+    force = np.asarray(steps.push) @ by_force * size["force"]
+    push = np.concatenate([np.asarray(steps.push) * size["rate"], force], axis=-1)
+    scaled = lambda by, functions: np.concatenate([by * np.asarray(f)[..., None, None] for f in functions], axis=-1)
+    by_rates, readings = scaled(push, rates), scaled(np.diag(size["sensor"]), sensors)
+    zeros = lambda like, num: np.zeros((*like.shape[:-1], num))
+    C = np.concatenate([by_rates, zeros(by_rates, readings.shape[-1])], axis=-1)
+    F = np.concatenate([zeros(readings, by_rates.shape[-1]), readings], axis=-1)
+    terms = steps._replace(C=C, F=F, first=np.zeros_like(C[:, 0]))
     # in the program of the catalogue's own derivatives
     return np.asarray(whitened_derivatives(terms, problem.gains, problem.data, len(problem.lower)))
 
