@@ -22,7 +22,7 @@ from driftjax.parallel.batch import batch_size, concatenate
 from driftjax.parallel.programs import call, compile_ahead
 
 T = TypeVar("T")
-BLOCK, CALLS = 16, 4  # most entries of a call; calls that each core has at least, so that all cores end together
+BLOCK = 16  # most entries of a call
 SETTINGS = (
     "jax_enable_x64",
     "jax_cpu_enable_async_dispatch",
@@ -144,8 +144,9 @@ def num_cores() -> int:
 
 
 def block_size(entries: int) -> int:
-    """Return the number of entries of one call: more than one only where each core gets several calls."""
-    return max(1, min(BLOCK, entries // (CALLS * num_cores())))
+    """Return the number of entries of one call: the most, up to `BLOCK`, of which every core gets as many calls."""
+    calls = -(-max(entries, 1) // (BLOCK * num_cores())) * num_cores()
+    return -(-max(entries, 1) // calls)
 
 
 def num_workers(entries: int) -> int:

@@ -81,7 +81,7 @@ def sizes(batch):
     return jnp.full(batch_size(batch), batch_size(batch)), batch
 
 
-@pytest.mark.parametrize("num, size", [(3, 1), (16, 2), (19, 2), (300, 16)])
+@pytest.mark.parametrize("num, size", [(1, 1), (3, 2), (16, 8), (19, 10), (32, 16), (33, 9), (300, 15)])
 def test_blocks_fill_calls_of_one_size(monkeypatch, num, size):
     monkeypatch.setattr(executors, "num_cores", lambda: 2)
     numbers = jnp.arange(num)
