@@ -15,7 +15,7 @@ from driftjax.core import Control, State, features, lag_step, rk4_step
 from driftjax.gp import Hyper, condition, data_scales, zero_gp
 from driftjax.solve import Options
 from driftjax.track import curvilinear_rates
-from driftjax.vehicle import Residual, beyond_peak, build_car, load_vehicle, no_residual
+from driftjax.vehicle import Extended, Residual, beyond_peak, build_car, load_vehicle, no_residual
 
 CAR, CONFIG = load_vehicle("sedan"), MPCConfig(horizon=4)
 UNIT = np.array([1.0, 1000.0])
@@ -103,6 +103,7 @@ def test_step_derivatives_and_costs_are_those_of_the_whole_problem(name):
 def test_cars_with_parameters_of_their_own_are_linearised_side_by_side():
     vehicle, effects = replace(CAR, combined_slip=1.0), ("friction_rear", "drive_gain")
     car = build_car(vehicle, effects)
+    assert isinstance(car, Extended)
     thetas = np.array([[0.0, 0.0], [-1.5, 1.0], [1.0, -0.5]])
     learnt = no_residual(zero_gp(1, 5, 3))
     each = [drift_ocp(CONFIG, Weights(), vehicle, learnt, car.with_parameters(jnp.asarray(t))) for t in thetas]
