@@ -60,15 +60,8 @@ def named(car: str, seed: int, hidden: dict[str, float]) -> tuple[dict[str, Caus
     return {name(one): one for one in causes}, {name(one): describe_cause(problem, one) for one in causes}
 
 
-DEAR = pytest.mark.xfail(
-    strict=True, reason="tyre_shape and stiffness_front are named: two parameters cost less than the three of a form"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("car", "also"), [("sedan", {}), ("rc", {}), pytest.param("sedan", {"friction_rear": -1.0}, marks=DEAR)]
-)
+@pytest.mark.parametrize(("car", "also"), [("sedan", {}), ("rc", {}), ("sedan", {"friction_rear": -1.0})])
 def test_a_rear_that_falls_off_late_is_named_and_its_fall_is_right(car, also):
     causes, words = named(car, 3, {"late": 1.2} | also)
     assert set(causes) == {"tyre_curve_rear", *also} and causes["tyre_curve_rear"].probability > 0.95, words
