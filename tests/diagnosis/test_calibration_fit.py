@@ -7,13 +7,13 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, hidden, recorded, sedan
 from diagnosis.test_prediction_fit import HIDDEN, smooth_runs
 
-from driftjax.diagnosis.calibrate import Calibration, calibrate
+from driftjax.diagnosis.calibrate import calibrate
 from driftjax.diagnosis.calibration_fit import CalibrationFit, fit_by_predictions, fit_by_steps, fit_by_the_better
 from driftjax.diagnosis.fit import Problem, initial_problem, with_noise
 from driftjax.diagnosis.gain import DECISIVE, open_loop_errors, ratios
 from driftjax.diagnosis.memory import memory_of
 from driftjax.diagnosis.multistart import with_nominal_noise
-from driftjax.logs import Log, Run
+from driftjax.logs import Log
 
 TUNED = ("friction_rear", "stiffness_front")  # by a person who does not know of the steering lag, nor of the filter
 
@@ -23,13 +23,8 @@ def numbers(names) -> tuple[int, ...]:
 
 
 @functools.cache
-def two_logs() -> tuple[Run, ...]:
-    return smooth_runs(1) + smooth_runs(3)
-
-
-@functools.cache
-def calibrated() -> Calibration:
-    return calibrate(sedan(), Log(two_logs()), TUNED, catalogue=EFFECTS)
+def loose_problem() -> Problem:
+    return with_nominal_noise(initial_problem(sedan(), EFFECTS, smooth_runs(1) + smooth_runs(3)))
 
 
 def error_on_other_runs(car: CalibrationFit) -> float:
@@ -40,31 +35,17 @@ def error_on_other_runs(car: CalibrationFit) -> float:
     return float(ratios(nominal, fitted)[DECISIVE, 0])
 
 
-@functools.cache
-def loose_problem() -> Problem:
-    return with_nominal_noise(initial_problem(sedan(), EFFECTS, two_logs()))
-
-
-def assert_predictions_mend(car: CalibrationFit, staged: bool):
-    """Assert that the car fitted to predictions is nearer to the truth than the one fitted to single steps."""
-    steps = fit_by_steps(loose_problem(), numbers(TUNED), staged)
-    assert car.by_predictions and memory_of(car.searched) > 10 * memory_of(car.problem)
+@pytest.mark.parametrize("staged", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_where_single_steps_mislead_the_car_is_fitted_to_predictions(staged):
+    """They shift onto grip and stiffness what the car lacks: a steering lag, and the filter of the sideslip."""
+    stages, selected = [], numbers(TUNED)
+    steps = fit_by_steps(loose_problem(), selected, staged)
+    car = fit_by_the_better(loose_problem(), selected, staged, seed=0, report=stages.append)
+    assert car.by_predictions and "long memory" in stages
+    assert memory_of(car.searched) > 10 * memory_of(car.problem)
     assert error_on_other_runs(car) < 0.85 * error_on_other_runs(steps)
     off = [abs(one.fit.theta[ORDER.index("friction_rear")] - hidden(**HIDDEN)[0]) for one in (car, steps)]
     assert off[0] < 1.0 < off[1]
-
-
-def test_where_single_steps_mislead_the_car_is_fitted_to_predictions():
-    """They shift onto grip and stiffness what the car lacks: a steering lag, and the filter of the sideslip."""
-    assert_predictions_mend(calibrated().car, False)
-
-
-@pytest.mark.slow
-def test_in_stages_too():
-    stages = []
-    car = fit_by_the_better(loose_problem(), numbers(TUNED), True, seed=0, report=stages.append)
-    assert "long memory" in stages
-    assert_predictions_mend(car, True)
 
 
 def test_a_right_car_is_fitted_to_single_steps():
@@ -77,7 +58,7 @@ def test_a_right_car_is_fitted_to_single_steps():
 
 
 def test_the_calibration_states_what_it_follows():
-    found = calibrated()
+    found = calibrate(sedan(), Log(smooth_runs(1)), TUNED, catalogue=EFFECTS)
     assert found.gain is not None and found.gain.by_predictions and found.car.by_predictions
     assert found.content()["fitted_by"] == "predictions"
     assert "an observer with a memory of 1.1 s gives" in str(found)

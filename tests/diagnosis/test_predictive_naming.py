@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan
 from diagnosis.test_prediction_fit import HIDDEN, smooth_runs
 
-from driftjax.diagnosis.diagnose import Diagnosis, diagnose
+from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.fit import Problem, evaluate_fit, information, linearise, with_noise
 from driftjax.diagnosis.gain import DECISIVE, horizon_steps, open_loop_errors, ratios
 from driftjax.diagnosis.held_out import DiagnoseConfig
@@ -34,14 +34,10 @@ def by_steps() -> Naming:
 
 
 @functools.cache
-def verdict() -> Diagnosis:
-    return diagnose(sedan(), Log(smooth_runs(3)), DiagnoseConfig(gp=False, without=OTHERS), effects=EFFECTS)
-
-
 def by_predictions() -> Naming:
-    evidence = verdict().evidence
-    assert evidence is not None and evidence.naming.by_predictions
-    return evidence.naming
+    naming, own = name_by_the_better(smooth_problem(), 0, 8, 0.1)
+    assert naming.by_predictions and own is not None
+    return naming
 
 
 def test_the_memory_is_as_long_as_shares_of_the_error_are_measured_ahead():
@@ -119,7 +115,7 @@ def test_predictions_start_from_the_observer_of_short_memory():
 
 
 def test_the_verdict_says_what_named_the_effects():
-    result = verdict()
+    result = diagnose(sedan(), Log(smooth_runs(3)), DiagnoseConfig(gp=False, without=OTHERS), effects=EFFECTS)
     content, gain = result.content(), result.gain
     assert gain is not None and gain.by_predictions and content["named_by"] == "predictions"
     assert "the effects are those that an observer with a memory of 1.1 s names" in result.sentence
