@@ -144,9 +144,10 @@ def num_cores() -> int:
 
 
 def block_size(entries: int) -> int:
-    """Return the number of entries of one call: the most, up to `BLOCK`, of which every core gets as many calls."""
-    calls = -(-max(entries, 1) // (BLOCK * num_cores())) * num_cores()
-    return -(-max(entries, 1) // calls)
+    """Return the number of entries of one call, at most `BLOCK`: as few calls as keep all cores busy alike."""
+    entries = max(entries, 1)
+    calls = -(-entries // (BLOCK * num_cores())) * num_cores()
+    return -(-entries // calls)
 
 
 def num_workers(entries: int) -> int:
