@@ -303,7 +303,7 @@ def _conclude(
     causes = with_sizes(problem, causes, sizes) if sizes else causes
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
     horizon = float(horizon_steps(problem)[DECISIVE] * problem.data.dt)
-    explained = explained_by(shares, horizon, gain is not None)
+    explained = explained_by(shares, bool(causes), horizon, gain is not None)
     judgement = decide_verdict(searched, found, causes, remaining, duration, explained, config.unexplained, unconfirmed)
     answer = gain.best if gain and selection.selected else "extended"
     retuned = refit_retuned(selection) if answer == "retuned" else None

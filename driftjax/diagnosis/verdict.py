@@ -64,11 +64,14 @@ class Explained(NamedTuple):
         return not enough and self.remaining_ci95[0] > tolerated
 
 
-def explained_by(shares: dict[str, Share], horizon: float, held_out: bool) -> Explained | None:
-    """Return the error that the extended car explains; None where no run is long enough."""
+def explained_by(shares: dict[str, Share], named: bool, horizon: float, held_out: bool) -> Explained | None:
+    """Return the error that what is `named` explains: nothing without a name; None where no run is long enough.
+
+    A part of the runs may name what all of them do not. What that explains is no answer then.
+    """
     if "extended" not in shares:
         return None
-    one = shares["extended"]
+    one = shares["extended" if named else "nominal"]
     return Explained(one.value, one.ci95, one.remaining, one.remaining_ci95, horizon, held_out)
 
 

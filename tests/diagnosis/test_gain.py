@@ -147,7 +147,11 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
 
 @pytest.mark.slow
 def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
-    """What one run measured beside the commands of the next: no name explains that, and none is seen to gain."""
+    """What one run measured beside the commands of the next: no name explains that, and the answer gains nothing.
+
+    A car of more yaw inertia, which two thirds of the runs name, does predict the others better: it heeds commands
+    less. All runs do not name it, so it is not the answer.
+    """
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
     result, runs = case.result(held_out=3), case.runs()
     assert set(result["named"]) == set(case.truth) and result["skill"]["extended"][1] > 0.5
@@ -158,4 +162,5 @@ def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_
     ]
     diagnosis = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
     assert diagnosis.gain
-    assert diagnosis.verdict is Verdict.UNKNOWN and not diagnosis.gain.skills["extended"].ci95[0] > 0
+    assert diagnosis.evidence and diagnosis.evidence.explained and not diagnosis.evidence.explained.ci95[0] > 0
+    assert diagnosis.verdict is Verdict.UNKNOWN and not diagnosis.causes and not diagnosis.extended.effects

@@ -136,7 +136,7 @@ def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_
         gain = measure_gain(problem, names, config)
         assert gain is not None and gain.named == ("steer_lag",) and gain.skills["extended"].value > 0.5
         doubtful = gain.skills["extended"]._replace(value=np.nan, remaining_ci95=(0.0, 0.05))
-        return dataclasses.replace(gain, named=(), skills=gain.skills | {"extended": doubtful})
+        return dataclasses.replace(gain, named=(), skills=dict.fromkeys(gain.skills, doubtful))
 
     monkeypatch.setattr("driftjax.diagnosis.diagnose.measure_gain", measured)
     monkeypatch.setattr("driftjax.diagnosis.naming.STRONG", 0.0)  # the lag is found beyond doubt

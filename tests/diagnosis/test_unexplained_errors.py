@@ -20,7 +20,7 @@ from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare
 from driftjax.diagnosis.unexplained_errors import best_term, find_unexplained, generic_terms, rates_of_forces
-from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict, describe_answer
+from driftjax.diagnosis.verdict import Explained, Judgement, Verdict, decide_verdict, describe_answer, explained_by
 from driftjax.logs import Run
 from driftjax.manoeuvres.library import MANOEUVRES, NoDrift
 from driftjax.vehicle.effect import EFFECTS as CATALOGUE
@@ -53,6 +53,21 @@ def test_a_missing_drive_gain_is_reported_as_a_force_that_varies_with_the_drive(
     assert remaining.term.value == pytest.approx(gain * G, rel=0.25) and 0 < remaining.term.half_width < 0.3 * gain * G
     decision = decide_verdict(problem, selection, [], remaining, 36.0, MUCH_LEFT, 0.1)
     assert decision.verdict == Verdict.UNKNOWN and "Fxr/(mg) in the rate of V" in decision.sentence
+
+
+def test_without_a_name_nothing_is_explained_whatever_a_part_of_the_runs_names():
+    """The drive gain is not in the catalogue; a car that other runs than these named errs little on them."""
+    problem, selection = nominal_only("drive_gain", 2.5)
+    remaining = find_unexplained(problem, selection, 0)
+    shares = {
+        "nominal": Share(0.0, (0.0, 0.0), 0.4, (0.3, 0.5)),
+        "extended": Share(1.0, (0.7, 1.0), 0.0, (0.0, 0.2)),
+    }
+    for named, verdict in ((False, Verdict.UNKNOWN), (True, Verdict.NOTHING)):
+        explained = explained_by(shares, named, 1.0, held_out=True)
+        assert explained and (explained.share, explained.remaining) == ((1.0, 0.0) if named else (0.0, 0.4))
+        assert decide_verdict(problem, selection, [], remaining, 36.0, explained, 0.1).verdict is verdict
+    assert explained_by({}, True, 1.0, held_out=True) is None
 
 
 def test_a_missing_bias_of_the_gyro_is_reported_as_an_error_of_the_sensor():
