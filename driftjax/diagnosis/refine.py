@@ -11,7 +11,6 @@ from driftjax.diagnosis.runs import Linearisation
 STEP_LENGTHS = (0.5, 0.25, 0.1)  # of Gauss-Newton steps tried where the whole one does not lower the cost
 TOLERANCE = 0.01  # fall of the cost below which a fit is done: a tenth of a standard deviation
 REFITS = 6  # refinements, each about derivatives of its own, at most
-REUSE_RATIO = 0.3  # fall of the cost, over that of the step before, above which derivatives are recomputed
 NUM = 6  # Gauss-Newton steps of one refinement, at most
 
 
@@ -45,26 +44,44 @@ def refine_together(
 ) -> list[Fit]:  # fmt: skip
     """Improve each of `fits` over its `columns` by at most `num` Gauss-Newton steps, in one batch.
 
-    Each until its cost falls by less than `tolerance`. Derivatives are those of a fit `near` them, which are kept while
-    the cost falls fast (chord method; Kelley 1995, Sec. 5.4.1), for they take several times as long as the innovations.
+    Each until its cost falls by less than `tolerance`. Derivatives are those of a fit `near` them, corrected by what
+    every step shows of them: own ones take several times as long as the innovations, and are computed only where what
+    those miss of a step is more than what they predict.
     """
-    fits, last, own = list(fits), [np.inf] * len(fits), {}
-    going, J = list(range(len(fits))), np.asarray(near.J)
+    fits, own, J = list(fits), {}, np.asarray(near.J)
+    going = list(range(len(fits)))
     for k in range(num):
         of = lambda i: own[i] if i in own else J[..., columns[i]]
         each = ((i, gauss_newton_goal(problem, fits[i], columns[i], of(i), tolerance)) for i in going)
         goals = {i: goal for i, goal in each if goal is not None}
-        going = list(goals)
-        trials = _line_search(problem, [fits[i] for i in going], list(goals.values()))
-        falls = {i: fits[i].cost - trial.cost for i, trial in zip(going, trials, strict=True)}
-        for i, trial in zip(going, trials, strict=True):
+        trials = _line_search(problem, [fits[i] for i in goals], list(goals.values()))
+        going = []
+        for i, trial in zip(goals, trials, strict=True):
+            if k + 1 < num and fits[i].cost - trial.cost > tolerance:
+                corrected = secant_derivatives(problem, of(i), columns[i], fits[i], trial, near.lost)
+                own[i] = np.asarray(linearise(problem, trial).J)[..., columns[i]] if corrected is None else corrected
+                going.append(i)
             fits[i] = trial
-        going = [i for i in going if falls[i] > tolerance]
-        for i in going if k + 1 < num else ():
-            if falls[i] > REUSE_RATIO * last[i]:
-                own[i] = np.asarray(linearise(problem, fits[i]).J)[..., columns[i]]
-            last[i] = falls[i]
     return fits
+
+
+def secant_derivatives(
+    problem: Problem, J: np.ndarray, columns: np.ndarray, before: Fit, after: Fit, lost: np.ndarray | None = None
+) -> np.ndarray | None:
+    """Return the derivatives `J` (P, T, c, k) with the least change that explains the step between two fits.
+
+    The update of Broyden (1965, Eq. 4.5) with the information as metric of the steps; none at samples that are `lost`.
+    None where what `J` misses of the step is more than what it predicts.
+    """
+    step = (after.theta - before.theta)[columns]
+    predicted = J @ step
+    missing = before.e - after.e - predicted
+    if lost is not None:
+        missing = np.where(lost[..., None], 0.0, missing)
+    if np.sum(missing**2) > np.sum(predicted**2):
+        return None
+    weighted = (information(J) + problem.prior[np.ix_(columns, columns)]) @ step
+    return J + missing[..., None] * (weighted / (step @ weighted))
 
 
 def _line_search(problem: Problem, fits: Sequence[Fit], goals: Sequence[np.ndarray]) -> list[Fit]:
@@ -85,15 +102,16 @@ def _line_search(problem: Problem, fits: Sequence[Fit], goals: Sequence[np.ndarr
 
 
 def refit_to_convergence(
-    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None
-) -> tuple[Fit, Linearisation]:
-    """Refine `fit` over `columns` until its own derivatives give no further step; return it with its linearisation.
+    problem: Problem, fit: Fit, columns: np.ndarray, linearisation: Linearisation | None = None,
+    tolerance: float = TOLERANCE,
+) -> tuple[Fit, Linearisation]:  # fmt: skip
+    """Refine `fit` over `columns` until its own derivatives promise less than `tolerance`; return it linearised.
 
     `linearisation` is that at the given `fit`, where it is known.
     """
     linearisation = linearise(problem, fit) if linearisation is None else linearisation
     for _ in range(REFITS):
-        better = refine(problem, fit, columns, linearisation)
+        better = refine(problem, fit, columns, linearisation, tolerance=tolerance)
         if better is fit:
             break
         fit, linearisation = better, linearise(problem, better)

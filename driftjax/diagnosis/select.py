@@ -114,7 +114,12 @@ def search(
         if new is None:
             new, excluded = drop_bounded(now, free, excluded, known)
         if new is None:
-            return Selection(now.selected, now.fit, now.linearisation, remaining, problem, start, nominal, free)
+            fit, linearisation = refit_to_convergence(
+                problem, now.fit, problem.columns(now.selected), now.linearisation
+            )
+            if fit is not now.fit:
+                remaining = scores(problem, linearisation, fit.theta, now.selected, seed + len(now.selected))
+            return Selection(now.selected, fit, linearisation, remaining, problem, start, nominal, free)
         now = new
         remaining = scores(problem, now.linearisation, now.fit.theta, now.selected, seed + len(now.selected))
 
@@ -122,8 +127,11 @@ def search(
 def fitted(
     problem: Problem, start: Fit, selected: tuple[int, ...], linearisation: Linearisation | None = None
 ) -> SelectionStep:
-    """Return the step with the effects `selected` fitted from `start`, whose `linearisation` may be known."""
-    fit, linearisation = refit_to_convergence(problem, start, problem.columns(selected), linearisation)
+    """Return the step with the effects `selected` fitted from `start`, whose `linearisation` may be known.
+
+    To within the `MARGIN` between sets: only the last one must be fitted to the end.
+    """
+    fit, linearisation = refit_to_convergence(problem, start, problem.columns(selected), linearisation, MARGIN)
     return SelectionStep(problem, selected, fit, linearisation)
 
 
@@ -248,13 +256,13 @@ def promising_sets(
 
 def starts_of(problem: Problem, fit: Fit, sets: list[EffectSet]) -> list[Fit]:
     """Return for each set the better of two starts: the minimum of its quadratic model, or its values in `fit`."""
-    thetas = []
-    for one in sets:
-        kept, columns = problem.start.copy(), problem.columns(one.effects)
-        kept[columns] = fit.theta[columns]
-        thetas += [problem.start + one.psi, kept]
-    fits = evaluate_fits(problem, thetas)
-    return [min(pair, key=lambda trial: trial.cost) for pair in zip(fits[::2], fits[1::2], strict=True)]
+    kept = [np.where(np.isin(problem.owner, one.effects), fit.theta, problem.start) for one in sets]
+    known = [bool((theta == fit.theta).all()) for theta in kept]  # where the set holds all effects of `fit`
+    new = [theta for theta, same in zip(kept, known, strict=True) if not same]
+    fits = evaluate_fits(problem, [*(problem.start + one.psi for one in sets), *new])
+    minima, others = fits[: len(sets)], iter(fits[len(sets) :])
+    starts = [fit if same else next(others) for same in known]
+    return [min(pair, key=lambda trial: trial.cost) for pair in zip(minima, starts, strict=True)]
 
 
 def refine_material(

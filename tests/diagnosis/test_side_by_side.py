@@ -11,9 +11,9 @@ from diagnosis.recorded import ORDER, catalogue, hidden, problem_of, recorded, s
 from driftjax.core import State
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.evidence import replacement_costs
-from driftjax.diagnosis.fit import evaluate_fit, evaluate_fits, linearise
+from driftjax.diagnosis.fit import evaluate_fit, evaluate_fits, information, linearise
 from driftjax.diagnosis.gain import predict, predict_path
-from driftjax.diagnosis.refine import refine, refine_together, refit_to_convergence
+from driftjax.diagnosis.refine import refine, refine_together, refit_to_convergence, secant_derivatives
 from driftjax.diagnosis.runs import fixed_gain, observer_gains, pieces, run_observer, run_observers
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
@@ -72,6 +72,39 @@ def test_sets_refined_in_one_batch_are_those_refined_alone(problem):
         np.testing.assert_allclose(fit.theta, alone.theta, atol=1e-6)
     assert together[2].cost < min(together[0].cost, together[1].cost)
     assert together[3] is start, "nothing to refine"
+
+
+def test_corrected_derivatives_explain_the_step_and_change_nothing_across_it(problem):
+    """The secant equation, and the least change: what is orthogonal to the step in the metric keeps its derivative."""
+    columns = problem.columns((ORDER.index("steer_lag"), ORDER.index("drive_gain")))
+    before, after = (
+        evaluate_fit(problem, with_values(problem, steer_lag=x, drive_gain=y)) for x, y in ((0, 0), (1, 1))
+    )
+    at = linearise(problem, before)
+    J = np.asarray(at.J)[..., columns]
+    corrected, step = secant_derivatives(problem, J, columns, before, after), (after.theta - before.theta)[columns]
+    assert corrected is not None
+    np.testing.assert_allclose(corrected @ step, before.e - after.e, atol=1e-9)
+    W = information(J) + problem.prior[np.ix_(columns, columns)]
+    across = np.array([-(W @ step)[1], (W @ step)[0]])
+    np.testing.assert_allclose(corrected @ across, J @ across, atol=1e-6 * np.abs(J @ across).max())
+    own = np.asarray(linearise(problem, after).J)[..., columns]
+    error = lambda J: np.linalg.norm((J - own) @ step)
+    assert error(corrected) < error(J), "nearer to those of the new fit along the step"
+    lost = np.ones(before.e.shape[:2], bool)
+    np.testing.assert_array_equal(secant_derivatives(problem, J, columns, before, after, lost), J)
+    assert secant_derivatives(problem, -2.5 * J, columns, before, after) is None, "they predict the opposite"
+
+
+def test_a_set_is_refined_to_the_minimum_with_the_derivatives_of_another_fit(problem, monkeypatch):
+    """Corrections stand for derivatives of its own; the minimum is the one that these give."""
+    start = evaluate_fit(problem, problem.start)
+    columns = problem.columns((ORDER.index("steer_lag"), ORDER.index("drive_gain")))
+    near = linearise(problem, start)
+    best = refit_to_convergence(problem, start, columns)[0]
+    monkeypatch.setattr("driftjax.diagnosis.refine.linearise", lambda *_: pytest.fail("no derivatives of its own"))
+    fit = refine(problem, start, columns, near, num=12)
+    assert best.cost <= fit.cost < best.cost + 0.1 < start.cost - 100
 
 
 def test_rivals_of_all_members_cost_what_they_cost_member_by_member(problem):
