@@ -1,5 +1,6 @@
 """Open-loop gain: errors against hand-made ones, skill and its interval, runs held out, runs mixed up."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from diagnosis.cases import Fixed
 from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, sedan, truth
 
-from driftjax.diagnosis.diagnose import diagnose
+from driftjax.diagnosis.diagnose import Diagnosis, diagnose
 from driftjax.diagnosis.fit import initial_problem, with_noise
 from driftjax.diagnosis.gain import Errors, Share, at_horizons, excess_shares, predict, ratios
 from driftjax.diagnosis.held_out import DiagnoseConfig, split_problem, split_runs
@@ -145,22 +146,34 @@ def test_the_floor_is_what_the_true_car_gets_wrong():
     assert np.isnan(share.value) and share.remaining_ci95[0] < 0.1  # nothing is left to explain
 
 
-@pytest.mark.slow
-def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
-    """What one run measured beside the commands of the next: no name explains that, and the answer gains nothing.
-
-    A car of more yaw inertia, which two thirds of the runs name, does predict the others better: it heeds commands
-    less. All runs do not name it, so it is not the answer.
-    """
+@functools.cache
+def mixed_up() -> tuple[Fixed, Diagnosis]:
+    """A hidden case, and the diagnosis of its runs with the commands of the next run beside what each measured."""
     case = Fixed(12, "sedan", {"drive_gain": -1.2, "friction_rear": 1.0})
-    result, runs = case.result(held_out=3), case.runs()
-    assert set(result["named"]) == set(case.truth) and result["skill"]["extended"][1] > 0.5
-    (share,) = criteria.removed_shares([result])
-    assert share > 0.8
+    runs = case.runs()
     mixed = [
         replace(run, delta=other.delta, Fxr=other.Fxr) for run, other in zip(runs, runs[1:] + runs[:1], strict=True)
     ]
-    diagnosis = diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
+    return case, diagnose(sedan(), Log(tuple(mixed)), DiagnoseConfig(gp=False), effects=EFFECTS)
+
+
+@pytest.mark.slow
+def test_what_is_named_gains_nearly_what_the_truth_would_and_nothing_where_runs_are_mixed_up():
+    """What one run measured beside the commands of the next: no name explains that, and the answer gains nothing."""
+    case, diagnosis = mixed_up()
+    result = case.result(held_out=3)
+    assert set(result["named"]) == set(case.truth) and result["skill"]["extended"][1] > 0.5
+    (share,) = criteria.removed_shares([result])
+    assert share > 0.8
     assert diagnosis.gain
     assert diagnosis.evidence and diagnosis.evidence.explained and not diagnosis.evidence.explained.ci95[0] > 0
     assert diagnosis.verdict is Verdict.UNKNOWN and not diagnosis.causes and not diagnosis.extended.effects
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True, reason="more yaw inertia, which two thirds of the runs name, heeds commands less and predicts better"
+)
+def test_where_runs_are_mixed_up_what_a_part_of_them_names_is_not_seen_to_gain():
+    gain = mixed_up()[1].gain
+    assert gain and not gain.skills["extended"].ci95[0] > 0
