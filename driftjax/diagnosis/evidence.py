@@ -35,6 +35,7 @@ from driftjax.vehicle.effect.families import FAMILY_OF
 
 INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 DISCOVERY_RATE = 0.1  # share of exploratory effects that may be false
+STRONG = 0.001  # p-value by its own blocks, for all effects together, from which an effect needs no other support
 CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 BOUNDED = 12  # rivals whose bounds are looked at
@@ -326,7 +327,9 @@ def significance(
     """Test each named effect for significance, in order of its Shapley share.
 
     Those of the largest share, as many as the test alone may name, are significant where their own p-value is below
-    5 %; others are exploratory, under a false discovery rate of 10 % among all effects.
+    5 %; others are exploratory, under a false discovery rate of 10 % among all effects. Both tests take the blocks as
+    many and alike. Where a few hard manoeuvres say most, they see nothing of an effect that may explain most of the
+    error; there its own blocks are enough if they agree by more than chance would in one log of a thousand (`STRONG`).
     """
     alone = {i: own_scores(problem, selection, model, i) for i in selection.selected}
     own = {i: alone[i].p_value_of(i, problem.columns((i,))) for i in alone}
@@ -334,9 +337,11 @@ def significance(
     single = np.array([alone.get(i, selection.scores).single_p_value(i, problem.columns((i,))) for i in active])
     passed = dict(zip(active, benjamini_yekutieli(single, DISCOVERY_RATE), strict=True))
     first = sorted(alone, key=lambda i: -shares[i])[: selection.free]
-    passes = {i: i in first and own[i] < LEVEL for i in alone}
     by_chance = {i: min(len(active) * alone[i].own_p_value(i, problem.columns((i,))), own[i]) for i in alone}
-    return {i: Significance(own[i], not passes[i], passes[i] or bool(passed.get(i, True)), by_chance[i]) for i in alone}
+    strong = {i: by_chance[i] < STRONG for i in alone}
+    passes = {i: i in first and (own[i] < LEVEL or strong[i]) for i in alone}
+    supported = {i: passes[i] or strong[i] or bool(passed.get(i, True)) for i in alone}
+    return {i: Significance(own[i], not passes[i], supported[i], by_chance[i]) for i in alone}
 
 
 def fit_dispersion(problem: Problem, selection: Selection) -> float:

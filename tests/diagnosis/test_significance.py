@@ -6,7 +6,7 @@ from diagnosis.toy import BLOCKS, LENGTH, toy_problem
 
 from driftjax.diagnosis import naming
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import significance
+from driftjax.diagnosis.evidence import STRONG, significance
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.score import benjamini_yekutieli, scores
 from driftjax.diagnosis.select import Selection, fitted
@@ -71,3 +71,25 @@ def test_few_discoveries_are_false(share):
         rejected = benjamini_yekutieli(from_normal, 0.1)
         rates.append((rejected & true).sum() / max(rejected.sum(), 1))
     assert np.mean(rates) < 0.1
+
+
+def test_what_every_block_says_and_a_few_say_loudest_is_claimed(monkeypatch):
+    """Hard manoeuvres show one cause loudly, and all others as much of it, each now with one sign, now with the other.
+
+    Counted as alike, the blocks would leave it out, as chance, though it explains nearly all.
+    """
+    rng = np.random.default_rng(7)
+    J, noise = rng.normal(size=(8, RUNS, BLOCKS * LENGTH, 3)), rng.normal(size=(RUNS, BLOCKS * LENGTH, 3))
+    by_block = lambda values: values.repeat(LENGTH, axis=-1).reshape(*values.shape[:-1], RUNS, -1, 1)
+    J[0] *= by_block(np.sqrt(1 + 1e4 * 0.6 ** rng.permutation(RUNS * BLOCKS)))
+    J[1:] += by_block(rng.choice([-1.0, 1.0], (7, RUNS * BLOCKS))) * J[0]
+    sizes = np.array([1.0, 0, 0, 0, 0, 0, 0, 0])
+    problem, nominal = toy_problem(
+        monkeypatch, lambda theta: noise + np.tensordot(sizes - theta, J, axes=1), *np.outer([-3, 3], np.ones(8)), RUNS
+    )
+    selection = selection_of(problem, nominal, (0, 6))
+    model = quadratic_cost(problem, selection.fit, selection.linearisation)
+    cause, chance = significance(problem, selection, model, {0: 1.0, 6: 0.0}).values()
+    assert cause.by_chance < STRONG < 0.05 < cause.p_value
+    assert cause.supported and not cause.exploratory
+    assert chance.by_chance > STRONG and not chance.supported and chance.exploratory
