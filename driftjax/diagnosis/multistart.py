@@ -59,7 +59,7 @@ def search_multistart(
     With strong effects and little disturbance the observer of the nominal car diverges, because its noise is what no
     effect explains: then the search starts with the noise that the nominal car needs. With a steering delay as long as
     a manoeuvre, the derivative at no delay says little and less grip seems to explain more: then the search also
-    starts from a large delay; where lags or delays are named, from late sensors too. Where the fitted car needs far
+    starts from a large delay, and from late sensors. Where the fitted car needs far
     less process noise than was assumed, since strong effects exceed what their derivatives at the nominal car predict,
     the search is repeated with its noise.
     """
@@ -90,15 +90,45 @@ def search_from_late(
 def search_from_late_sensors(
     problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> Selection | None:
-    """Search from the best of `SENSORS_LATE` by `SENSOR_DELAYS`; None where `close` names no lag or delay.
+    """Search from the best of `SENSORS_LATE` by `SENSOR_DELAYS`; None where none is better.
 
     All sensors late by several samples look like a steering that is late; from there the derivatives at no delay lead
-    to a local optimum.
+    to a local optimum. Where `close` names no lag or delay, they may say too little of a delay beside its effects.
     """
-    if not set(TIMING) & {problem.effects[i].name for i in close.selected}:
-        return None
     delays = [delay * np.array(which) for which in SENSORS_LATE for delay in SENSOR_DELAYS]
-    return _search_from_delays(problem, close, "channel_delay", delays, seed, most, report)
+    timed = set(TIMING) & {problem.effects[i].name for i in close.selected}
+    search_delays = _search_from_delays if timed else _search_beside
+    return search_delays(problem, close, "channel_delay", delays, seed, most, report)
+
+
+def _search_beside(
+    problem: Problem, close: Selection, name: str, delays: Sequence[ArrayLike], seed: int, most: int,
+    report: Callable[[str], None],
+) -> Selection | None:  # fmt: skip
+    """Search from `close` and the best of `delays` [sqrt(L/g)] of the effect `name`; None where that fits no better."""
+    selected, columns = _effect_columns(problem, name)
+    if not len(columns) or len(close.selected) >= most:
+        return None
+    beside = _best_delay(problem, close.fit.theta, columns, delays)
+    if beside.cost >= close.fit.cost:
+        return None
+    together = tuple(sorted((*close.selected, *selected)))
+    fit = refit_to_convergence(problem, beside, problem.columns(together))[0]
+    if penalised_cost(problem, fit, together) >= penalised_cost(problem, close.fit, close.selected):
+        return None
+    return _with_nominal_of(close, search(problem, fit, seed, together, most, report))
+
+
+def _effect_columns(problem: Problem, name: str) -> tuple[tuple[int, ...], np.ndarray]:
+    """Return the effect `name` and its columns; none where it or a part of it is not active."""
+    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
+    columns = problem.columns(selected)
+    return selected, columns if problem.active[columns].all() else columns[:0]
+
+
+def _with_nominal_of(close: Selection, selection: Selection) -> Selection:
+    """Return the selection with the nominal car's results of `close`."""
+    return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
 
 
 def _search_from_delays(
@@ -109,9 +139,8 @@ def _search_from_delays(
 
     None if none saves the share `LATE`, or does better than lags and delays of `close` beside its other effects.
     """
-    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
-    columns = problem.columns(selected)
-    if not len(columns) or not problem.active[columns].all():
+    selected, columns = _effect_columns(problem, name)
+    if not len(columns):
         return None
     best = _best_delay(problem, problem.start, columns, delays)
     if best.cost > (1 - LATE) * close.nominal.cost:
@@ -126,8 +155,7 @@ def _search_from_delays(
         if penalised_cost(problem, fit, instead) >= penalised_cost(problem, close.fit, close.selected):
             return None
     fit = refit_to_convergence(problem, best, columns)[0]
-    selection = search(problem, fit, seed, selected, most, report)
-    return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
+    return _with_nominal_of(close, search(problem, fit, seed, selected, most, report))
 
 
 def _best_delay(problem: Problem, theta: np.ndarray, columns: np.ndarray, delays: Sequence[ArrayLike]) -> Fit:

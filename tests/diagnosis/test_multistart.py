@@ -149,38 +149,43 @@ def test_a_search_begins_at_the_delay_that_saves_most_by_itself(monkeypatch, tru
 
 
 @pytest.mark.parametrize(
-    ("true", "saved", "named", "begins"),
+    ("true", "saved", "named", "begins", "selects"),
     [
-        ((0.011, 0.011, 0.0), 0.3, (0,), (0.01, 0.01, 0.0)),
-        ((0.0, 0.0, 0.038), 0.3, (0,), (0.0, 0.0, 0.04)),
-        ((0.018, 0.02, 0.022), 0.3, (1,), (0.02, 0.02, 0.02)),
-        ((0.02, 0.02, 0.02), 0.04, (0,), None),
-        ((0.02, 0.02, 0.02), 0.3, (), None),
+        ((0.011, 0.011, 0.0), 0.3, (0,), (0.01, 0.01, 0.0), (1,)),
+        ((0.0, 0.0, 0.038), 0.3, (0,), (0.0, 0.0, 0.04), (1,)),
+        ((0.018, 0.02, 0.022), 0.3, (1,), (0.02, 0.02, 0.02), (1,)),
+        ((0.02, 0.02, 0.02), 0.04, (0,), None, ()),
+        ((0.02, 0.02, 0.02), 0.3, (), None, ()),
+        ((0.02, 0.02, 0.02), 0.4, (), (0.02, 0.02, 0.02), (1,)),
+        ((0.011, 0.011, 0.0), 0.4, (2,), (0.01, 0.01, 0.0), (1, 2)),
     ],
-    ids=["speed and sideslip", "yaw rate", "all, named already", "none saves enough", "nothing named is a delay"],
-)
-def test_where_a_delay_is_named_the_search_begins_at_late_sensors_too(monkeypatch, true, saved, named, begins):
+    ids=[
+        "speed and sideslip", "yaw rate", "all, named already", "none saves enough",
+        "no delay named, and no more saved than its parameters cost", "nothing named", "beside another effect",
+    ],
+)  # fmt: skip
+def test_the_search_begins_at_late_sensors_too(monkeypatch, true, saved, named, begins, selects):
     """On a made-up cost with its least value at the delays `true` [s], of a car whose unit of time is 0.2 s."""
-    effects = [SimpleNamespace(name="steer_delay"), SimpleNamespace(name="channel_delay")]
-    scale = np.array([0.02, 0.016, 0.016, 0.016])
+    effects = [SimpleNamespace(name=name) for name in ("steer_delay", "channel_delay", "speed_scale")]
+    scale = np.array([0.02, 0.016, 0.016, 0.016, 0.03])
     model = SimpleNamespace(effects=effects, base=SimpleNamespace(unit_time=0.2), scale=scale)
-    owner = np.array([0, 1, 1, 1])
+    owner = np.array([0, 1, 1, 1, 2])
     problem: Any = SimpleNamespace(
-        model=model, effects=effects, start=np.zeros(4), active=np.ones(4, bool), owner=owner,
+        model=model, effects=effects, start=np.zeros(5), active=np.ones(5, bool), owner=owner,
         columns=lambda which: np.flatnonzero(np.isin(owner, which)),
     )  # fmt: skip
-    off = lambda theta: np.sum(((theta * scale)[1:] - true) ** 2) / 0.01**2
+    off = lambda theta: np.sum(((theta * scale)[1:4] - true) ** 2) / 0.01**2
     fit = lambda problem, theta: Fit(theta, 100.0 * (1 - saved * np.exp(-off(theta))), np.zeros(1))
     monkeypatch.setattr(multistart, "evaluate_fits", lambda problem, thetas: [fit(problem, one) for one in thetas])
     monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
     searched = []
 
     def search(problem, fit, seed, selected, most, report):
-        searched.append((tuple((fit.theta * scale)[1:]), selected))
+        searched.append((tuple((fit.theta * scale)[1:4]), selected))
         return SimpleNamespace(_replace=lambda **changes: SimpleNamespace(**changes))
 
     monkeypatch.setattr(multistart, "search", search)
     start = fit(problem, problem.start)
     close: Any = SimpleNamespace(nominal=start, nominal_scores=object(), selected=named, fit=start)
     multistart.search_from_late_sensors(problem, close, 0, 8, print)
-    assert searched == ([] if begins is None else [(pytest.approx(begins), (1,))])
+    assert searched == ([] if begins is None else [(pytest.approx(begins), selects)])
