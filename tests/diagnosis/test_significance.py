@@ -83,10 +83,9 @@ def test_what_every_block_says_and_a_few_say_loudest_is_claimed(monkeypatch):
     by_block = lambda values: values.repeat(LENGTH, axis=-1).reshape(*values.shape[:-1], RUNS, -1, 1)
     J[0] *= by_block(np.sqrt(1 + 1e4 * 0.6 ** rng.permutation(RUNS * BLOCKS)))
     J[1:] += by_block(rng.choice([-1.0, 1.0], (7, RUNS * BLOCKS))) * J[0]
-    sizes = np.array([1.0, 0, 0, 0, 0, 0, 0, 0])
-    problem, nominal = toy_problem(
-        monkeypatch, lambda theta: noise + np.tensordot(sizes - theta, J, axes=1), *np.outer([-3, 3], np.ones(8)), RUNS
-    )
+    sizes, bound = np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), np.full(8, 3.0)
+    uneven = lambda theta: noise + np.tensordot(sizes - theta, J, axes=1)
+    problem, nominal = toy_problem(monkeypatch, uneven, -bound, bound, RUNS)
     selection = selection_of(problem, nominal, (0, 6))
     model = quadratic_cost(problem, selection.fit, selection.linearisation)
     cause, chance = significance(problem, selection, model, {0: 1.0, 6: 0.0}).values()
