@@ -59,9 +59,9 @@ def search_multistart(
     With strong effects and little disturbance the observer of the nominal car diverges, because its noise is what no
     effect explains: then the search starts with the noise that the nominal car needs. With a steering delay as long as
     a manoeuvre, the derivative at no delay says little and less grip seems to explain more: then the search also
-    starts from a large delay, and from late sensors. Where the fitted car needs far
-    less process noise than was assumed, since strong effects exceed what their derivatives at the nominal car predict,
-    the search is repeated with its noise.
+    starts from a large delay, and from late sensors. Where the fitted car needs far less process noise than was
+    assumed, since strong effects exceed what their derivatives at the nominal car predict, the search is repeated with
+    its noise.
     """
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
@@ -106,29 +106,11 @@ def _search_beside(
     report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
     """Search from `close` and the best of `delays` [sqrt(L/g)] of the effect `name`; None where that fits no better."""
-    selected, columns = _effect_columns(problem, name)
-    if not len(columns) or len(close.selected) >= most:
+    late = _effect_if_active(problem, name)
+    if not late or len(close.selected) >= most:
         return None
-    beside = _best_delay(problem, close.fit.theta, columns, delays)
-    if beside.cost >= close.fit.cost:
-        return None
-    together = tuple(sorted((*close.selected, *selected)))
-    fit = refit_to_convergence(problem, beside, problem.columns(together))[0]
-    if penalised_cost(problem, fit, together) >= penalised_cost(problem, close.fit, close.selected):
-        return None
-    return _with_nominal_of(close, search(problem, fit, seed, together, most, report))
-
-
-def _effect_columns(problem: Problem, name: str) -> tuple[tuple[int, ...], np.ndarray]:
-    """Return the effect `name` and its columns; none where it or a part of it is not active."""
-    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
-    columns = problem.columns(selected)
-    return selected, columns if problem.active[columns].all() else columns[:0]
-
-
-def _with_nominal_of(close: Selection, selection: Selection) -> Selection:
-    """Return the selection with the nominal car's results of `close`."""
-    return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
+    better = _better_fit_beside(problem, close, close.selected, late, delays)
+    return _with_nominal_of(close, search(problem, better[1], seed, better[0], most, report)) if better else None
 
 
 def _search_from_delays(
@@ -139,27 +121,50 @@ def _search_from_delays(
 
     None if none saves the share `LATE`, or does better than lags and delays of `close` beside its other effects.
     """
-    selected, columns = _effect_columns(problem, name)
-    if not len(columns):
+    if not (late := _effect_if_active(problem, name)):
         return None
-    best = _best_delay(problem, problem.start, columns, delays)
+    best = _best_delay(problem, problem.start, late, delays)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     others = tuple(i for i in close.selected if problem.effects[i].name not in TIMING)
-    if others != close.selected:
-        theta, kept = problem.start.copy(), problem.columns(others)
-        theta[kept] = close.fit.theta[kept]
-        instead = tuple(sorted((*others, *selected)))
-        beside = _best_delay(problem, theta, columns, delays)
-        fit = refit_to_convergence(problem, beside, problem.columns(instead))[0]
-        if penalised_cost(problem, fit, instead) >= penalised_cost(problem, close.fit, close.selected):
-            return None
-    fit = refit_to_convergence(problem, best, columns)[0]
-    return _with_nominal_of(close, search(problem, fit, seed, selected, most, report))
+    if others != close.selected and not _better_fit_beside(problem, close, others, late, delays):
+        return None
+    fit = refit_to_convergence(problem, best, problem.columns(late))[0]
+    return _with_nominal_of(close, search(problem, fit, seed, late, most, report))
 
 
-def _best_delay(problem: Problem, theta: np.ndarray, columns: np.ndarray, delays: Sequence[ArrayLike]) -> Fit:
-    """Return the fit of the lowest cost with one of `delays` [sqrt(L/g)] in the `columns` of `theta` (K,)."""
+def _effect_if_active(problem: Problem, name: str) -> tuple[int, ...]:
+    """Return the effect `name` as a set; the empty set where the problem lacks it or a part of it is not active."""
+    selected = tuple(i for i, effect in enumerate(problem.effects) if effect.name == name)
+    return selected if problem.active[problem.columns(selected)].all() else ()
+
+
+def _with_nominal_of(close: Selection, selection: Selection) -> Selection:
+    """Return the selection with the nominal car's results of `close`."""
+    return selection._replace(nominal=close.nominal, nominal_scores=close.nominal_scores)
+
+
+def _better_fit_beside(
+    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], delays: Sequence[ArrayLike]
+) -> tuple[tuple[int, ...], Fit] | None:
+    """Return the effects `others` of `close` with `late` beside them, and their fit; None where `close` is better.
+
+    The fit begins at the best of `delays`. Beside all effects of `close` it is made only where it begins below it.
+    """
+    theta, kept = problem.start.copy(), problem.columns(others)
+    theta[kept] = close.fit.theta[kept]
+    beside = _best_delay(problem, theta, late, delays)
+    if others == close.selected and beside.cost >= close.fit.cost:
+        return None
+    together = tuple(sorted((*others, *late)))
+    fit = refit_to_convergence(problem, beside, problem.columns(together))[0]
+    better = penalised_cost(problem, fit, together) < penalised_cost(problem, close.fit, close.selected)
+    return (together, fit) if better else None
+
+
+def _best_delay(problem: Problem, theta: np.ndarray, late: tuple[int, ...], delays: Sequence[ArrayLike]) -> Fit:
+    """Return the fit of the lowest cost with one of `delays` [sqrt(L/g)] of the effect `late` in `theta` (K,)."""
+    columns = problem.columns(late)
     unit, thetas = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
     for delay in delays:
         late = theta.copy()
