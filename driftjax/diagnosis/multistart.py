@@ -167,9 +167,9 @@ def _best_delay(problem: Problem, theta: np.ndarray, late: tuple[int, ...], dela
     columns = problem.columns(late)
     unit, thetas = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
     for delay in delays:
-        late = theta.copy()
-        late[columns] = np.asarray(delay) * unit
-        thetas.append(late)
+        delayed = theta.copy()
+        delayed[columns] = np.asarray(delay) * unit
+        thetas.append(delayed)
     return min(evaluate_fits(problem, thetas), key=lambda fit: fit.cost)
 
 
