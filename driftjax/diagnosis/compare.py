@@ -22,7 +22,7 @@ from driftjax.diagnosis.contrast import (
     probabilities,
     search_differences,
 )
-from driftjax.diagnosis.evidence import RIVAL_PROBABILITY
+from driftjax.diagnosis.evidence import RIVAL_PROBABILITY, SURE_PROBABILITY
 from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise, with_noise
 from driftjax.diagnosis.gain import DECISIVE
 from driftjax.diagnosis.gap import Gap, Overlap, gap_json, measure_gap, overlaps
@@ -35,7 +35,6 @@ from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
     MIN_DETECTABLE_SHARE,
     MIN_DURATION,
-    SURE_PROBABILITY,
     Explained,
     Judgement,
     Verdict,

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.special import stdtrit
 
 from driftjax.diagnosis.beam import QuadraticCost, beam_search, best_parameters, gain_of, parameters_of
-from driftjax.diagnosis.evidence import REFITTED, RIVAL_PROBABILITY, hypothesis_probabilities, rival_gains
+from driftjax.diagnosis.evidence import RIVAL_PROBABILITY
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, linearise
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.diagnosis.refine import STEP_LENGTHS, refit_to_convergence
+from driftjax.diagnosis.rivals import REFITTED, hypothesis_probabilities, rival_gains
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
     CONDITION,

@@ -5,41 +5,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from driftjax.diagnosis.beam import (
-    QuadraticCost,
-    best_parameters,
-    ends_at_bound,
-    gain_of,
-    gains_of_adding,
-    minimise_over,
-    quadratic_cost,
-)
+from driftjax.diagnosis.beam import QuadraticCost, best_parameters, quadratic_cost
 from driftjax.diagnosis.curves import AxleCurve, axle_curve
-from driftjax.diagnosis.fit import Problem, at_bound, evaluate_fits, information
+from driftjax.diagnosis.fit import Problem, at_bound, information
 from driftjax.diagnosis.prediction_fit import PredictionFit
-from driftjax.diagnosis.refine import refine_together
+from driftjax.diagnosis.rivals import effect_probabilities
 from driftjax.diagnosis.score import (
     CONDITION,
     ParameterSpread,
     Scores,
     benjamini_yekutieli,
     half_widths_from,
-    overdispersion,
     partial_out,
     scores,
     spread_of,
 )
-from driftjax.diagnosis.select import LEVEL, PARAMETER_PENALTY, ROUGH, Selection, Significance
+from driftjax.diagnosis.select import LEVEL, Selection, Significance
 from driftjax.diagnosis.shapley import ErrorShare, shapley_shares
 from driftjax.vehicle.effect.families import FAMILY_OF
 
 INVARIANCE_LEVEL = 0.001  # probability below which an effect that differs between runs is no cause but stands for one
 DISCOVERY_RATE = 0.1  # share of exploratory effects that may be false
 STRONG = 0.001  # p-value by its own blocks, for all effects together, from which an effect needs no other support
-CREDIBLE = 0.03  # probability from which a rival is refitted
-REFITTED = 4  # rivals refitted at most
-BOUNDED = 12  # rivals whose bounds are looked at
 RIVAL_PROBABILITY = 0.01  # probability from which a rival is reported
+SURE_PROBABILITY = 0.95  # probability from which one name stands alone
+SMALL_SHARE = 0.03  # of what all named effects explain, below which a name must be sure to be claimed
 TOLERANCE = 0.2  # standard deviation between runs, over its size, by which a cause may vary
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
@@ -71,6 +61,11 @@ class Cause(NamedTuple):
     def stands_in(self) -> bool:
         """Return whether it imitates another cause: it ends at its bound, or its size differs from run to run."""
         return bool(self.at_bound.any()) or self.varies
+
+    @property
+    def small_and_unsure(self) -> bool:
+        """Return whether it explains little of the error and is not the only effect that may explain it."""
+        return self.error_share.share < SMALL_SHARE and self.probability < SURE_PROBABILITY
 
 
 class NamedEffect(NamedTuple):
@@ -127,7 +122,8 @@ def named_effects(problem: Problem, causes: list[Cause]) -> tuple[NamedEffect, .
 def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     """Return every named effect with its interval, probability and rivals, largest share first.
 
-    One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory.
+    One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory; so
+    is one that explains little where a rival might as well.
     """
     columns = problem.columns(selection.selected)
     if not len(columns):
@@ -161,7 +157,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
             significances[member].exploratory,
             axle_curve(problem, selection, member),
         )  # fmt: skip
-        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
+        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in or cause.small_and_unsure))
     return each
 
 
@@ -242,73 +238,6 @@ def family_probability(problem: Problem, share: np.ndarray, member: int) -> floa
     return float(sum(p for name, p in zip(family, share, strict=True) if name == family[member]))
 
 
-def effect_probabilities(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
-    """Return the probabilities (E,) that `member` or another effect acts in its place."""
-    sizes = np.bincount(problem.owner)
-    known = selection.replacements
-    costs = (known or replacement_costs(problem, selection, model, (member,)))[member]
-    return hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
-
-
-def replacement_costs(
-    problem: Problem, selection: Selection, model: QuadraticCost, members: tuple[int, ...], refitted: int = REFITTED
-) -> dict[int, np.ndarray]:
-    """Return for each of `members` the cost (E,) with every effect in its place, infinite for the other members.
-
-    They follow from the quadratic model about the fit; those of credible rivals, at most `refitted`, are refitted, and
-    so is in any case what is predicted to be more probable than the member. Infinite too for what ends at its bound.
-    """
-    if not members:  # whose dispersion would be that of nothing
-        return {}
-    rest = {member: tuple(i for i in selection.selected if i != member) for member in members}
-    costs = {member: model.cost - rival_gains(model, rest[member]) for member in members}
-    for member in members:
-        costs[member][member] = selection.fit.cost
-    sizes, excess = np.bincount(problem.owner), fit_dispersion(problem, selection)
-    known: dict[int, list[int]] = {member: [] for member in members}
-    while True:
-        share = {member: hypothesis_probabilities(costs[member], sizes, excess) for member in members}
-        new = [(i, j) for i in members for j in _rivals_to_refit(share[i], i, known[i], refitted)]
-        if not new:
-            return costs
-        for member, rival in new:
-            known[member].append(rival)
-            costs[member][rival] = np.inf
-        minima = [(member, rival, minimise_over(model, (*rest[member], rival))) for member, rival in new]
-        sets = [(member, rival, one) for member, rival, one in minima if one is not None]
-        starts = evaluate_fits(problem, [problem.start + one.psi for *_, one in sets])
-        columns = [problem.columns(one.effects) for *_, one in sets]
-        fits = refine_together(problem, starts, columns, selection.linearisation, tolerance=ROUGH)
-        for (member, rival, _), fit in zip(sets, fits, strict=True):
-            if not at_bound(problem, fit.theta)[problem.columns((rival,))].any():
-                costs[member][rival] = fit.cost
-
-
-def _rivals_to_refit(share: np.ndarray, member: int, known: list[int], refitted: int) -> list[int]:
-    """Return the rivals to refit by their probabilities `share` (E,), but those `known`, the most probable first.
-
-    They are all that are more probable than `member`, and credible ones until `refitted` are known.
-    """
-    order = [int(i) for i in np.argsort(-share) if i != member and i not in known]
-    more = [i for i in order if share[i] > share[member]]
-    credible = [i for i in order if CREDIBLE < share[i] <= share[member]]
-    return more + credible[: max(refitted - len(known) - len(more), 0)]
-
-
-def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:
-    """Return the fall of the cost (E,) from the effects `rest` together with each other effect in turn, within bounds.
-
-    -inf for members, and for what ends at its bound, which is no explanation.
-    """
-    promised = gains_of_adding(model, rest) + gain_of(model, best_parameters(model, rest))
-    for i in np.argsort(-promised)[:BOUNDED]:  # bounds only make a gain less
-        if np.isfinite(promised[i]):
-            one = minimise_over(model, (*rest, int(i)))
-            inner = one and not ends_at_bound(model, one.psi)[model.columns[int(i)]].any()
-            promised[i] = one.gain if one and inner else -np.inf
-    return promised
-
-
 def own_scores(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> Scores:
     """Return the scores of all effects when `member` is removed and the others are refitted, to first order.
 
@@ -342,25 +271,6 @@ def significance(
     passes = {i: i in first and (own[i] < LEVEL or strong[i]) for i in alone}
     supported = {i: passes[i] or strong[i] or bool(passed.get(i, True)) for i in alone}
     return {i: Significance(own[i], not passes[i], supported[i], by_chance[i]) for i in alone}
-
-
-def fit_dispersion(problem: Problem, selection: Selection) -> float:
-    """Return the dispersion of the selection; if it has none, the `overdispersion` of its effects at the fit."""
-    if selection.dispersion is not None:
-        return selection.dispersion
-    return overdispersion(selection.scores.H, selection.scores.blocks, problem.columns(selection.selected))
-
-
-def hypothesis_probabilities(costs: np.ndarray, sizes: np.ndarray, excess: float) -> np.ndarray:
-    """Return the probabilities (n,) of hypotheses with the `costs` (n,) and numbers of parameters `sizes` (n,).
-
-    Each weighs exp(-penalised cost / 2), as in the Bayesian information criterion (Schwarz 1978), costs in units of the
-    `excess` of their dispersion over that of noise (QAIC; Burnham and Anderson 2002, Sec. 2.5): innovations that
-    depend on each other would else count as more data than they are.
-    """
-    penalised = costs / excess + PARAMETER_PENALTY * sizes
-    weight = np.exp(-0.5 * (penalised - penalised.min()))
-    return weight / weight.sum()
 
 
 def confusable_effects(problem: Problem, selection: Selection, member: int) -> tuple[int, ...]:

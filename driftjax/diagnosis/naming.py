@@ -5,10 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from driftjax.diagnosis.beam import QuadraticCost, best_parameters, minimise_over, quadratic_cost
-from driftjax.diagnosis.evidence import REFITTED, STRONG, fit_dispersion, replacement_costs, significance
+from driftjax.diagnosis.evidence import STRONG, significance
 from driftjax.diagnosis.fit import Problem, evaluate_fit
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.refine import refine, refit_to_convergence
+from driftjax.diagnosis.rivals import REFITTED, fit_dispersion, replacement_costs
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
 from driftjax.diagnosis.shapley import shapley_shares

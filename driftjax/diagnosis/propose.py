@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from driftjax.diagnosis.evidence import Cause, fit_dispersion
+from driftjax.diagnosis.evidence import Cause
 from driftjax.diagnosis.fit import Problem, evaluate_fit, information, linearise, measured_pieces, with_noise
+from driftjax.diagnosis.rivals import fit_dispersion
 from driftjax.diagnosis.score import partial_out
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.verdict import Judgement, Verdict, detectable_share

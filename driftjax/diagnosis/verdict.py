@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from driftjax.diagnosis.curves import describe_curve
-from driftjax.diagnosis.evidence import Cause
+from driftjax.diagnosis.evidence import SURE_PROBABILITY, Cause
 from driftjax.diagnosis.fit import Problem
 from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.prediction_fit import PredictionFit
@@ -14,7 +14,6 @@ from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.unexplained_errors import Term, Unexplained
 from driftjax.vehicle.effect.families import FAMILY_OF
 
-SURE_PROBABILITY = 0.95  # probability from which one name stands alone
 MIN_DURATION = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 MIN_DETECTABLE_SHARE = 0.5  # share of effects that must be detectable before finding nothing means anything

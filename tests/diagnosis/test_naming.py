@@ -9,11 +9,12 @@ from diagnosis.recorded import EFFECTS, ORDER, hidden, problem_of, recorded, sed
 import driftjax.diagnosis.refine as refining
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.diagnose import diagnose
-from driftjax.diagnosis.evidence import effect_probabilities, find_causes, named_effects
+from driftjax.diagnosis.evidence import SMALL_SHARE, SURE_PROBABILITY, find_causes, named_effects
 from driftjax.diagnosis.fit import evaluate_fit, information_and_score
 from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
 from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
 from driftjax.diagnosis.refine import TOLERANCE, refine, refit_to_convergence
+from driftjax.diagnosis.rivals import effect_probabilities
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection, Significance
 from driftjax.diagnosis.verdict import Verdict, describe_cause
@@ -78,6 +79,18 @@ def test_a_cause_at_its_bound_is_marked(upper, ends):
     assert describe_cause(problem, cause).startswith("Exploratory: ") is ends
 
 
+def test_a_cause_of_little_error_that_a_rival_may_explain_as_well_is_exploratory():
+    """However significant it is; one that explains much, or has no rival, is claimed."""
+    problem = problem_of(21, 22, steer_lag=1.0)
+    both = selection_of(problem, ["steer_lag", "drive_gain"])
+    both = both._replace(significance={i: Significance(0.01, False, True, 0.01) for i in both.selected})
+    large, small = find_causes(problem, both)
+    assert ORDER[large.effect] == "steer_lag" and large.probability > SURE_PROBABILITY and not large.exploratory
+    assert small.error_share.share < SMALL_SHARE and small.probability < SURE_PROBABILITY and small.exploratory
+    sure, much = small._replace(probability=1.0), small._replace(error_share=large.error_share)
+    assert not sure.small_and_unsure and not much.small_and_unsure
+
+
 def test_beside_a_parameter_at_its_bound_the_others_are_fitted_to_the_end(monkeypatch):
     """What the data ask for beyond the bound promises nothing: no further step is tried."""
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
@@ -102,7 +115,7 @@ def test_a_rival_wins_only_by_a_refitted_cost(monkeypatch):
     problem = problem_of(21, 22, steer_lag=1.0)
     right = selection_of(problem, ["steer_lag"])
     model = quadratic_cost(problem, right.fit, right.linearisation)
-    monkeypatch.setattr("driftjax.diagnosis.evidence.rival_gains", lambda model, rest: np.full(len(ORDER), 1e9))
+    monkeypatch.setattr("driftjax.diagnosis.rivals.rival_gains", lambda model, rest: np.full(len(ORDER), 1e9))
     share = effect_probabilities(problem, right, model, right.selected[0])
     assert share.argmax() == right.selected[0]
 

@@ -10,10 +10,11 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, problem_of
 from scipy.special import ndtr
 
 from driftjax.core import BadInput
-from driftjax.diagnosis.evidence import confusable_effects, hypothesis_probabilities
+from driftjax.diagnosis.evidence import confusable_effects
 from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, information_and_score
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.refine import TOLERANCE
+from driftjax.diagnosis.rivals import hypothesis_probabilities
 from driftjax.diagnosis.runs import Linearisation, Pieces
 from driftjax.diagnosis.score import covariance, normal_scores, overdispersion, partial_out, scores, sums_by_block
 from driftjax.diagnosis.select import Selection, search

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from diagnosis.recorded import ORDER, catalogue, hidden, problem_of, recorded, sedan, truth
+from diagnosis.toy import BLOCKS, LENGTH, toy_problem
 
 from driftjax.core import State
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import replacement_costs
 from driftjax.diagnosis.fit import evaluate_fit, evaluate_fits, information, linearise
 from driftjax.diagnosis.gain import predict, predict_path
 from driftjax.diagnosis.refine import refine, refine_together, refit_to_convergence, secant_derivatives
+from driftjax.diagnosis.rivals import replacement_costs, rival_gains
 from driftjax.diagnosis.runs import fixed_gain, observer_gains, pieces, run_observer, run_observers
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
@@ -120,6 +121,25 @@ def test_rivals_of_all_members_cost_what_they_cost_member_by_member(problem):
         np.testing.assert_allclose(together[member], alone, rtol=1e-6)
         assert together[member].argmin() == member
         assert np.isinf(together[member][[i for i in selected if i != member]]).all()
+
+
+def test_a_rival_is_refitted_where_the_model_puts_it_a_little_too_high(monkeypatch):
+    """At b = 1 the second effect explains all that the first does; its derivatives at b = 0 say 15 less of 100."""
+    rng = np.random.default_rng(7)
+    noise, signal, other = rng.standard_normal((3, 1, BLOCKS * LENGTH, 3))
+    signal *= 10 / np.linalg.norm(signal)
+    other -= signal * np.sum(other * signal) / np.sum(signal**2)
+    other *= 10 * np.sqrt(0.15 / 0.85) / np.linalg.norm(other)
+    residuals = lambda theta: noise + signal - theta[0] * signal - theta[1] * signal - theta[1] * (1 - theta[1]) * other
+    toy, start = toy_problem(monkeypatch, residuals, np.full(2, -3.0), np.full(2, 3.0))
+    fit, at = refit_to_convergence(toy, start, np.array([0]))
+    tested = scores(toy, at, fit.theta, (0,), 0)
+    selection = Selection((0,), fit, at, tested, toy, start, tested)
+    model = quadratic_cost(toy, fit, at)
+    predicted = model.cost - rival_gains(model, ())[1] - fit.cost
+    assert predicted > 8, "by this it would not be credible"
+    costs = replacement_costs(toy, selection, model, (0,))[0]
+    assert costs[1] - fit.cost < 2
 
 
 def test_predictions_are_roll_outs_from_the_estimates(problem):

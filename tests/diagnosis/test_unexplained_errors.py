@@ -9,13 +9,14 @@ from diagnosis.recorded import EFFECTS, ORDER, build_problem, hidden, recorded, 
 
 from driftjax.diagnosis import propose as next_manoeuvre
 from driftjax.diagnosis.beam import quadratic_cost
-from driftjax.diagnosis.evidence import Cause, effect_probabilities, own_scores
+from driftjax.diagnosis.evidence import Cause, own_scores
 from driftjax.diagnosis.fit import Problem, evaluate_fit, linearise, with_noise
 from driftjax.diagnosis.gain import Share
 from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.propose import in_full_catalogue, propose_manoeuvre
 from driftjax.diagnosis.refine import refit_to_convergence
 from driftjax.diagnosis.residual import disturbance_forces
+from driftjax.diagnosis.rivals import effect_probabilities
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.diagnosis.shapley import ErrorShare

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driftjax.diagnosis import contrast, evidence, multistart, naming, refine, select
+from driftjax.diagnosis import contrast, multistart, naming, refine, rivals, select
 from driftjax.diagnosis import fit as fits
 from driftjax.diagnosis.cross_validate import fits_left_out, left_out_blocks
 from driftjax.diagnosis.fit import Fit, Problem
@@ -56,7 +56,7 @@ def toy_problem(
     monkeypatch.setattr(select, "held_out_errors", held_out_errors)
     for module in (contrast, fits, select, naming, multistart):
         monkeypatch.setattr(module, "evaluate_fit", evaluate)
-    for module in (fits, refine, select, evidence, multistart):
+    for module in (fits, refine, select, rivals, multistart):
         monkeypatch.setattr(module, "evaluate_fits", lambda problem, thetas: [evaluate(problem, one) for one in thetas])
     for module in (contrast, refine, select):
         monkeypatch.setattr(module, "linearise", linearise)
