@@ -12,6 +12,7 @@ from driftjax.diagnosis.prediction_fit import PredictionFit
 from driftjax.diagnosis.rivals import effect_probabilities
 from driftjax.diagnosis.score import (
     CONDITION,
+    NONE,
     ParameterSpread,
     Scores,
     benjamini_yekutieli,
@@ -199,6 +200,7 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     A cause has the same size in every run (Peters, Buhlmann and Meinshausen 2016), up to `TOLERANCE` of it: no model
     is exact, and much data would show any difference. The score of each run over its information, other members
     projected out, is an estimate; the spread of these is Cochran's Q (1954), with a variance from blocks of time.
+    Parameters without information, as the delay of a channel that the log lacks, have no size that could differ.
     """
     columns, runs = problem.columns(selection.selected), np.unique(problem.data.run)
     if len(runs) < 2:
@@ -209,13 +211,14 @@ def invariance(problem: Problem, selection: Selection) -> dict[int, float]:
     total, blocks = H.sum(axis=0), selection.scores.blocks[:, columns]
     size = (selection.fit.theta - problem.start)[columns]
     least = dict.fromkeys(selection.selected, 1.0)
-    for k, column in enumerate(columns):
-        other = np.arange(len(columns)) != k
+    informed = np.diag(total) > NONE
+    for k in np.flatnonzero(informed):
+        other = informed & (np.arange(len(columns)) != k)
         w = np.zeros(len(columns))
         w[k], w[other] = 1.0, -np.linalg.solve(total[np.ix_(other, other)], total[other, k])
         known, score = np.einsum("j,rjk,k->r", w, H, w), U @ w
         excess = max(np.sum((blocks @ w) ** 2) / known.sum(), 1.0)
-        member = int(problem.owner[column])
+        member = int(problem.owner[columns[k]])
         least[member] = min(least[member], homogeneity_p_value(score, known, TOLERANCE * size[k], excess))
     return least
 

@@ -1,8 +1,12 @@
 """A cause has nearly the same size in every run: a size that differs is distinguished from one that is only inexact."""
 
 import numpy as np
+from diagnosis.toy import BLOCKS, LENGTH, toy_problem
 
-from driftjax.diagnosis.evidence import TOLERANCE, homogeneity_p_value
+from driftjax.diagnosis.evidence import TOLERANCE, homogeneity_p_value, invariance
+from driftjax.diagnosis.refine import refit_to_convergence
+from driftjax.diagnosis.score import scores
+from driftjax.diagnosis.select import Selection
 
 SIZE, RUNS, CASES = 0.5, 8, 400
 
@@ -34,3 +38,18 @@ def test_a_size_that_is_another_in_each_run_is_refused():
 def test_runs_that_say_nothing_do_not_count():
     score, known = np.array([0.1, -0.1, 0.0, 1e-6]), np.array([100.0, 100.0, 100.0, 1e-9])
     assert homogeneity_p_value(score, known, 0.0) == homogeneity_p_value(score[:3], known[:3], 0.0)
+
+
+def test_a_parameter_that_the_log_says_nothing_of_leaves_the_others_as_they_are(monkeypatch):
+    """The delay of a sensor that the log lacks is a parameter of a named effect, too."""
+    noise, *signals = np.random.default_rng(3).standard_normal((4, 4, BLOCKS * LENGTH, 3))
+
+    def of_members(*members: int) -> dict[int, float]:
+        residuals = lambda theta: noise - sum(signals[i] * (theta[i] - 1) for i in (0, 2))
+        toy, start = toy_problem(monkeypatch, residuals, np.full(3, -3.0), np.full(3, 3.0), runs=4)
+        fit, at = refit_to_convergence(toy, start, np.array(members))
+        tested = scores(toy, at, fit.theta, members, 0)
+        return invariance(toy, Selection(members, fit, at, tested, toy, start, tested))
+
+    known, both = of_members(0, 2), of_members(0, 1, 2)
+    assert both == {**known, 1: 1.0} and 0 < min(known.values()) < 1
