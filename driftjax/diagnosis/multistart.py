@@ -1,9 +1,8 @@
-"""Search for effects from several starts: with more process noise, with a large steering delay, with late sensors."""
+"""Search for effects from several starts: more process noise, a large steering delay, late sensors, a power limit."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from driftjax.core import BadInput
 from driftjax.diagnosis.fit import (
@@ -29,6 +28,7 @@ LATE = 0.05  # share of the cost that such a delay must save by itself
 TIMING = ("steer_delay", "steer_lag", "drive_lag", "channel_delay")  # effects that late sensors are taken for
 SENSORS_LATE = ((1, 1, 0), (0, 0, 1), (1, 1, 1))  # of V, beta, r: by satellites and motion capture, the gyro, all
 SENSOR_DELAYS = (0.05, 0.1, 0.2)  # of which the search begins [sqrt(L/g)]
+POWER_LIMITS = (0.5, 0.75, 1.0, 1.25, 1.5)  # of which the search begins [typical sizes]
 LEAST_DISTURBANCE = 0.5  # variance of the estimated disturbances, over that assumed: less at a fit is too much noise
 CLOSER = (0.25, 0.5, 0.75, 1.0)  # to the noise assumed before any is estimated, where an observer loses the car
 POOR_MISFIT = 1.5  # and from which a fit is not one: noise is what no effects explain, so a right one ends near 1
@@ -59,9 +59,9 @@ def search_multistart(
     With strong effects and little disturbance the observer of the nominal car diverges, because its noise is what no
     effect explains: then the search starts with the noise that the nominal car needs. With a steering delay as long as
     a manoeuvre, the derivative at no delay says little and less grip seems to explain more: then the search also
-    starts from a large delay, and from late sensors. Where the fitted car needs far less process noise than was
-    assumed, since strong effects exceed what their derivatives at the nominal car predict, the search is repeated with
-    its noise.
+    starts from a large delay, and from late sensors; a limit of power that is not reached has hardly a derivative, so
+    that it starts from some of these, too. Where the fitted car needs far less process noise than was assumed, since
+    strong effects exceed what their derivatives at the nominal car predict, the search is repeated with its noise.
     """
     start = nominal_fit(problem)
     close = search(problem, start, seed, most=most, report=report) if misfit(problem, start) < LOST_MISFIT else None
@@ -70,6 +70,8 @@ def search_multistart(
         penalised = lambda one: penalised_cost(problem, one.fit, one.selected)
         sensors = search_from_late_sensors(problem, close, seed, most, report)
         best = min((one for one in (close, late, sensors) if one), key=penalised)
+        limited = search_from_power_limit(problem, best, seed, most, report)
+        best = min((one for one in (best, limited) if one), key=penalised)
         too_noisy = bool(best.selected) and disturbance_ratio(problem, best).min() < LEAST_DISTURBANCE
         return search_with_own_noise(problem, best, seed, most, report) if too_noisy else (problem, best)
     repeated, selection = search_from_far(problem, seed, most, report)
@@ -82,9 +84,11 @@ def search_from_late(
     problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
 ) -> Selection | None:
     """Search from the best of `DELAYS`; None if none saves the share `LATE` of the cost, or `close` has a delay."""
-    if "steer_delay" in {problem.effects[i].name for i in close.selected}:
+    late = _effect_if_active(problem, "steer_delay")
+    if not late or late[0] in close.selected:
         return None
-    return _search_from_delays(problem, close, "steer_delay", DELAYS, seed, most, report)
+    starts = _in_typical_sizes(problem, late, np.array(DELAYS)[:, None])
+    return _search_from_delays(problem, close, late, starts, seed, most, report)
 
 
 def search_from_late_sensors(
@@ -95,39 +99,53 @@ def search_from_late_sensors(
     All sensors late by several samples look like a steering that is late; from there the derivatives at no delay lead
     to a local optimum. Where `close` names no lag or delay, they may say too little of a delay beside its effects.
     """
+    if not (late := _effect_if_active(problem, "channel_delay")):
+        return None
     delays = [delay * np.array(which) for which in SENSORS_LATE for delay in SENSOR_DELAYS]
-    timed = set(TIMING) & {problem.effects[i].name for i in close.selected}
-    search_delays = _search_from_delays if timed else _search_beside
-    return search_delays(problem, close, "channel_delay", delays, seed, most, report)
+    starts = _in_typical_sizes(problem, late, np.array(delays))
+    if set(TIMING) & {problem.effects[i].name for i in close.selected}:
+        return _search_from_delays(problem, close, late, starts, seed, most, report)
+    return _search_beside(problem, close, close.selected, late, starts, seed, most, report)
+
+
+def search_from_power_limit(
+    problem: Problem, close: Selection, seed: int, most: int, report: Callable[[str], None]
+) -> Selection | None:
+    """Search from the best of `POWER_LIMITS` in the place of a limit of traction, which imitates one, or beside all.
+
+    None where that fits no better.
+    """
+    late = _effect_if_active(problem, "power_limit")
+    if not late or late[0] in close.selected:
+        return None
+    others = tuple(i for i in close.selected if problem.effects[i].name != "traction_limit")
+    return _search_beside(problem, close, others, late, np.array(POWER_LIMITS)[:, None], seed, most, report)
 
 
 def _search_beside(
-    problem: Problem, close: Selection, name: str, delays: Sequence[ArrayLike], seed: int, most: int,
-    report: Callable[[str], None],
+    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], starts: np.ndarray, seed: int,
+    most: int, report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
-    """Search from `close` and the best of `delays` [sqrt(L/g)] of the effect `name`; None where that fits no better."""
-    late = _effect_if_active(problem, name)
-    if not late or len(close.selected) >= most:
+    """Search from the effects `others` of `close` and the best of `starts` of `late`; None where it fits no better."""
+    if len(others) >= most:
         return None
-    better = _better_fit_beside(problem, close, close.selected, late, delays)
+    better = _better_fit_beside(problem, close, others, late, starts)
     return _with_nominal_of(close, search(problem, better[1], seed, better[0], most, report)) if better else None
 
 
 def _search_from_delays(
-    problem: Problem, close: Selection, name: str, delays: Sequence[ArrayLike], seed: int, most: int,
+    problem: Problem, close: Selection, late: tuple[int, ...], starts: np.ndarray, seed: int, most: int,
     report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
-    """Search from the best of `delays` [sqrt(L/g)] of the effect `name`.
+    """Search from the best of `starts` (n, k) of the delay `late`, in typical sizes.
 
     None if none saves the share `LATE`, or does better than lags and delays of `close` beside its other effects.
     """
-    if not (late := _effect_if_active(problem, name)):
-        return None
-    best = _best_delay(problem, problem.start, late, delays)
+    best = _best_start(problem, problem.start, late, starts)
     if best.cost > (1 - LATE) * close.nominal.cost:
         return None
     others = tuple(i for i in close.selected if problem.effects[i].name not in TIMING)
-    if others != close.selected and not _better_fit_beside(problem, close, others, late, delays):
+    if others != close.selected and not _better_fit_beside(problem, close, others, late, starts):
         return None
     fit = refit_to_convergence(problem, best, problem.columns(late))[0]
     return _with_nominal_of(close, search(problem, fit, seed, late, most, report))
@@ -145,15 +163,15 @@ def _with_nominal_of(close: Selection, selection: Selection) -> Selection:
 
 
 def _better_fit_beside(
-    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], delays: Sequence[ArrayLike]
+    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], starts: np.ndarray
 ) -> tuple[tuple[int, ...], Fit] | None:
     """Return the effects `others` of `close` with `late` beside them, and their fit; None where `close` is better.
 
-    The fit begins at the best of `delays`. Beside all effects of `close` it is made only where it begins below it.
+    The fit begins at the best of `starts`. Beside all effects of `close` it is made only where it begins below it.
     """
     theta, kept = problem.start.copy(), problem.columns(others)
     theta[kept] = close.fit.theta[kept]
-    beside = _best_delay(problem, theta, late, delays)
+    beside = _best_start(problem, theta, late, starts)
     if others == close.selected and beside.cost >= close.fit.cost:
         return None
     together = tuple(sorted((*others, *late)))
@@ -162,15 +180,16 @@ def _better_fit_beside(
     return (together, fit) if better else None
 
 
-def _best_delay(problem: Problem, theta: np.ndarray, late: tuple[int, ...], delays: Sequence[ArrayLike]) -> Fit:
-    """Return the fit of the lowest cost with one of `delays` [sqrt(L/g)] of the effect `late` in `theta` (K,)."""
-    columns = problem.columns(late)
-    unit, thetas = float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[columns], []
-    for delay in delays:
-        delayed = theta.copy()
-        delayed[columns] = np.asarray(delay) * unit
-        thetas.append(delayed)
-    return min(evaluate_fits(problem, thetas), key=lambda fit: fit.cost)
+def _best_start(problem: Problem, theta: np.ndarray, late: tuple[int, ...], starts: np.ndarray) -> Fit:
+    """Return the fit of the lowest cost with one of `starts` (n, k) of the effect `late` in `theta` (K,)."""
+    thetas = np.tile(theta, (len(starts), 1))
+    thetas[:, problem.columns(late)] = starts
+    return min(evaluate_fits(problem, list(thetas)), key=lambda fit: fit.cost)
+
+
+def _in_typical_sizes(problem: Problem, late: tuple[int, ...], delays: np.ndarray) -> np.ndarray:
+    """Return `delays` (n, k) [sqrt(L/g)] of the effect `late` in typical sizes."""
+    return delays * float(problem.model.base.unit_time) / np.asarray(problem.model.scale)[problem.columns(late)]
 
 
 def with_nominal_noise(problem: Problem) -> Problem:

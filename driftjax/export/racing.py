@@ -3,11 +3,13 @@
 import io
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from driftjax.export.steady import cornering, grip_limits, truncate_at_peak
 from driftjax.export.target import AXLES, Format, ReducedCar, save_text, save_yaml
 from driftjax.vehicle.effect import reference
+from driftjax.vehicle.effect.power_limit import limited_force
 
 STEERS, SPEEDS = 160, 100  # rows and columns of the steering table; its reader takes the nearest of each
 TABLE_SPEEDS = (0.3, 4.5)  # its slowest and fastest speed [sqrt(g L)]
@@ -52,7 +54,7 @@ def write_tum(reduced: ReducedCar, folder: Path) -> tuple[str, ...]:
     V = np.linspace(0.0, reduced.top_speed, GGV_SPEEDS)
     moving = np.maximum(V, TABLE_SPEEDS[0] * reference(reduced.vehicle, "speed"))
     brake, drive, side = grip_limits(reduced.vehicle, moving)
-    force = reduced.forces[1] / (1 + reduced.value("power_limit.p") * V * max(reduced.forces[1], 0.0))
+    force = np.asarray(limited_force(jnp.asarray(reduced.forces[1]), jnp.asarray(V), reduced.value("power_limit.p")))
     machine = np.minimum(force / reduced.car.m, drive)
     return (
         save_text(folder / "ggv.csv", _csv("v_mps,ax_max_mps2,ay_max_mps2", V, brake, side)),

@@ -16,8 +16,6 @@ CARS = ("sedan", "rc")
 TRACK = 0.85  # distance of left and right wheels over the width of the car [-]
 RUN = 10.0  # length of a run [s]
 OF_SENSORS = tuple(name for name in PARAMETERS if family_of(name) in ("sensor", "time base"))
-STRONGER = {"power_limit": 2.5}  # a limit that is sharp, not soft, acts from a smaller power on
-LARGEST = 3.9  # typical sizes
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def draw_effect(name: str, vehicle: dj.VehicleConfig, rng: np.random.Generator) 
     values = {}
     for parameter in hidden_parameters(name):
         both = parameter.lower < 0 and name != "combined_slip"  # of which the published car has none to take away
-        size = min(STRONGER.get(name, 1.0) * rng.uniform(0.5, 1.5), LARGEST) * (rng.choice([-1, 1]) if both else 1)
+        size = rng.uniform(0.5, 1.5) * (rng.choice([-1, 1]) if both else 1)
         values[parameter.name] = float(size * parameter.scale(vehicle))
     if name == "steer_delay":
         values["d"] = round(values["d"] / STEP) * STEP

@@ -189,3 +189,38 @@ def test_the_search_begins_at_late_sensors_too(monkeypatch, true, saved, named, 
     close: Any = SimpleNamespace(nominal=start, nominal_scores=object(), selected=named, fit=start)
     multistart.search_from_late_sensors(problem, close, 0, 8, print)
     assert searched == ([] if begins is None else [(pytest.approx(begins), selects)])
+
+
+@pytest.mark.parametrize(
+    ("true", "named", "begins", "selects"),
+    [
+        (1.1, (0, 2), 1.0, (1, 2)),
+        (1.1, (2,), 1.0, (1, 2)),
+        (1.1, (1, 2), None, ()),
+        (0.0, (2,), None, ()),
+    ],
+    ids=["in the place of a limit of traction", "beside another effect", "named already", "none better"],
+)
+def test_the_search_begins_at_a_power_limit_too(monkeypatch, true, named, begins, selects):
+    """On a made-up cost that a limit near `true` typical sizes lowers by more than one of traction does."""
+    effects = [SimpleNamespace(name=name) for name in ("traction_limit", "power_limit", "mass")]
+    problem: Any = SimpleNamespace(
+        effects=effects, start=np.zeros(3), active=np.ones(3, bool), owner=np.arange(3),
+        columns=lambda which: np.flatnonzero(np.isin(np.arange(3), which)),
+    )  # fmt: skip
+    cost = lambda theta: 100.0 + 30 * (theta[1] - true) ** 2 - 15 * theta[0] - 50 * theta[2]
+    fit = lambda problem, theta: Fit(theta, cost(theta), np.zeros(1))
+    monkeypatch.setattr(multistart, "evaluate_fits", lambda problem, thetas: [fit(problem, one) for one in thetas])
+    monkeypatch.setattr(multistart, "refit_to_convergence", lambda problem, fit, columns: (fit, None))
+    searched = []
+
+    def search(problem, fit, seed, selected, most, report):
+        searched.append((fit.theta[1], fit.theta[2], selected))
+        return SimpleNamespace(_replace=lambda **changes: SimpleNamespace(**changes))
+
+    monkeypatch.setattr(multistart, "search", search)
+    theta = np.isin(np.arange(3), [i for i in named if i != 1]) * 1.0 + np.array([0.0, true * (1 in named), 0.0])
+    close: Any = SimpleNamespace(nominal=fit(problem, problem.start), nominal_scores=object(), selected=named)
+    close.fit = fit(problem, theta)
+    multistart.search_from_power_limit(problem, close, 0, 8, print)
+    assert searched == ([] if begins is None else [(begins, 1.0, selects)])

@@ -328,7 +328,12 @@ def test_an_axle_passes_on_no_more_than_its_friction(side):
 
 def test_power_nears_its_limit():
     inputs = acted(car_with(power_limit=1 / 50e3), [(0.0, 5000.0), (0.0, 1e9), (0.0, -5000.0)])
-    np.testing.assert_allclose(inputs[:, 1], [2500, 5000, -5000], rtol=1e-4)
+    np.testing.assert_allclose(inputs[:, 1], [5000 / 2.4 ** (1 / 8), 5000, -5000], rtol=1e-4)
+    forces = np.linspace(0.0, 20000.0, 41)
+    inputs = acted(car_with(power_limit=1 / 50e3), [(0.0, force) for force in forces])
+    sharp = np.minimum(forces, 5000.0)
+    assert np.all(inputs[:, 1] <= sharp) and np.all(inputs[:, 1] >= 0.89 * sharp)
+    assert np.all(np.diff(inputs[:, 1]) > 0)
 
 
 def test_wheels_spin_up_with_a_lag_that_grows_with_speed():
