@@ -21,7 +21,6 @@ from experiments.independent.car import PARAMETERS, VX, VY, Car, G, R, Strengths
 from experiments.independent.cases import (
     COUNTS,
     OF_SENSORS,
-    STRONGER,
     Case,
     draw_alarm,
     draw_case,
@@ -166,7 +165,7 @@ ELSEWHERE = ("steer_delay", "steer_backlash", *OF_SENSORS)  # between command an
 @pytest.mark.parametrize("name", [name for name in PARAMETERS if name not in ELSEWHERE])
 def test_every_hidden_effect_changes_the_motion(name):
     vehicle = VEHICLE["sedan"]
-    values = {p.name: 1.5 * STRONGER.get(name, 1.0) * p.scale(vehicle) for p in hidden_parameters(name)}
+    values = {p.name: 1.5 * p.scale(vehicle) for p in hidden_parameters(name)}
     rates = []
     for hidden in ({name: values}, {}):
         car = Car(size_of(vehicle), hidden)
