@@ -115,21 +115,21 @@ def search_from_power_limit(
 
     None where that fits no better.
     """
-    late = _effect_if_active(problem, "power_limit")
-    if not late or late[0] in close.selected:
+    limit = _effect_if_active(problem, "power_limit")
+    if not limit or limit[0] in close.selected:
         return None
     others = tuple(i for i in close.selected if problem.effects[i].name != "traction_limit")
-    return _search_beside(problem, close, others, late, np.array(POWER_LIMITS)[:, None], seed, most, report)
+    return _search_beside(problem, close, others, limit, np.array(POWER_LIMITS)[:, None], seed, most, report)
 
 
 def _search_beside(
-    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], starts: np.ndarray, seed: int,
+    problem: Problem, close: Selection, others: tuple[int, ...], added: tuple[int, ...], starts: np.ndarray, seed: int,
     most: int, report: Callable[[str], None],
 ) -> Selection | None:  # fmt: skip
-    """Search from the effects `others` of `close` and the best of `starts` of `late`; None where it fits no better."""
+    """Search from the effects `others` of `close` and the best of `starts` of `added`; None where it fits no better."""
     if len(others) >= most:
         return None
-    better = _better_fit_beside(problem, close, others, late, starts)
+    better = _better_fit_beside(problem, close, others, added, starts)
     return _with_nominal_of(close, search(problem, better[1], seed, better[0], most, report)) if better else None
 
 
@@ -163,27 +163,27 @@ def _with_nominal_of(close: Selection, selection: Selection) -> Selection:
 
 
 def _better_fit_beside(
-    problem: Problem, close: Selection, others: tuple[int, ...], late: tuple[int, ...], starts: np.ndarray
+    problem: Problem, close: Selection, others: tuple[int, ...], added: tuple[int, ...], starts: np.ndarray
 ) -> tuple[tuple[int, ...], Fit] | None:
-    """Return the effects `others` of `close` with `late` beside them, and their fit; None where `close` is better.
+    """Return the effects `others` of `close` with `added` beside them, and their fit; None where `close` is better.
 
     The fit begins at the best of `starts`. Beside all effects of `close` it is made only where it begins below it.
     """
     theta, kept = problem.start.copy(), problem.columns(others)
     theta[kept] = close.fit.theta[kept]
-    beside = _best_start(problem, theta, late, starts)
+    beside = _best_start(problem, theta, added, starts)
     if others == close.selected and beside.cost >= close.fit.cost:
         return None
-    together = tuple(sorted((*others, *late)))
+    together = tuple(sorted((*others, *added)))
     fit = refit_to_convergence(problem, beside, problem.columns(together))[0]
     better = penalised_cost(problem, fit, together) < penalised_cost(problem, close.fit, close.selected)
     return (together, fit) if better else None
 
 
-def _best_start(problem: Problem, theta: np.ndarray, late: tuple[int, ...], starts: np.ndarray) -> Fit:
-    """Return the fit of the lowest cost with one of `starts` (n, k) of the effect `late` in `theta` (K,)."""
+def _best_start(problem: Problem, theta: np.ndarray, added: tuple[int, ...], starts: np.ndarray) -> Fit:
+    """Return the fit of the lowest cost with one of `starts` (n, k) of the effect `added` in `theta` (K,)."""
     thetas = np.tile(theta, (len(starts), 1))
-    thetas[:, problem.columns(late)] = starts
+    thetas[:, problem.columns(added)] = starts
     return min(evaluate_fits(problem, list(thetas)), key=lambda fit: fit.cost)
 
 
