@@ -43,6 +43,7 @@ from driftjax.diagnosis.runs import (
     step_derivatives,
     take,
     whiten,
+    with_likeliest_start,
 )
 from driftjax.logs import Run
 from driftjax.vehicle import VehicleConfig
@@ -124,7 +125,7 @@ class Fit(NamedTuple):
 def initial_problem(
     vehicle: VehicleConfig, effects: tuple[Effect, ...], runs: tuple[Run, ...], without: tuple[str, ...] = ()
 ) -> Problem:
-    """Build the problem with an initial guess of the noise and fixed observer gains.
+    """Build the problem with an initial guess of the noise and first observer gains.
 
     Effects `without` which the search is done keep their start values, as do those whose columns or sensor a run lacks
     and, where the force is not known, those that depend on it.
@@ -142,7 +143,8 @@ def initial_problem(
     active = np.array([searched[i] for i, _ in parameters])
     lower, upper = (np.array([getattr(p, side) for _, p in parameters], float) for side in ("lower", "upper"))
     owner, gains = np.array([i for i, _ in parameters]), fixed_gain(data)
-    return Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), gains)
+    problem = Problem(model, data, lower, upper, start, owner, has, active, initial_noise(data), gains)
+    return with_first_gains(problem, start)
 
 
 def depends_on_force(effect: Effect) -> bool:
@@ -205,11 +207,20 @@ def with_estimated_noise(problem: Problem, theta: np.ndarray, profiled: np.ndarr
 
     What parameters that are `profiled` (K,) out could explain is not taken for noise.
     """
-    model, data, fixed = problem.model, problem.data, fixed_gain(problem.data)
-    path = run_observer(model, data, theta, fixed)
+    first = with_first_gains(problem, theta)
+    model, data = first.model, first.data
+    path = run_observer(model, data, theta, first.gains)
     steps = step_derivatives(model, data, theta, path, profiled)
-    noise = estimate_noise(steps, path.e, fixed, initial_noise(data), data.dt, data.informative)
-    return with_noise(with_motion_noise(problem), theta, noise)
+    noise = estimate_noise(steps, path.e, first.gains, first.noise, data.dt, data.informative)
+    return with_noise(with_motion_noise(first), theta, noise)
+
+
+def with_first_gains(problem: Problem, theta: np.ndarray) -> Problem:
+    """Return the problem with the noise assumed at first: fixed gains, or those of the extended filter of `theta`."""
+    guess = initial_noise(problem.data)
+    if problem.data.skip:
+        return with_noise(problem, theta, guess)
+    return problem._replace(noise=guess, gains=fixed_gain(problem.data))
 
 
 def with_motion_noise(problem: Problem) -> Problem:
@@ -226,10 +237,14 @@ def with_motion_noise(problem: Problem) -> Problem:
 
 
 def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
-    """Return the problem with this noise, and gains along the path of the car `theta`."""
-    data = problem.data
-    first = fixed_gain(data)
-    return problem._replace(noise=noise, gains=observer_gains(problem.model, data, theta, noise.as_vector(), first))
+    """Return the problem with this noise, and gains along the path of the car `theta`.
+
+    Where no sideslip is measured, pieces begin with the likeliest one of that car.
+    """
+    model, vector = problem.model, noise.as_vector()
+    data = with_likeliest_start(model, problem.data, theta, vector)
+    gains = observer_gains(model, data, theta, vector, fixed_gain(data))
+    return problem._replace(data=data, noise=noise, gains=gains)
 
 
 def linearise(problem: Problem, fit: Fit) -> Linearisation:

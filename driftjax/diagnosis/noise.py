@@ -44,6 +44,7 @@ FIRST_CORRELATIONS = (0.1, 0.3, 1.0, 3.0)  # and with which correlation time [s]
 SEARCHED = 8000  # samples that the noise is estimated from
 CUT = 250  # samples by which padding is cut off
 ITERATIONS = 30  # of the search, at most
+NEAR_BOUND = 0.99  # share of the largest correlation time from which an estimate is at that bound
 LONGEST = 1.5  # longest step of any variable of the search
 DAMPING = 1e-2  # of the first step of the search, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
@@ -253,8 +254,15 @@ def estimate_noise(
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
     several = first_noises(least, measured_channels(valid))
     costs = call(likelihoods, jnp.stack([one.as_vector() for one in several]), steps, e, gains.L, dt, use)
-    likeliest = int(np.argmin(np.where(np.isnan(costs), np.inf, costs)))  # an observer that loses the car has no cost
-    white, cost = minimise(several[likeliest], low._replace(**fixed), high._replace(**fixed))
+    costs = np.where(np.isnan(costs), np.inf, costs)  # an observer that loses the car has no cost
+    within = low._replace(**fixed), high._replace(**fixed)
+    white, cost = minimise(several[int(np.argmin(costs))], *within)
+    if white.correlation > NEAR_BOUND * high.correlation:  # what lasts as long hides a minimum of short disturbances
+        short = [one.correlation < FIRST_CORRELATIONS[-2] for one in several]
+        white, cost = min(
+            (white, cost), minimise(several[int(np.argmin(np.where(short, costs, np.inf)))], *within),
+            key=lambda found: found[1],
+        )  # fmt: skip
     if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
     goal, first = cost - SLOW_EVIDENCE, white._replace(slow=np.where(observed, start.slow, low.slow))

@@ -139,7 +139,7 @@ def initial_state(model: Universal, run: PaddedRun, dt: float) -> tuple[Array, A
     return u[-T:], begin(model, x, u[-T - 1], jax.tree.map(lambda a: a[0], run.place))
 
 
-class _Row(NamedTuple):
+class ObserverRow(NamedTuple):
     """What the observer reads at one sample."""
 
     u: Float[Array, "4"]
@@ -150,7 +150,7 @@ class _Row(NamedTuple):
     alive: Array  # whether the run has not ended
 
 
-class _Estimate(NamedTuple):
+class ObserverEstimate(NamedTuple):
     """Estimates before a sample is read."""
 
     z: Float[Array, "6"]
@@ -159,7 +159,7 @@ class _Estimate(NamedTuple):
     rates: Float[Array, "3 3"]
 
 
-class _Update(NamedTuple):
+class ObserverUpdate(NamedTuple):
     """What the observer makes of one sample."""
 
     e: Float[Array, "3"]
@@ -174,10 +174,10 @@ def observe_runs(
     model: Universal, theta: Float[Array, "R K"], runs: PaddedRun, L: Float[Array, "R T 9 3"], decay: Decay, dt: float
 ) -> Path:
     """Run the observer of gains `L` along a batch of runs, with parameters of their own, to the end of the longest."""
-    aligned, rows, first = jax.vmap(lambda theta, run, L: _prepare(model, theta, run, L, dt))(theta, runs, L)
+    aligned, rows, first = jax.vmap(lambda theta, run, L: prepare_run(model, theta, run, L, dt))(theta, runs, L)
     num = jnp.max(jnp.sum(rows.alive, axis=1))
-    one = jax.vmap(lambda theta, decay, now, row: _observe_sample(model, theta, decay, now, row, dt))
-    start = jax.vmap(lambda now: _nothing_read(now))(first)
+    one = jax.vmap(lambda theta, decay, now, row: observe_sample(model, theta, decay, now, row, dt))
+    start = jax.vmap(lambda now: nothing_read(now))(first)
     updates = jax.tree.map(lambda a: jnp.repeat(a[:, None], rows.alive.shape[1], axis=1), start)
 
     def on(k, carry):
@@ -189,23 +189,25 @@ def observe_runs(
     return Path(e, z, predicted, rates, rows.u, d, c, aligned.y, aligned.valid)
 
 
-def _nothing_read(now: _Estimate) -> _Update:
+def nothing_read(now: ObserverEstimate) -> ObserverUpdate:
     """Return the update at a sample where nothing is read: none."""
-    return _Update(jnp.zeros(3), now.z, now.d, now.z, now.rates, now.c)
+    return ObserverUpdate(jnp.zeros(3), now.z, now.d, now.z, now.rates, now.c)
 
 
-def _prepare(model: Universal, theta: Array, run: PaddedRun, L: Array, dt: float) -> tuple[PaddedRun, _Row, _Estimate]:
+def prepare_run(
+    model: Universal, theta: Array, run: PaddedRun, L: Array, dt: float
+) -> tuple[PaddedRun, ObserverRow, ObserverEstimate]:
     """Return the run with its sensors' whole delays removed, its rows (T, ...), and the first estimate."""
     model = model.with_parameters(theta)
     run = align_measurements(model, run, dt)
     u, z = initial_state(model, run, dt)
-    rows = _Row(u, run.place, run.y, run.valid, L, in_run(run.valid))
-    return run, rows, _Estimate(z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3)))
+    rows = ObserverRow(u, run.place, run.y, run.valid, L, in_run(run.valid))
+    return run, rows, ObserverEstimate(z, jnp.zeros(3), jnp.zeros(3), jnp.zeros((3, 3)))
 
 
-def _observe_sample(
-    model: Universal, theta: Array, decay: Decay, now: _Estimate, row: _Row, dt: float
-) -> tuple[_Estimate, _Update]:
+def observe_sample(
+    model: Universal, theta: Array, decay: Decay, now: ObserverEstimate, row: ObserverRow, dt: float
+) -> tuple[ObserverEstimate, ObserverUpdate]:
     """Return the estimate for the next sample and the update by this one; the padding changes nothing."""
     model, step = model.with_parameters(theta), jnp.asarray(dt)
     e = row.valid * (row.y - sensor_reading(model, now.z[:3], now.rates, step) - now.c)
@@ -213,9 +215,9 @@ def _observe_sample(
     trend = now.d + update[3:6]
     z = set_state(model, now.z, now.z[:3] + update[:3], row.u)
     ahead = move(model, z, row.u, row.place, step, State(trend[0], trend[1], trend[2]))
-    after = _Estimate(ahead.z, decay.disturbance * trend, decay.slow * (now.c + update[6:]), ahead.rates)
+    after = ObserverEstimate(ahead.z, decay.disturbance * trend, decay.slow * (now.c + update[6:]), ahead.rates)
     keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(row.alive, a, b), new, old)
-    return keep(after, now), keep(_Update(e, z, trend, now.z, now.rates, now.c), _nothing_read(now))
+    return keep(after, now), keep(ObserverUpdate(e, z, trend, now.z, now.rates, now.c), nothing_read(now))
 
 
 def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -234,6 +236,30 @@ def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack([jnp.asarray(value) for value in row]) for row in rows])
 
 
+class KalmanGain(NamedTuple):
+    """Measurement update of a Kalman filter at one sample, fields as those of `Gains`."""
+
+    L: Float[Array, "9 3"]
+    whitening: Float[Array, "3 3"]
+    P: Float[Array, "9 9"]
+    log_det: Array
+
+
+def kalman_gain(
+    P: Float[Array, "9 9"], valid: Float[Array, "3"], noise: Noise, informative: Float[Array, "3"], speed_counts: Array
+) -> KalmanGain:
+    """Return the measurement update for the predicted covariance `P`; arguments as those of `kalman_gains`."""
+    unknown = jnp.ones(9).at[jnp.array([0, 6])].set(speed_counts)  # the speed, and the slow error of its sensor
+    P, R = P * jnp.outer(unknown, unknown), jnp.diag(noise.sigma**2)
+    HP = valid[:, None] * (P[:3] + P[6:])  # H = valid * (1, 0, 1)
+    S = valid * (HP[:, :3] + HP[:, 6:] + R) + jnp.diag(1 - valid)
+    whitening = inverse_factor(S)
+    scaled = whitening @ HP
+    L = (scaled.T @ whitening).at[0, 0].add((1 - speed_counts) * valid[0])
+    log_det = -jnp.sum(informative * jnp.log(jnp.diagonal(whitening)))
+    return KalmanGain(L, informative[:, None] * whitening * valid, P - scaled.T @ scaled, log_det)
+
+
 def kalman_gains(
     A: Float[Array, "T 3 3"], push: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array
 ) -> Gains:
@@ -244,27 +270,18 @@ def kalman_gains(
     nothing else.
     """
     decay = decay_of(noise, dt)
-    speed_counts = jnp.max(informative[:, 0])
-    unknown = jnp.ones(9).at[jnp.array([0, 6])].set(speed_counts)  # the speed, and the slow error of its sensor
-    R, Q = jnp.diag(noise.sigma**2), process_covariance(noise, decay)
+    speed_counts, Q = jnp.max(informative[:, 0]), process_covariance(noise, decay)
 
     def on(P, row):
         A, push, valid, alive, informative = row
-        P = P * jnp.outer(unknown, unknown)
-        HP = valid[:, None] * (P[:3] + P[6:])  # H = valid * (1, 0, 1)
-        S = valid * (HP[:, :3] + HP[:, 6:] + R) + jnp.diag(1 - valid)
-        whitening = inverse_factor(S)
-        scaled = whitening @ HP
-        L, known = scaled.T @ whitening, P - scaled.T @ scaled
-        L = L.at[0, 0].add((1 - speed_counts) * valid[0])
+        gain = kalman_gain(P, valid, noise, informative, speed_counts)
         F = transition(A, push, decay)
-        P = jnp.where(alive, F @ known @ F.T + Q, known)
-        log_det = -jnp.sum(informative * jnp.log(jnp.diagonal(whitening)))
-        return (P + P.T) / 2, (L, informative[:, None] * whitening * valid, known, log_det)
+        P = jnp.where(alive, F @ gain.P @ F.T + Q, gain.P)
+        return (P + P.T) / 2, gain
 
     rows = A, push, valid, in_run(valid), informative
-    L, whitening, known, log_det = jax.lax.scan(on, initial_covariance(noise), rows)[1]
-    return Gains(L, whitening, decay, known, jnp.sum(log_det))
+    gains = jax.lax.scan(on, initial_covariance(noise), rows)[1]
+    return Gains(gains.L, gains.whitening, decay, gains.P, jnp.sum(gains.log_det))
 
 
 class Steps(NamedTuple):

@@ -19,13 +19,14 @@ DICTIONARY_SIZE = 300  # rows that the GP is conditioned on
 def residual_rates(problem: Problem, theta: np.ndarray) -> tuple[Array, Array, Array]:
     """Return the states and inputs (n, 5) as `features`, mean rates (n, 3) that the model lacks, and which rows count.
 
-    States come from an observer of fixed gain, which believes the data more than any model; a rate [SI] is the change
-    of the state that the model `theta` misses over one window, over its length. Sensor effects take no part: the GP
-    is added to the rates of the state, not to what sensors read.
+    States come from an observer of fixed gain, which believes the data more than any model (where no sideslip is
+    measured, from that of `problem`); a rate [SI] is the change of the state that the model `theta` misses over one
+    window, over its length. Sensor effects take no part: the GP is added to the rates of the state, not to what sensors
+    read.
     """
     data, num = problem.data, max(round(WINDOW / problem.data.dt), 1)
     starts = np.arange(max(num, data.skip), data.size - num, num)
-    path = run_observer(problem.model, data, theta, fixed_gain(data))
+    path = run_observer(problem.model, data, theta, problem.gains if data.skip else fixed_gain(data))
     predicted = predict_path(problem, theta, path, starts, num)[:, :, -1, 0]
     missed = np.array(path.z[:, starts + num, :3] - predicted)
     missed[..., 1] = np.angle(np.exp(1j * missed[..., 1]))  # the car may spin round

@@ -10,6 +10,7 @@ from jax import Array
 
 from driftjax.core import State
 from driftjax.diagnosis.channel_estimates import TURNED, has_sideslip, integrated_yaw_rate, sideslip
+from driftjax.diagnosis.extended_filter import filter_runs
 from driftjax.diagnosis.noise_model import Decay, Noise
 from driftjax.diagnosis.observer import (
     Gains,
@@ -43,6 +44,8 @@ SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
 UNKNOWN_START = 2.0  # time in which the observer finds a sideslip that is not measured [sqrt(L/g)]
+STARTS = np.linspace(-0.9, 0.9, 7)  # sideslips that a piece without a measured one may begin with [rad]
+DECIDING = 2  # times `UNKNOWN_START` after which the likeliest is chosen
 FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
 
@@ -221,10 +224,7 @@ class Linearisation(NamedTuple):
 
 
 def fixed_gain(data: Pieces) -> Gains:
-    """Return fixed gains, for use before any noise is known: `FIXED_GAIN` of each innovation is applied.
-
-    A sideslip that is not measured follows from speed and yaw rate, to which it returns by itself.
-    """
+    """Return fixed gains, for use before any noise is known: `FIXED_GAIN` of each innovation is applied."""
     num = len(data.run)
     zeros = lambda *shape: np.zeros((num, *shape))
     L = zeros(data.size, 9, 3)
@@ -234,8 +234,44 @@ def fixed_gain(data: Pieces) -> Gains:
     return Gains(jnp.asarray(L), array(data.size, 3, 3), still, array(data.size, 9, 9), array())
 
 
+def extended_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray) -> Gains:
+    """Return the gains of the extended Kalman filter of the car `theta` (K,); `noise` as `Noise.as_vector`."""
+    informative, parts = jnp.asarray(data.informative, float), []
+    for batch in batches(len(data.run), LANES):
+        runs = take(data.padded, batch)
+        parts.append(call(filter_runs, model, jnp.asarray(theta), runs, jnp.asarray(noise), data.dt, informative)[0])
+    return concatenate_trees(parts, len(data.run))
+
+
+def with_likeliest_start(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray) -> Pieces:
+    """Replace the sideslip at the start of each piece, which is not measured, by the likeliest of `STARTS` and itself.
+
+    A rolling rear axle, which is assumed else, is far from that of a drift; from there the filter takes seconds.
+    Pieces whose sideslip is measured are returned as they are.
+    """
+    if not data.skip:
+        return data
+    trials = np.repeat(np.array(data.padded.start)[:, None], 1 + len(STARTS), axis=1)
+    trials[:, 1:, 1] = STARTS
+    piece, flat = np.repeat(np.arange(len(trials)), trials.shape[1]), trials.reshape(-1, 3)
+    soon = np.arange(data.size)[:, None] < DECIDING * data.skip
+    every, costs = jnp.asarray(data._replace(skip=0).informative, float), []
+    for row in batches(len(piece), LANES):
+        runs = take(data.padded, piece[row])
+        runs = runs._replace(start=flat[row], valid=soon * runs.valid)
+        costs.append(call(filter_runs, model, jnp.asarray(theta), runs, jnp.asarray(noise), data.dt, every)[1])
+    each = np.nan_to_num(concatenate_trees(costs, len(piece)), nan=np.inf).reshape(trials.shape[:2])
+    start = np.take_along_axis(trials, each.argmin(axis=1)[:, None, None], axis=1)[:, 0]
+    return data._replace(padded=data.padded._replace(start=jnp.asarray(start)))
+
+
 def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
-    """Return the gains along the path of the car `theta`, starting from `first`; `noise` as `Noise.as_vector`."""
+    """Return the gains along the path of the car `theta`, starting from `first`; `noise` as `Noise.as_vector`.
+
+    Where no sideslip is measured, they are those of the extended Kalman filter.
+    """
+    if data.skip:
+        return extended_gains(model, data, theta, noise)
     gains = first
     for _ in range(2):
         path = run_observer(model, data, theta, gains)
