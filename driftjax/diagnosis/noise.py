@@ -28,10 +28,10 @@ from driftjax.parallel import call
 
 PRIOR = 3.0  # standard deviation of a parameter before any data, in typical sizes
 FIRST_DISTURBANCE = 10.0  # disturbance assumed before any is known, in measurement noise per second
-SILENT_DISTURBANCE = 0.5  # that of a channel that is not measured, in the same unit
+SILENT_DISTURBANCE = 1.5  # that of a channel that is not measured, in the same unit
 UNMEASURED_RISE = 10.0  # largest disturbance of such a channel, over the assumed one
 CORRELATION = 0.3  # correlation time of disturbances assumed before any is known [s]
-UNMEASURED = 0.15  # standard deviation of an unmeasured channel: of a sideslip, half at the start [rad]
+UNMEASURED = 0.05  # standard deviation of an unmeasured channel: of a sideslip, half at the start [rad]
 LINEAR = 0.1  # slow errors over measurement noise, disturbances over first ones, below which variances are searched
 FIRST_SLOW = 0.3  # slow errors assumed before any are known, in measurement noise
 NO_SLOW = 1e-3  # least slow errors, in measurement noise
@@ -44,7 +44,7 @@ FIRST_CORRELATIONS = (0.1, 0.3, 1.0, 3.0)  # and with which correlation time [s]
 SEARCHED = 8000  # samples that the noise is estimated from
 CUT = 250  # samples by which padding is cut off
 ITERATIONS = 30  # of the search, at most
-NEAR_BOUND = 0.99  # share of the largest correlation time from which an estimate is at that bound
+LONG = 1.0  # correlation time of disturbances from which the search begins again at shorter ones [s]
 LONGEST = 1.5  # longest step of any variable of the search
 DAMPING = 1e-2  # of the first step of the search, over the curvature
 EVERY = 2  # pieces of which one gives the curvature, which need not be exact
@@ -257,8 +257,8 @@ def estimate_noise(
     costs = np.where(np.isnan(costs), np.inf, costs)  # an observer that loses the car has no cost
     within = low._replace(**fixed), high._replace(**fixed)
     white, cost = minimise(several[int(np.argmin(costs))], *within)
-    if white.correlation > NEAR_BOUND * high.correlation:  # what lasts as long hides a minimum of short disturbances
-        short = [one.correlation < FIRST_CORRELATIONS[-2] for one in several]
+    if white.correlation > LONG:  # beside such a minimum there may be a lower one of short disturbances
+        short = [one.correlation < LONG for one in several]
         white, cost = min(
             (white, cost), minimise(several[int(np.argmin(np.where(short, costs, np.inf)))], *within),
             key=lambda found: found[1],

@@ -44,7 +44,7 @@ SAMPLES = 400  # samples differentiated in one call: the last one is filled up
 BLOCK = 1.0  # length of the blocks in which innovations may depend on each other [s]
 ERROR_BLOCK = 2.0  # and errors of predictions and smoothed forces [s]
 UNKNOWN_START = 2.0  # time in which the observer finds a sideslip that is not measured [sqrt(L/g)]
-STARTS = np.linspace(-0.9, 0.9, 7)  # sideslips that a piece without a measured one may begin with [rad]
+STARTS = np.linspace(-0.98, 0.98, LANES - 1)  # sideslips that a piece without a measured one may begin with [rad]
 DECIDING = 2  # times `UNKNOWN_START` after which the likeliest is chosen
 FIXED_GAIN = 0.3  # share of an innovation that a fixed gain believes
 
