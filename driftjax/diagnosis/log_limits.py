@@ -42,6 +42,8 @@ class Unidentifiable(NamedTuple):
         if "Fxr" in self.channels:
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "
                          "drive, brakes and drag are not judged.")  # fmt: skip
+        if {"beta", "Fxr"} <= set(self.channels):
+            words.append("Without both, small effects of tyres and chassis may stand for errors of that force.")
         if "psi" in self.channels:
             words.append("The log has no heading; wind and slopes of the road are judged by the integral of the yaw "
                          "rate, as if all drives began in one direction.")  # fmt: skip

@@ -254,20 +254,25 @@ def estimate_noise(
     fixed = {"slow": least.slow, "slow_correlation": least.slow_correlation}
     several = first_noises(least, measured_channels(valid))
     costs = call(likelihoods, jnp.stack([one.as_vector() for one in several]), steps, e, gains.L, dt, use)
-    costs = np.where(np.isnan(costs), np.inf, costs)  # an observer that loses the car has no cost
     within = low._replace(**fixed), high._replace(**fixed)
-    white, cost = minimise(several[int(np.argmin(costs))], *within)
+    white, cost = minimise(likeliest(several, costs), *within)
     if white.correlation > LONG:  # beside such a minimum there may be a lower one of short disturbances
-        short = [one.correlation < LONG for one in several]
-        white, cost = min(
-            (white, cost), minimise(several[int(np.argmin(np.where(short, costs, np.inf)))], *within),
-            key=lambda found: found[1],
-        )  # fmt: skip
+        other = minimise(likeliest(several, costs, LONG), *within)
+        white, cost = other if other[1] < cost else (white, cost)
     if slow_known or not observed[1]:  # a sideslip inferred from sensors with slow errors is lost where the car drifts
         return white
     goal, first = cost - SLOW_EVIDENCE, white._replace(slow=np.where(observed, start.slow, low.slow))
     slow, lower_cost = minimise(first, low, high, goal)
     return slow if lower_cost < goal else white
+
+
+def likeliest(noises: list[Noise], costs: Array, below: float = np.inf) -> Noise:
+    """Return the noise of the lowest of `costs` (n,) with disturbances that last for less than `below` [s].
+
+    An observer that loses the car has no cost.
+    """
+    out = np.isnan(costs) | np.array([one.correlation >= below for one in noises])
+    return noises[int(np.argmin(np.where(out, np.inf, costs)))]
 
 
 def first_noises(start: Noise, measured: np.ndarray) -> list[Noise]:

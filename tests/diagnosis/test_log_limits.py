@@ -13,7 +13,7 @@ from driftjax.core import Control, State
 from driftjax.diagnosis.acceleration import with_inertial_force
 from driftjax.diagnosis.fit import Problem, depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
-from driftjax.diagnosis.log_limits import find_unidentifiable, information_with_sideslip
+from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
@@ -103,6 +103,12 @@ def test_a_proposed_manoeuvre_is_judged_by_the_channels_that_the_log_has():
     np.testing.assert_allclose(added, of_log, rtol=0.05, atol=0.01 * np.abs(of_log).max())
     front, better = ORDER.index("stiffness_front"), information_with_sideslip(problem, selection)
     assert sum(H[front, front] for H in added) < 0.8 * better[front, front]
+
+
+def test_where_sideslip_and_force_are_missing_the_sentence_says_what_small_effects_may_be():
+    caution = "may stand for errors of that force"
+    assert caution in Unidentifiable(("beta", "Fxr"), {}, {}, ()).sentence
+    assert not any(caution in Unidentifiable((one,), {}, {}, ()).sentence for one in ("beta", "Fxr"))
 
 
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():
