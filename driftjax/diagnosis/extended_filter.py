@@ -23,6 +23,7 @@ from driftjax.diagnosis.observer import (
     PaddedRun,
     kalman_gain,
     observe_sample,
+    predicted_covariance,
     prepare_run,
 )
 from driftjax.sim.rollout import move
@@ -56,10 +57,9 @@ def filter_runs(
         gain = kalman_gain(filtered.P, row.valid, known, informative[k], speed_counts)
         after, update = observe_sample(model, theta, decay, filtered.now, row._replace(L=gain.L), dt)
         F = transition(*_derivatives(model.with_parameters(theta), update, row, jnp.asarray(dt)), decay)
-        P = jnp.where(row.alive, F @ gain.P @ F.T + Q, gain.P)
         cost = filtered.cost + row.alive * (jnp.sum((gain.whitening @ update.e) ** 2) + 2 * gain.log_det)
         gains = jax.tree.map(lambda all, new: all.at[k].set(new), filtered.gains, gain)
-        return _Filtered(after, (P + P.T) / 2, gains, cost)
+        return _Filtered(after, predicted_covariance(gain.P, F, Q, row.alive), gains, cost)
 
     def on_all(k: Array, filtered: _Filtered) -> _Filtered:
         return jax.vmap(on, (None, 0, 0))(k, filtered, jax.tree.map(lambda a: a[:, k], rows))

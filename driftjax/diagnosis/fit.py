@@ -243,7 +243,7 @@ def with_noise(problem: Problem, theta: np.ndarray, noise: Noise) -> Problem:
     """
     model, vector = problem.model, noise.as_vector()
     data = with_likeliest_start(model, problem.data, theta, vector)
-    gains = observer_gains(model, data, theta, vector, fixed_gain(data))
+    gains = observer_gains(model, data, theta, vector)
     return problem._replace(data=data, noise=noise, gains=gains)
 
 

@@ -177,7 +177,7 @@ def observe_runs(
     aligned, rows, first = jax.vmap(lambda theta, run, L: prepare_run(model, theta, run, L, dt))(theta, runs, L)
     num = jnp.max(jnp.sum(rows.alive, axis=1))
     one = jax.vmap(lambda theta, decay, now, row: observe_sample(model, theta, decay, now, row, dt))
-    start = jax.vmap(lambda now: nothing_read(now))(first)
+    start = jax.vmap(lambda now: _nothing_read(now))(first)
     updates = jax.tree.map(lambda a: jnp.repeat(a[:, None], rows.alive.shape[1], axis=1), start)
 
     def on(k, carry):
@@ -189,7 +189,7 @@ def observe_runs(
     return Path(e, z, predicted, rates, rows.u, d, c, aligned.y, aligned.valid)
 
 
-def nothing_read(now: ObserverEstimate) -> ObserverUpdate:
+def _nothing_read(now: ObserverEstimate) -> ObserverUpdate:
     """Return the update at a sample where nothing is read: none."""
     return ObserverUpdate(jnp.zeros(3), now.z, now.d, now.z, now.rates, now.c)
 
@@ -217,7 +217,7 @@ def observe_sample(
     ahead = move(model, z, row.u, row.place, step, State(trend[0], trend[1], trend[2]))
     after = ObserverEstimate(ahead.z, decay.disturbance * trend, decay.slow * (now.c + update[6:]), ahead.rates)
     keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(row.alive, a, b), new, old)
-    return keep(after, now), keep(ObserverUpdate(e, z, trend, now.z, now.rates, now.c), nothing_read(now))
+    return keep(after, now), keep(ObserverUpdate(e, z, trend, now.z, now.rates, now.c), _nothing_read(now))
 
 
 def inverse_factor(S: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -260,6 +260,14 @@ def kalman_gain(
     return KalmanGain(L, informative[:, None] * whitening * valid, P - scaled.T @ scaled, log_det)
 
 
+def predicted_covariance(
+    P: Float[Array, "9 9"], F: Float[Array, "9 9"], Q: Float[Array, "9 9"], alive: Array
+) -> Float[Array, "9 9"]:
+    """Return the covariance before the next sample from that after an update; `P` where the run has ended."""
+    P = jnp.where(alive, F @ P @ F.T + Q, P)
+    return (P + P.T) / 2  # rounding makes it asymmetric
+
+
 def kalman_gains(
     A: Float[Array, "T 3 3"], push: Float[Array, "T 3 3"], valid: Array, noise: Noise, dt: float, informative: Array
 ) -> Gains:
@@ -275,9 +283,7 @@ def kalman_gains(
     def on(P, row):
         A, push, valid, alive, informative = row
         gain = kalman_gain(P, valid, noise, informative, speed_counts)
-        F = transition(A, push, decay)
-        P = jnp.where(alive, F @ gain.P @ F.T + Q, gain.P)
-        return (P + P.T) / 2, gain
+        return predicted_covariance(gain.P, transition(A, push, decay), Q, alive), gain
 
     rows = A, push, valid, in_run(valid), informative
     gains = jax.lax.scan(on, initial_covariance(noise), rows)[1]

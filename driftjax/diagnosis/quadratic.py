@@ -36,7 +36,6 @@ def _bounded_least_squares(g: np.ndarray, H: np.ndarray, lower: np.ndarray, uppe
     F = np.linalg.cholesky(H[np.ix_(free, free)]).T
     right = np.linalg.solve(F.T, g[free] - H[np.ix_(free, fixed)] @ psi[fixed])
     found = lsq_linear(F, right, (lower[free], upper[free]), method="bvls", max_iter=MOST * len(free))
-    psi[free] = np.choose(
-        found.active_mask.astype(int) + 1, (lower[free], found.x, upper[free])
-    )  # else off by rounding
+    side = found.active_mask.astype(int) + 1  # on a bound exactly, where the solver is off by rounding
+    psi[free] = np.choose(side, (lower[free], found.x, upper[free]))
     return psi

@@ -265,14 +265,14 @@ def with_likeliest_start(model: Universal, data: Pieces, theta: np.ndarray, nois
     return data._replace(padded=data.padded._replace(start=jnp.asarray(start)))
 
 
-def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray, first: Gains) -> Gains:
-    """Return the gains along the path of the car `theta`, starting from `first`; `noise` as `Noise.as_vector`.
+def observer_gains(model: Universal, data: Pieces, theta: np.ndarray, noise: np.ndarray) -> Gains:
+    """Return the gains along the path of the car `theta`, found from fixed ones; `noise` as `Noise.as_vector`.
 
     Where no sideslip is measured, they are those of the extended Kalman filter.
     """
     if data.skip:
         return extended_gains(model, data, theta, noise)
-    gains = first
+    gains = fixed_gain(data)
     for _ in range(2):
         path = run_observer(model, data, theta, gains)
         gains = gains_along(data, _each_sample(model, jnp.asarray(theta), path, data), path.valid, noise)

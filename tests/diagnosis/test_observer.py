@@ -66,7 +66,7 @@ def nominal_runs():
 def watched():
     """Data, gains for the true noise, and whitened innovations (P, T, 3)."""
     data = pieces(sedan(), nominal_runs())
-    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector(), fixed_gain(data))
+    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector())
     path = run_observer(catalogue(), data, NEUTRAL, known)
     return data, known, np.asarray(whiten(known, path.e))
 
@@ -97,7 +97,7 @@ def test_missing_samples_leave_no_trace(channels):
     gappy = pieces(sedan(), (*nominal_runs()[:RUN], replace(run, **values), *nominal_runs()[RUN + 1 :]))
     part = jax.tree.map(lambda a: a[RUN : RUN + 1], gappy.padded)
     alone = gappy._replace(padded=part, run=gappy.run[RUN : RUN + 1])
-    filling = observer_gains(catalogue(), alone, NEUTRAL, truth().as_vector(), fixed_gain(alone))
+    filling = observer_gains(catalogue(), alone, NEUTRAL, truth().as_vector())
     whitened = np.asarray(whiten(filling, run_observer(catalogue(), alone, NEUTRAL, filling).e))[0]
     columns = [index.index(name) for name in channels]
     assert np.isfinite(whitened).all() and not whitened[GAP][:, columns].any()
@@ -131,7 +131,7 @@ def test_derivatives_are_those_of_the_innovations(relaxation):
 def with_late_sensors():
     """A model whose sensors may be late, nominal data and gains for it."""
     model, data = universal_car(sedan(), effects_by_name(("gyro_bias", "channel_delay"))), watched()[0]
-    return model, observer_gains(model, data, np.zeros(4), truth().as_vector(), fixed_gain(data))
+    return model, observer_gains(model, data, np.zeros(4), truth().as_vector())
 
 
 def test_whole_samples_of_delay_are_a_shift_of_the_data():
@@ -162,7 +162,7 @@ def test_a_run_that_ends_in_a_stop_is_followed_to_its_end():
     braking = np.where(V > 0.3, -7000.0, 0.0)
     run = replace(nominal_runs()[0], V=V, beta=still, r=still, delta=still, Fxr=braking, extra={})
     data = pieces(sedan(), (run,))
-    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector(), fixed_gain(data))
+    known = observer_gains(catalogue(), data, NEUTRAL, truth().as_vector())
     derivatives = differentiate(catalogue(), data, NEUTRAL, known, EVERY)
     assert np.isfinite(known.L).all() and np.isfinite(derivatives.e).all() and np.isfinite(derivatives.J).all()
     assert not np.asarray(derivatives.e)[:, ROWS:].any() and not np.asarray(derivatives.J)[:, ROWS:].any()

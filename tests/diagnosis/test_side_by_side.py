@@ -15,7 +15,7 @@ from driftjax.diagnosis.fit import evaluate_fit, evaluate_fits, information, lin
 from driftjax.diagnosis.gain import predict, predict_path
 from driftjax.diagnosis.refine import refine, refine_together, refit_to_convergence, secant_derivatives
 from driftjax.diagnosis.rivals import replacement_costs, rival_gains
-from driftjax.diagnosis.runs import fixed_gain, observer_gains, pieces, run_observer, run_observers
+from driftjax.diagnosis.runs import observer_gains, pieces, run_observer, run_observers
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import Selection
 from driftjax.sim.rollout import move
@@ -50,7 +50,7 @@ def test_a_piece_is_followed_alike_whatever_is_beside_it():
     run = recorded(hidden(), 1, 2)[0]
     cut = lambda n: replace(run, **{k: getattr(run, k)[:n] for k in ("t", "V", "beta", "r", "delta", "Fxr")}, extra={})
     data, start = pieces(sedan(), (cut(120), cut(240), cut(200))), np.zeros(len(ORDER))
-    gains = observer_gains(catalogue(), data, start, truth().as_vector(), fixed_gain(data))
+    gains = observer_gains(catalogue(), data, start, truth().as_vector())
     few = run_observer(catalogue(), data, start, gains)
     piece = np.resize(np.arange(3), 21)
     many = run_observers(catalogue(), data, np.tile(start, (21, 1)), piece, gains)
