@@ -30,7 +30,10 @@ MASKS = {
     "no yaw rate": ("r",),
 }
 NOTHING_IN = 5  # every so-many-th case hides nothing
-HEAD = "| channels | cases | hidden effect first | another beside it | in a set | without it | nothing hidden: named |"
+HEAD = (
+    "| channels | cases | hidden effect first | another claimed beside it | in a set | without it "
+    "| nothing hidden: named |"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,6 +101,7 @@ def result_of(case: Case, name: str, runs: tuple[dj.Run, ...]) -> dict[str, Any]
     return {
         "case": json.loads(case.line()), "channels": name, "verdict": str(diagnosis.verdict), "named": list(causes),
         "hidden": list(case.names), "sets": list(causes.values()), "sentence": diagnosis.sentence,
+        "exploratory": [cause.effect for cause in diagnosis.causes if cause.exploratory],
         "seconds": time.perf_counter() - start,
     }  # fmt: skip
 
@@ -120,7 +124,8 @@ def outcomes(row: dict[str, Any]) -> list[str]:
     (hidden,), named = row["hidden"], row["named"]
     inside = any(hidden in one for one in row["sets"])
     claimed = row["verdict"] in ("NAMED", "SET")
-    outcomes = {"first": named[:1] == [hidden], "beside": hidden in named and len(named) > 1, "in a set": inside,
+    beside = {*named} - {hidden, *row["exploratory"]}
+    outcomes = {"first": named[:1] == [hidden], "beside": hidden in named and bool(beside), "in a set": inside,
             "false": claimed and not inside}  # fmt: skip
     return ["one hidden", *(key for key, true in outcomes.items() if true)]
 

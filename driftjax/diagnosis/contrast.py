@@ -18,7 +18,7 @@ from driftjax.diagnosis.fit import Fit, Problem, evaluate_fit, information, line
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.quadratic import minimise_quadratic
 from driftjax.diagnosis.refine import STEP_LENGTHS, refit_to_convergence
-from driftjax.diagnosis.rivals import REFITTED, hypothesis_probabilities, rival_gains
+from driftjax.diagnosis.rivals import REFITTED, hypothesis_probabilities, replaced, rival_gains
 from driftjax.diagnosis.runs import Linearisation
 from driftjax.diagnosis.score import (
     CONDITION,
@@ -233,11 +233,6 @@ def probabilities(
             rise = known[instead] - known[selected] - PARAMETER_PENALTY * (sizes[rival] - sizes[member])
             costs[rival] = costs[member] + rise
     return hypothesis_probabilities(costs, sizes, 1.0)
-
-
-def replaced(selected: tuple[int, ...], member: int, rival: int) -> tuple[int, ...]:
-    """Return the set `selected` with `rival` in the place of `member`."""
-    return tuple(sorted({*selected} - {member} | {rival}))
 
 
 class Pair(NamedTuple):

@@ -239,6 +239,7 @@ class _Named(NamedTuple):
     causes: list[Cause]
     unexplained: Unexplained
     unconfirmed: tuple[str, ...] = ()
+    own: tuple[PredictionFit | None, Comparison] | None = None  # sizes and comparison on own runs, where known
 
 
 def _name_causes(initial: Problem, config: DiagnoseConfig, held_out: bool, report: Callable[[str], None]) -> _Named:
@@ -263,7 +264,9 @@ def _judged_by_gain(
     named: _Named, gain: PredictionGain | None, config: DiagnoseConfig, report: Callable[[str], None]
 ) -> _Named:
     """Name by predictions where that was better without the held-out runs, leave out what nothing confirms."""
-    if gain is None or "extended" not in gain.skills:
+    if gain is None:
+        return _judged_by_own_runs(named, config)
+    if "extended" not in gain.skills:
         return named
     naming = name_by_predictions(named.naming, config.seed, config.most, report) if gain.by_predictions else None
     naming, share = naming or named.naming, gain.skills["extended"].value
@@ -271,6 +274,19 @@ def _judged_by_gain(
     if naming is named.naming and not unconfirmed:
         return named
     return _with_evidence(naming.with_found(found), config, unconfirmed)
+
+
+def _judged_by_own_runs(named: _Named, config: DiagnoseConfig) -> _Named:
+    """Leave out what predictions of the own runs do not confirm, where the drive force was inferred."""
+    naming = named.naming
+    if not (naming.problem.data.force_inferred and named.causes):
+        return named
+    own = _sizes(naming, None, config)
+    if "extended" not in (shares := comparison_shares(own[1], config.seed)):
+        return named._replace(own=own)
+    share = shares["extended"].value
+    found, unconfirmed = leave_out_unconfirmed(naming.searched, naming.found, share, (), config.seed)
+    return _with_evidence(naming.with_found(found), config, unconfirmed) if unconfirmed else named._replace(own=own)
 
 
 def _sizes(
@@ -297,9 +313,9 @@ def _conclude(
     gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
-    naming, causes, remaining, unconfirmed = named
+    naming, causes, remaining, unconfirmed, _ = named
     problem, selection, searched, found = naming.problem, naming.selection, naming.searched, naming.found
-    sizes, comparison = _sizes(naming, gain, config)
+    sizes, comparison = named.own or _sizes(naming, gain, config)
     causes = with_sizes(problem, causes, sizes) if sizes else causes
     shares = gain.skills if gain else comparison_shares(comparison, config.seed)
     horizon = float(horizon_steps(problem)[DECISIVE] * problem.data.dt)

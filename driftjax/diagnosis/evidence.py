@@ -31,6 +31,7 @@ STRONG = 0.001  # p-value by its own blocks, for all effects together, from whic
 RIVAL_PROBABILITY = 0.01  # probability from which a rival is reported
 SURE_PROBABILITY = 0.95  # probability from which one name stands alone
 SMALL_SHARE = 0.03  # of what all named effects explain, below which a name must be sure to be claimed
+INFERRED_SHARE = 0.25  # below which errors of a force that was inferred beside the sideslip may be named
 TOLERANCE = 0.2  # standard deviation between runs, over its size, by which a cause may vary
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
@@ -124,7 +125,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     """Return every named effect with its interval, probability and rivals, largest share first.
 
     One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory; so
-    is one that explains little where a rival might as well.
+    is one that explains little where a rival, or the error of an inferred force, might as well.
     """
     columns = problem.columns(selection.selected)
     if not len(columns):
@@ -158,8 +159,14 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
             significances[member].exploratory,
             axle_curve(problem, selection, member),
         )  # fmt: skip
-        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in or cause.small_and_unsure))
+        doubtful = cause.stands_in or cause.small_and_unsure or _of_inferred_force(problem, cause)
+        each.append(cause._replace(exploratory=cause.exploratory or doubtful))
     return each
+
+
+def _of_inferred_force(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause is small enough to stand for errors of a force that was inferred beside the sideslip."""
+    return problem.data.force_inferred and cause.error_share.share < INFERRED_SHARE
 
 
 def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> list[Cause]:

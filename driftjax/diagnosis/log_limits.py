@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from driftjax.diagnosis.evidence import INFERRED_SHARE
 from driftjax.diagnosis.fit import Problem, information, time_lost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
@@ -43,7 +44,8 @@ class Unidentifiable(NamedTuple):
             words.append("The log has no drive force; the one that explains the measured speed was used, so that "
                          "drive, brakes and drag are not judged.")  # fmt: skip
         if {"beta", "Fxr"} <= set(self.channels):
-            words.append("Without both, small effects of tyres and chassis may stand for errors of that force.")
+            words.append("Without both, small effects of tyres and chassis may stand for errors of that force: "
+                         f"what explains less than {100 * INFERRED_SHARE:.0f} % is exploratory.")  # fmt: skip
         if "psi" in self.channels:
             words.append("The log has no heading; wind and slopes of the road are judged by the integral of the yaw "
                          "rate, as if all drives began in one direction.")  # fmt: skip

@@ -9,7 +9,7 @@ from driftjax.diagnosis.evidence import STRONG, significance
 from driftjax.diagnosis.fit import Problem, evaluate_fit
 from driftjax.diagnosis.multistart import search_multistart
 from driftjax.diagnosis.refine import refine, refit_to_convergence
-from driftjax.diagnosis.rivals import REFITTED, fit_dispersion, replacement_costs
+from driftjax.diagnosis.rivals import REFITTED, fit_dispersion, replaced, replacement_costs
 from driftjax.diagnosis.score import scores
 from driftjax.diagnosis.select import MAX_EFFECTS, PARAMETER_PENALTY, Selection
 from driftjax.diagnosis.shapley import shapley_shares
@@ -64,10 +64,14 @@ def leave_out_unconfirmed(
     `found_again` are the effects named from the part of the runs alone. Where both say nothing, only its p-value speaks
     for an effect, and by that chance names one in one log of twenty; one below `STRONG` is enough. Where a rival is
     then more probable than an effect that stays, the two names contradict each other: it is left out too.
+
+    Where the drive force was inferred beside the sideslip, its errors are the same in all runs and no chance: there
+    predictions alone confirm.
     """
     names = {i: problem.effects[i].name for i in selection.selected}
-    weak = [i for i, one in (selection.significance or {}).items() if one.by_chance > STRONG]
-    unconfirmed = tuple(i for i in weak if names[i] not in found_again)
+    inferred = problem.data.force_inferred
+    weak = [i for i, one in (selection.significance or {}).items() if inferred or one.by_chance > STRONG]
+    unconfirmed = tuple(i for i in weak if inferred or names[i] not in found_again)
     if not (np.isnan(share) and unconfirmed):
         return selection, ()
     model, costs, left = quadratic_cost(problem, selection.fit, selection.linearisation), None, selection
@@ -128,7 +132,7 @@ def replace_effect(
     problem: Problem, selection: Selection, model: QuadraticCost, member: int, rival: int, seed: int
 ) -> Selection:
     """Return the selection with `rival` in the place of `member`, all effects refitted."""
-    selected = tuple(sorted((*(i for i in selection.selected if i != member), rival)))
+    selected = replaced(selection.selected, member, rival)
     start = minimise_over(model, selected)
     assert start is not None, "a credible rival has a minimum of its own"
     return refitted(problem, selection, selected, start.psi, seed)

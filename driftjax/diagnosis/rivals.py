@@ -19,6 +19,7 @@ CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 MODEL_ERROR = 0.2  # of what a member is worth, by which the quadratic model may put the cost of a rival too high
 BOUNDED = 12  # rivals whose bounds are looked at
+LATE_ALIKE = ("steer_delay", "channel_delay")  # see `late_alike`
 
 
 def effect_probabilities(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
@@ -26,7 +27,24 @@ def effect_probabilities(problem: Problem, selection: Selection, model: Quadrati
     sizes = np.bincount(problem.owner)
     known = selection.replacements
     costs = (known or replacement_costs(problem, selection, model, (member,)))[member]
-    return hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
+    share = hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
+    alike = late_alike(problem, selection, member)
+    share[alike] = share[alike].mean()
+    return share
+
+
+def late_alike(problem: Problem, selection: Selection, member: int) -> list[int]:
+    """Return `member` and, where it is a delay of the steering or of all sensors, the other one if that is the same.
+
+    A drive force that was estimated from the speed is as late as that. One delay of all sensors then is one of the
+    steering: where their costs differ, it is because gains and the ends of runs are not shifted with the measurements.
+    """
+    data, names = problem.data, [effect.name for effect in problem.effects]
+    if data.force_known or not {*LATE_ALIKE} <= {*names} or names[member] not in LATE_ALIKE:
+        return [member]
+    steering, sensors = map(names.index, LATE_ALIKE)
+    late = selection.fit.theta[problem.columns((sensors,))][[True, not data.skip, True]]
+    return [steering, sensors] if member == steering or late.min() > late.max() / 2 else [member]
 
 
 def replacement_costs(
@@ -77,6 +95,11 @@ def _rivals_to_refit(share: np.ndarray, near: np.ndarray, member: int, known: li
     more = [i for i in order if share[i] > share[member]]
     credible = [i for i in order if share[i] <= share[member] and (share[i] > CREDIBLE or near[i])]
     return more + credible[: max(refitted - len(known) - len(more), 0)]
+
+
+def replaced(selected: tuple[int, ...], member: int, rival: int) -> tuple[int, ...]:
+    """Return the set `selected` with `rival` in the place of `member`."""
+    return tuple(sorted({*selected} - {member} | {rival}))
 
 
 def rival_gains(model: QuadraticCost, rest: tuple[int, ...]) -> np.ndarray:

@@ -78,6 +78,11 @@ class Pieces(NamedTuple):
         return self.block.shape[1]
 
     @property
+    def force_inferred(self) -> bool:
+        """Return whether neither sideslip nor drive force is measured: both follow from speed and yaw rate."""
+        return bool(self.skip) and not self.force_known
+
+    @property
     def informative(self) -> np.ndarray:
         """Return which innovations (T, 3) of a piece are informative about the car."""
         channels = np.array([self.force_known, True, True])

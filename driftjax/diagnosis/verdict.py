@@ -93,7 +93,7 @@ def decide_verdict(
     if large and (remaining.significant or remaining.simpler or named):
         return Judgement(Verdict.UNKNOWN, " ".join([_unknown(problem, named, remaining), *_size(explained, remaining)]))
     if not named:
-        return _nothing_named(problem, selection, remaining, duration, unconfirmed)
+        return _nothing_named(problem, selection, remaining, duration, _left_out(problem, unconfirmed))
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
     claimed = [cause for cause in named if not cause.exploratory] or named
     sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
@@ -101,7 +101,7 @@ def decide_verdict(
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
-    words += [one for one in (doubt, _left_out(unconfirmed)) if one]
+    words += [one for one in (doubt, _left_out(problem, unconfirmed)) if one]
     verdict = Verdict.NAMED if all(map(sure, claimed)) and not doubt else Verdict.SET
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
@@ -118,7 +118,7 @@ def without_lost_time(judgement: Judgement, lost_s: float, duration: float, tole
 
 
 def _nothing_named(
-    problem: Problem, selection: Selection, remaining: Unexplained, duration: float, unconfirmed: tuple[str, ...]
+    problem: Problem, selection: Selection, remaining: Unexplained, duration: float, left_out: str
 ) -> Judgement:
     share = detectable_share(problem, selection.scores.H)
     if share < MIN_DETECTABLE_SHARE:
@@ -127,15 +127,17 @@ def _nothing_named(
     text = f"Nothing is missing that {duration:.0f} s of these data could show"
     if remaining.significant:
         text += f" and that matters: what remains (p = {remaining.p_value:.3f}) is too small to change predictions"
-    return Judgement(Verdict.NOTHING, f"{text}. {_left_out(unconfirmed)}".strip())
+    return Judgement(Verdict.NOTHING, f"{text}. {left_out}".strip())
 
 
-def _left_out(unconfirmed: tuple[str, ...]) -> str:
+def _left_out(problem: Problem, unconfirmed: tuple[str, ...]) -> str:
     """Return why the effects `unconfirmed` are not named; empty without any."""
     if not unconfirmed:
         return ""
-    names = f"{', '.join(unconfirmed)}: named from all runs together"
-    return f"Left out is {names}, but not likewise without those held out, and no prediction suffers from it."
+    text = f"Left out is {', '.join(unconfirmed)}: named from"
+    if problem.data.force_inferred:
+        return f"{text} an inferred drive force, whose errors it may stand for, and no prediction suffers from it."
+    return f"{text} all runs together, but not likewise without those held out, and no prediction suffers from it."
 
 
 def _doubt(remaining: Unexplained, tolerated: float) -> str:

@@ -11,7 +11,14 @@ from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, record
 
 from driftjax.core import Control, State
 from driftjax.diagnosis.acceleration import with_inertial_force
-from driftjax.diagnosis.fit import Problem, depends_on_force, information, initial_noise, initial_problem
+from driftjax.diagnosis.evidence import find_causes, named_effects
+from driftjax.diagnosis.fit import (
+    Problem,
+    depends_on_force,
+    information,
+    initial_noise,
+    initial_problem,
+)
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
@@ -19,6 +26,7 @@ from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
 from driftjax.diagnosis.propose import added_information
 from driftjax.diagnosis.resolve import resolved_log
+from driftjax.diagnosis.rivals import late_alike
 from driftjax.diagnosis.runs import run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -109,6 +117,20 @@ def test_where_sideslip_and_force_are_missing_the_sentence_says_what_small_effec
     caution = "may stand for errors of that force"
     assert caution in Unidentifiable(("beta", "Fxr"), {}, {}, ()).sentence
     assert not any(caution in Unidentifiable((one,), {}, {}, ()).sentence for one in ("beta", "Fxr"))
+
+
+def test_without_force_late_sensors_and_a_late_steering_are_as_probable():
+    """The force follows from the late speed, so that all the car does is late by as much, as after late commands."""
+    late, back = 3, lambda column: np.r_[np.full(3, np.nan), column[:-3]]
+    runs = tuple(replace(run, V=back(run.V), beta=back(run.beta), r=back(run.r)) for run in recorded(hidden(), 5, 6))
+    effects = effects_by_name(("steer_delay", "channel_delay", "yaw_inertia"))
+    problem, selection = name_effects(build_problem(sedan(), effects, without(runs, "Fxr")))
+    (cause,) = named_effects(problem, find_causes(problem, selection))
+    assert {cause.effect, *cause.rivals} == {"steer_delay", "channel_delay"}
+    assert [cause.probability, *cause.rivals.values()] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert max(one["value"] for one in cause.parameters.values()) == pytest.approx(late * DT, abs=0.005)
+    (member,), known = selection.selected, problem._replace(data=problem.data._replace(force_known=True))
+    assert late_alike(known, selection, member) == [member] and len(late_alike(problem, selection, member)) == 2
 
 
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():

@@ -9,7 +9,13 @@ from diagnosis.recorded import EFFECTS, ORDER, hidden, problem_of, recorded, sed
 import driftjax.diagnosis.refine as refining
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.diagnose import diagnose
-from driftjax.diagnosis.evidence import SMALL_SHARE, SURE_PROBABILITY, find_causes, named_effects
+from driftjax.diagnosis.evidence import (
+    INFERRED_SHARE,
+    SMALL_SHARE,
+    SURE_PROBABILITY,
+    find_causes,
+    named_effects,
+)
 from driftjax.diagnosis.fit import evaluate_fit, information_and_score
 from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
 from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
@@ -140,6 +146,23 @@ def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
     assert names == tuple(ORDER[i] for i in both.selected), "without the lag a rival is more probable than the gain"
     assert contradicted.selected == () and {lag, gain} == set(both.selected)
     np.testing.assert_array_equal(contradicted.fit.theta, problem.start)
+
+
+def test_beside_an_inferred_force_only_what_predictions_confirm_is_named_and_only_what_explains_much_is_claimed():
+    """Errors of the force are the same in all runs: neither a small p-value nor a part of the runs tells them apart."""
+    problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
+    both = selection_of(problem, ["steer_lag", "drive_gain"])
+    both = both._replace(significance={i: Significance(1e-4, False, True, 1e-4) for i in both.selected})
+    inferred = problem._replace(data=problem.data._replace(skip=1, force_known=False))
+    again = ("steer_lag", "drive_gain")
+    assert leave_out_unconfirmed(problem, both, np.nan, again, 0) == (both, ())
+    assert leave_out_unconfirmed(inferred, both, 0.2, (), 0) == (both, ()), "predictions confirm them"
+    nothing, names = leave_out_unconfirmed(inferred, both, np.nan, again, 0)
+    assert nothing.selected == () and set(names) == {*again}
+    assert not any(cause.exploratory for cause in find_causes(problem, both))
+    large, small = find_causes(inferred, both)
+    assert small.error_share.share < INFERRED_SHARE < large.error_share.share and small.probability > SURE_PROBABILITY
+    assert small.exploratory and not large.exploratory
 
 
 def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_verdict(monkeypatch):

@@ -6,13 +6,14 @@ import driftjax as dj
 from experiments.missing_channels import MASKS, Config, draw_study, masked, outcomes, table
 
 
-def row(channels, hidden, named, verdict="NAMED", sets=None):
+def row(channels, hidden, named, verdict="NAMED", sets=None, exploratory=()):
     return {
         "channels": channels,
         "hidden": hidden,
         "named": named,
         "verdict": verdict,
         "sets": sets or [[n] for n in named],
+        "exploratory": [*exploratory],
     }
 
 
@@ -41,6 +42,8 @@ def test_outcomes_are_counted_per_set_of_channels():
     assert outcomes(row("neither", [], ["mass"])) == ["nothing hidden", "named"]
     assert outcomes(row("neither", ["mass"], ["mass"])) == ["one hidden", "first", "in a set"]
     assert outcomes(row("neither", ["mass"], ["steer_lag", "mass"])) == ["one hidden", "beside", "in a set"]
+    exploratory = row("neither", ["mass"], ["mass", "steer_lag"], exploratory=["steer_lag"])
+    assert outcomes(exploratory) == ["one hidden", "first", "in a set"]
     rival = row("neither", ["mass"], ["drive_gain"], "SET", [["drive_gain", "mass"]])
     assert outcomes(rival) == ["one hidden", "in a set"]
     assert outcomes(row("neither", ["mass"], ["drive_gain"])) == ["one hidden", "false"]
