@@ -31,6 +31,7 @@ from driftjax.diagnosis.naming import name_effects
 from driftjax.diagnosis.noise_model import Noise
 from driftjax.diagnosis.predictive_naming import TOLERATED
 from driftjax.diagnosis.resolve import resolved_log
+from driftjax.diagnosis.rivals import share_among_alike
 from driftjax.diagnosis.select import MAX_EFFECTS, Selection
 from driftjax.diagnosis.verdict import (
     MIN_DETECTABLE_SHARE,
@@ -241,8 +242,11 @@ def _differences(
     """Return the differences in SI, the most certain first."""
     problem, differences = pair.problems[0], []
     columns, scale = problem.columns(selected), np.asarray(problem.model.scale)
+    apart = np.zeros(len(scale))
+    apart[columns] = sizes.difference
     for i in selected:
         share = probabilities(pair.contrast, selected, i, pair.refitted)
+        share = share_among_alike(problem, apart, i, share)
         rivals = {problem.effects[j].name: float(share[j]) for j in np.argsort(-share)
                   if j != i and share[j] > RIVAL_PROBABILITY}  # fmt: skip
         parameters = {}

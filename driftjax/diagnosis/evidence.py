@@ -31,7 +31,7 @@ STRONG = 0.001  # p-value by its own blocks, for all effects together, from whic
 RIVAL_PROBABILITY = 0.01  # probability from which a rival is reported
 SURE_PROBABILITY = 0.95  # probability from which one name stands alone
 SMALL_SHARE = 0.03  # of what all named effects explain, below which a name must be sure to be claimed
-INFERRED_SHARE = 0.25  # below which errors of a force that was inferred beside the sideslip may be named
+FIRM = 4.0  # half-widths of its interval that a size must exceed where the force was inferred beside the sideslip
 TOLERANCE = 0.2  # standard deviation between runs, over its size, by which a cause may vary
 MIN_SHARE = 0.01  # of the information on a parameter that a run must have to count in the test of invariance
 CONFUSABLE_COSINE = 0.95  # cosine of two effects' signatures from which the data hardly tell them apart
@@ -125,7 +125,7 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
     """Return every named effect with its interval, probability and rivals, largest share first.
 
     One that ends at its bound, or whose size differs from run to run, stands for something else and is exploratory; so
-    is one that explains little where a rival, or the error of an inferred force, might as well.
+    is one that explains little where a rival might as well, and one that errors of an inferred force may stand for.
     """
     columns = problem.columns(selection.selected)
     if not len(columns):
@@ -165,8 +165,11 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
 
 
 def _of_inferred_force(problem: Problem, cause: Cause) -> bool:
-    """Return whether a cause is small enough to stand for errors of a force that was inferred beside the sideslip."""
-    return problem.data.force_inferred and cause.error_share.share < INFERRED_SHARE
+    """Return whether errors of a force that was inferred beside the sideslip may be what was named.
+
+    They are the same in all runs: where nothing is wrong with a car, scores are up to seven standard deviations off.
+    """
+    return problem.data.force_inferred and bool(np.all(np.abs(cause.theta) < FIRM * cause.half_width))
 
 
 def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> list[Cause]:
@@ -178,7 +181,8 @@ def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> l
         if own[0] in widths:
             width = np.array([widths[k] for k in own])
             cause = cause._replace(theta=sizes.theta[own], half_width=width, at_bound=ends[own])
-        each.append(cause._replace(exploratory=cause.exploratory or cause.stands_in))
+        doubtful = cause.stands_in or _of_inferred_force(problem, cause)
+        each.append(cause._replace(exploratory=cause.exploratory or doubtful))
     return each
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from driftjax.diagnosis.evidence import INFERRED_SHARE
+from driftjax.diagnosis.evidence import FIRM
 from driftjax.diagnosis.fit import Problem, information, time_lost
 from driftjax.diagnosis.noise import PRIOR
 from driftjax.diagnosis.runs import gains_along, whitened_derivatives
@@ -45,7 +45,7 @@ class Unidentifiable(NamedTuple):
                          "drive, brakes and drag are not judged.")  # fmt: skip
         if {"beta", "Fxr"} <= set(self.channels):
             words.append("Without both, small effects of tyres and chassis may stand for errors of that force: "
-                         f"what explains less than {100 * INFERRED_SHARE:.0f} % is exploratory.")  # fmt: skip
+                         f"one of less than {FIRM:.0f} times its uncertainty is exploratory.")  # fmt: skip
         if "psi" in self.channels:
             words.append("The log has no heading; wind and slopes of the road are judged by the integral of the yaw "
                          "rate, as if all drives began in one direction.")  # fmt: skip

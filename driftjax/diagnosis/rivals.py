@@ -19,7 +19,7 @@ CREDIBLE = 0.03  # probability from which a rival is refitted
 REFITTED = 4  # rivals refitted at most
 MODEL_ERROR = 0.2  # of what a member is worth, by which the quadratic model may put the cost of a rival too high
 BOUNDED = 12  # rivals whose bounds are looked at
-LATE_ALIKE = ("steer_delay", "channel_delay")  # see `late_alike`
+LATE_ALIKE = ("steer_delay", "channel_delay")  # see `share_among_alike`
 
 
 def effect_probabilities(problem: Problem, selection: Selection, model: QuadraticCost, member: int) -> np.ndarray:
@@ -28,23 +28,26 @@ def effect_probabilities(problem: Problem, selection: Selection, model: Quadrati
     known = selection.replacements
     costs = (known or replacement_costs(problem, selection, model, (member,)))[member]
     share = hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
-    alike = late_alike(problem, selection, member)
-    share[alike] = share[alike].mean()
-    return share
+    return share_among_alike(problem, selection.fit.theta, member, share)
 
 
-def late_alike(problem: Problem, selection: Selection, member: int) -> list[int]:
-    """Return `member` and, where it is a delay of the steering or of all sensors, the other one if that is the same.
+def share_among_alike(problem: Problem, theta: np.ndarray, member: int, share: np.ndarray) -> np.ndarray:
+    """Return the probabilities `share` (E,) with those that the data cannot tell from `member` made equal.
 
-    A drive force that was estimated from the speed is as late as that. One delay of all sensors then is one of the
-    steering: where their costs differ, it is because gains and the ends of runs are not shifted with the measurements.
+    `theta` (K,) are the parameters of `member`, or their differences between two logs. A drive force that was estimated
+    from the speed is as late as that. One delay of all sensors then is one of the steering: where their costs differ,
+    it is because gains and the ends of runs are not shifted with the measurements.
     """
     data, names = problem.data, [effect.name for effect in problem.effects]
     if data.force_known or not {*LATE_ALIKE} <= {*names} or names[member] not in LATE_ALIKE:
-        return [member]
+        return share
     steering, sensors = map(names.index, LATE_ALIKE)
-    late = selection.fit.theta[problem.columns((sensors,))][[True, not data.skip, True]]
-    return [steering, sensors] if member == steering or late.min() > late.max() / 2 else [member]
+    late = theta[problem.columns((sensors,))][[True, not data.skip, True]]
+    common = np.mean(late)
+    if member == steering or np.all(np.sign(common) * late > np.abs(common) / 2):
+        share = share.copy()
+        share[[steering, sensors]] = share[[steering, sensors]].mean()
+    return share
 
 
 def replacement_costs(

@@ -17,6 +17,7 @@ from driftjax.vehicle.effect.families import FAMILY_OF
 MIN_DURATION = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 MIN_DETECTABLE_SHARE = 0.5  # share of effects that must be detectable before finding nothing means anything
+MAY_BE_THE_FORCE = "What is named here may all be errors of the drive force, which was inferred beside the sideslip."
 MOST = 0.5  # share of the excess error that what is named must explain beyond doubt
 
 
@@ -83,7 +84,8 @@ def decide_verdict(
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Names are certain only where no generic term that remains explains
     more than the share `tolerated` of the misfit that effects and term explain together; else they may stand for a
-    cause that the catalogue lacks. `unconfirmed` are the effects that were left out again.
+    cause that the catalogue lacks. UNKNOWN too is where all names may stand for errors of an inferred drive force.
+    `unconfirmed` are the effects that were left out again.
     """
     large = (
         explained.unexplained_exceeds(tolerated)
@@ -95,14 +97,16 @@ def decide_verdict(
     if not named:
         return _nothing_named(problem, selection, remaining, duration, _left_out(problem, unconfirmed))
     varying = [problem.effects[cause.effect].name for cause in named if cause.varies]
-    claimed = [cause for cause in named if not cause.exploratory] or named
+    claimed = [cause for cause in named if not cause.exploratory]
     sure = lambda cause: cause.probability >= SURE_PROBABILITY and not cause.stands_in
     doubt = _doubt(remaining, tolerated)
     words = [describe_cause(problem, cause) for cause in named]
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     words += [one for one in (doubt, _left_out(problem, unconfirmed)) if one]
-    verdict = Verdict.NAMED if all(map(sure, claimed)) and not doubt else Verdict.SET
+    if problem.data.force_inferred and not claimed:
+        return Judgement(Verdict.UNKNOWN, " ".join([MAY_BE_THE_FORCE, *words, *_size(explained, remaining)]))
+    verdict = Verdict.NAMED if all(map(sure, claimed or named)) and not doubt else Verdict.SET
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 
 

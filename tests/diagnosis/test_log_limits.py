@@ -26,7 +26,7 @@ from driftjax.diagnosis.noise import UNMEASURED_RISE
 from driftjax.diagnosis.observer import command_derivatives, command_response, samples_in_run
 from driftjax.diagnosis.propose import added_information
 from driftjax.diagnosis.resolve import resolved_log
-from driftjax.diagnosis.rivals import late_alike
+from driftjax.diagnosis.rivals import share_among_alike
 from driftjax.diagnosis.runs import run_observer, take
 from driftjax.logs import Log, Run
 from driftjax.vehicle import load_vehicle
@@ -129,8 +129,26 @@ def test_without_force_late_sensors_and_a_late_steering_are_as_probable():
     assert {cause.effect, *cause.rivals} == {"steer_delay", "channel_delay"}
     assert [cause.probability, *cause.rivals.values()] == pytest.approx([0.5, 0.5], abs=0.01)
     assert max(one["value"] for one in cause.parameters.values()) == pytest.approx(late * DT, abs=0.005)
-    (member,), known = selection.selected, problem._replace(data=problem.data._replace(force_known=True))
-    assert late_alike(known, selection, member) == [member] and len(late_alike(problem, selection, member)) == 2
+
+
+@pytest.mark.parametrize("channels", [("Fxr",), ("Fxr", "beta")])
+def test_sensors_are_as_late_as_a_steering_only_where_all_are_and_no_force_is_on_time(channels):
+    effects = effects_by_name(("steer_delay", "channel_delay", "yaw_inertia"))
+    steer, sensors, other = ([one.name for one in effects].index(name) for name in
+                             ("steer_delay", "channel_delay", "yaw_inertia"))  # fmt: skip
+    problem, share = initial_problem(sedan(), effects, without(measured()[:1], *channels)), np.array([0.2, 0.6, 0.2])
+    theta = np.zeros(len(problem.owner))
+    told_apart = lambda member, known=problem: share_among_alike(known, theta, member, share)
+    equal = (share[steer] + share[sensors]) / 2
+    assert told_apart(steer)[[steer, sensors]] == pytest.approx(equal)
+    late = problem.columns((sensors,))
+    for signs in (0.03, -0.03):  # of parameters, or of their differences between two logs
+        theta[late] = signs * np.array([1.2, 0.0 if "beta" in channels else 0.9, 1.0])
+        assert told_apart(sensors)[[steer, sensors]] == pytest.approx(equal)
+        assert told_apart(other) is share
+    theta[late[0]] = 0.0
+    assert told_apart(sensors) is share
+    assert told_apart(steer, problem._replace(data=problem.data._replace(force_known=True))) is share
 
 
 def test_the_force_is_estimated_from_the_speed_and_nothing_that_depends_on_it_is_judged():

@@ -10,7 +10,7 @@ import driftjax.diagnosis.refine as refining
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.diagnose import diagnose
 from driftjax.diagnosis.evidence import (
-    INFERRED_SHARE,
+    FIRM,
     SMALL_SHARE,
     SURE_PROBABILITY,
     find_causes,
@@ -148,7 +148,7 @@ def test_effects_that_a_part_of_the_runs_does_not_show_are_left_out():
     np.testing.assert_array_equal(contradicted.fit.theta, problem.start)
 
 
-def test_beside_an_inferred_force_only_what_predictions_confirm_is_named_and_only_what_explains_much_is_claimed():
+def test_beside_an_inferred_force_only_what_predictions_confirm_is_named_and_only_what_is_firm_is_claimed(monkeypatch):
     """Errors of the force are the same in all runs: neither a small p-value nor a part of the runs tells them apart."""
     problem = problem_of(21, 22, steer_lag=1.0, drive_gain=1.2)
     both = selection_of(problem, ["steer_lag", "drive_gain"])
@@ -159,10 +159,13 @@ def test_beside_an_inferred_force_only_what_predictions_confirm_is_named_and_onl
     assert leave_out_unconfirmed(inferred, both, 0.2, (), 0) == (both, ()), "predictions confirm them"
     nothing, names = leave_out_unconfirmed(inferred, both, np.nan, again, 0)
     assert nothing.selected == () and set(names) == {*again}
+    causes = find_causes(problem, both)
+    assert not any(cause.exploratory for cause in causes) and causes == find_causes(inferred, both)
+    firmness = [abs(cause.theta[0]) / cause.half_width[0] for cause in causes]
+    assert min(firmness) > FIRM, "the lag and the gain are firm by themselves"
+    monkeypatch.setattr("driftjax.diagnosis.evidence.FIRM", np.mean(firmness))
+    assert [cause.exploratory for cause in find_causes(inferred, both)] == [one < np.mean(firmness) for one in firmness]
     assert not any(cause.exploratory for cause in find_causes(problem, both))
-    large, small = find_causes(inferred, both)
-    assert small.error_share.share < INFERRED_SHARE < large.error_share.share and small.probability > SURE_PROBABILITY
-    assert small.exploratory and not large.exploratory
 
 
 def test_a_name_that_no_prediction_and_no_other_runs_confirm_is_left_out_of_the_verdict(monkeypatch):

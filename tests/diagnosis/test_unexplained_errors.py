@@ -130,6 +130,11 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         assumed = problem._replace(data=problem.data._replace(force_known=False))
         without_force = decide_verdict(assumed, selection, [cause], remaining, 36.0, explained, 0.1)
         assert without_force.verdict == Verdict.NAMED  # an estimated force is judged by the same sizes
+        inferred, doubtful = problem._replace(data=assumed.data._replace(skip=1)), cause._replace(exploratory=True)
+        assert decide_verdict(inferred, selection, [cause], remaining, 36.0, explained, 0.1).verdict == Verdict.NAMED
+        alone = decide_verdict(inferred, selection, [doubtful], remaining, 36.0, explained, 0.1)
+        assert alone.verdict == Verdict.UNKNOWN and "errors of the drive force" in alone.sentence
+        assert decide_verdict(assumed, selection, [doubtful], remaining, 36.0, explained, 0.1).verdict == Verdict.NAMED
 
 
 def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answer():
