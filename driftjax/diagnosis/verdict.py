@@ -84,8 +84,8 @@ def decide_verdict(
     UNKNOWN says that more than the share `tolerated` of the excess error is left, or that what remains is significant
     and no run is long enough to measure its size. Names are certain only where no generic term that remains explains
     more than the share `tolerated` of the misfit that effects and term explain together; else they may stand for a
-    cause that the catalogue lacks. UNKNOWN too is where all names may stand for errors of an inferred drive force.
-    `unconfirmed` are the effects that were left out again.
+    cause that the catalogue lacks. UNKNOWN is also said where all names may stand for errors of an inferred drive
+    force: none is firm, or one generic term explains as much. `unconfirmed` are the effects that were left out again.
     """
     large = (
         explained.unexplained_exceeds(tolerated)
@@ -104,7 +104,7 @@ def decide_verdict(
     if varying:
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     words += [one for one in (doubt, _left_out(problem, unconfirmed)) if one]
-    if problem.data.force_inferred and not claimed:
+    if problem.data.force_inferred and (remaining.simpler or not claimed):
         return Judgement(Verdict.UNKNOWN, " ".join([MAY_BE_THE_FORCE, *words, *_size(explained, remaining)]))
     verdict = Verdict.NAMED if all(map(sure, claimed or named)) and not doubt else Verdict.SET
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))

@@ -135,6 +135,9 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         alone = decide_verdict(inferred, selection, [doubtful], remaining, 36.0, explained, 0.1)
         assert alone.verdict == Verdict.UNKNOWN and "errors of the drive force" in alone.sentence
         assert decide_verdict(assumed, selection, [doubtful], remaining, 36.0, explained, 0.1).verdict == Verdict.NAMED
+        simpler = remaining._replace(simpler=remaining.term)
+        for log, doubt in ((assumed, Verdict.SET), (inferred, Verdict.UNKNOWN)):
+            assert decide_verdict(log, selection, [cause], simpler, 36.0, explained, 0.1).verdict == doubt
 
 
 def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answer():
