@@ -246,7 +246,7 @@ def _differences(
     apart[columns] = sizes.difference
     for i in selected:
         share = probabilities(pair.contrast, selected, i, pair.refitted)
-        share = share_among_alike(problem, apart, i, share)
+        share = share_among_alike(problem, selected, apart, i, share)
         rivals = {problem.effects[j].name: float(share[j]) for j in np.argsort(-share)
                   if j != i and share[j] > RIVAL_PROBABILITY}  # fmt: skip
         parameters = {}

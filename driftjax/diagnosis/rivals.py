@@ -28,20 +28,24 @@ def effect_probabilities(problem: Problem, selection: Selection, model: Quadrati
     known = selection.replacements
     costs = (known or replacement_costs(problem, selection, model, (member,)))[member]
     share = hypothesis_probabilities(costs, sizes, fit_dispersion(problem, selection))
-    return share_among_alike(problem, selection.fit.theta, member, share)
+    return share_among_alike(problem, selection.selected, selection.fit.theta, member, share)
 
 
-def share_among_alike(problem: Problem, theta: np.ndarray, member: int, share: np.ndarray) -> np.ndarray:
-    """Return the probabilities `share` (E,) with those that the data cannot tell from `member` made equal.
+def share_among_alike(
+    problem: Problem, selected: tuple[int, ...], theta: np.ndarray, member: int, share: np.ndarray
+) -> np.ndarray:
+    """Return the probabilities `share` (E,), made equal for `member` and the effect that is the same model, if any.
 
-    `theta` (K,) are the parameters of `member`, or their differences between two logs. A drive force that was estimated
-    from the speed is as late as that. One delay of all sensors then is one of the steering: where their costs differ,
-    it is because gains and the ends of runs are not shifted with the measurements.
+    `theta` (K,) are the parameters of the effects `selected`, or their differences between two logs. A drive force that
+    was estimated from the speed is as late as that. One delay of all sensors then is one of the steering: where their
+    costs differ, it is because gains and the ends of runs are not shifted with the measurements.
     """
     data, names = problem.data, [effect.name for effect in problem.effects]
     if data.force_known or not {*LATE_ALIKE} <= {*names} or names[member] not in LATE_ALIKE:
         return share
     steering, sensors = map(names.index, LATE_ALIKE)
+    if {steering, sensors} <= {*selected}:  # one beside the other, in whose place it cannot act
+        return share
     late = theta[problem.columns((sensors,))][[True, not data.skip, True]]
     common = np.mean(late)
     if member == steering or np.all(np.sign(common) * late > np.abs(common) / 2):

@@ -138,7 +138,7 @@ def test_sensors_are_as_late_as_a_steering_only_where_all_are_and_no_force_is_on
                              ("steer_delay", "channel_delay", "yaw_inertia"))  # fmt: skip
     problem, share = initial_problem(sedan(), effects, without(measured()[:1], *channels)), np.array([0.2, 0.6, 0.2])
     theta = np.zeros(len(problem.owner))
-    told_apart = lambda member, known=problem: share_among_alike(known, theta, member, share)
+    told_apart = lambda member, known=problem: share_among_alike(known, (member,), theta, member, share)
     equal = (share[steer] + share[sensors]) / 2
     assert told_apart(steer)[[steer, sensors]] == pytest.approx(equal)
     late = problem.columns((sensors,))
@@ -146,6 +146,7 @@ def test_sensors_are_as_late_as_a_steering_only_where_all_are_and_no_force_is_on
         theta[late] = signs * np.array([1.2, 0.0 if "beta" in channels else 0.9, 1.0])
         assert told_apart(sensors)[[steer, sensors]] == pytest.approx(equal)
         assert told_apart(other) is share
+    assert share_among_alike(problem, (steer, sensors), theta, sensors, share) is share
     theta[late[0]] = 0.0
     assert told_apart(sensors) is share
     assert told_apart(steer, problem._replace(data=problem.data._replace(force_known=True))) is share
