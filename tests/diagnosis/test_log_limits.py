@@ -119,6 +119,7 @@ def test_where_sideslip_and_force_are_missing_the_sentence_says_what_small_effec
     assert not any(caution in Unidentifiable((one,), {}, {}, ()).sentence for one in ("beta", "Fxr"))
 
 
+@pytest.mark.slow
 def test_without_force_late_sensors_and_a_late_steering_are_as_probable():
     """The force follows from the late speed, so that all the car does is late by as much, as after late commands."""
     late, back = 3, lambda column: np.r_[np.full(3, np.nan), column[:-3]]
