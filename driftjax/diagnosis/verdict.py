@@ -18,6 +18,9 @@ MIN_DURATION = 5.0  # data below which nothing is said [s]
 DETECTABLE = 4.0  # typical size over its standard deviation from which the data could show an effect
 MIN_DETECTABLE_SHARE = 0.5  # share of effects that must be detectable before finding nothing means anything
 MAY_BE_THE_FORCE = "What is named here may all be errors of the drive force, which was inferred beside the sideslip."
+MAY_BE_ONE = (
+    "Beside a drive force that was inferred with the sideslip, what is named here may be one cause that is missing."
+)
 MOST = 0.5  # share of the excess error that what is named must explain beyond doubt
 
 
@@ -105,7 +108,8 @@ def decide_verdict(
         words.append(f"The size of {', '.join(varying)} differs from run to run: it stands for something else.")
     words += [one for one in (doubt, _left_out(problem, unconfirmed)) if one]
     if problem.data.force_inferred and (remaining.simpler or not claimed):
-        return Judgement(Verdict.UNKNOWN, " ".join([MAY_BE_THE_FORCE, *words, *_size(explained, remaining)]))
+        words.insert(0, MAY_BE_ONE if claimed else MAY_BE_THE_FORCE)
+        return Judgement(Verdict.UNKNOWN, " ".join([*words, *_size(explained, remaining)]))
     verdict = Verdict.NAMED if all(map(sure, claimed or named)) and not doubt else Verdict.SET
     return Judgement(verdict, " ".join([*words, *_size(explained, remaining)]))
 

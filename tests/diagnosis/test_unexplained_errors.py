@@ -137,7 +137,8 @@ def test_the_size_of_what_is_left_decides_whether_it_is_unknown(low, high, left,
         assert decide_verdict(assumed, selection, [doubtful], remaining, 36.0, explained, 0.1).verdict == Verdict.NAMED
         simpler = remaining._replace(simpler=remaining.term)
         for log, doubt in ((assumed, Verdict.SET), (inferred, Verdict.UNKNOWN)):
-            assert decide_verdict(log, selection, [cause], simpler, 36.0, explained, 0.1).verdict == doubt
+            decision = decide_verdict(log, selection, [cause], simpler, 36.0, explained, 0.1)
+            assert decision.verdict == doubt and ("one cause that is missing" in decision.sentence) == (log is inferred)
 
 
 def test_the_sentence_gives_the_sizes_of_the_retuned_car_where_that_is_the_answer():
