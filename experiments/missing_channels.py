@@ -63,6 +63,8 @@ def main(cfg: Config) -> list[dict[str, Any]]:
     cfg.out.mkdir(parents=True, exist_ok=True)
     lines = cfg.out / "missing_channels.jsonl"
     rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
+    if any("exploratory" not in row for row in rows):
+        raise dj.BadInput(f"{lines}: an older version wrote it; choose another folder with --out.")
     done = {(json.dumps(row["case"]), row["channels"]) for row in rows}
     for case in draw_study(cfg):
         runs = None

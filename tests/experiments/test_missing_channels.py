@@ -1,9 +1,12 @@
 """The study of missing channels: what is taken out, and how cases are counted."""
 
+import json
+
 import numpy as np
+import pytest
 
 import driftjax as dj
-from experiments.missing_channels import MASKS, Config, draw_study, masked, outcomes, table
+from experiments.missing_channels import MASKS, Config, draw_study, main, masked, outcomes, table
 
 
 def row(channels, hidden, named, verdict="NAMED", sets=None, exploratory=()):
@@ -36,6 +39,13 @@ def test_a_yaw_rate_is_taken_out_but_not_the_heading():
 def test_cases_are_the_same_for_a_seed_and_every_fifth_hides_nothing():
     cases = draw_study(Config(cases=5, cars=("rc",)))
     assert [len(case.names) for case in cases].count(0) == 1 and cases == draw_study(Config(cases=5, cars=("rc",)))
+
+
+def test_results_of_an_older_version_are_refused(tmp_path):
+    old = {key: value for key, value in row("neither", [], []).items() if key != "exploratory"}
+    (tmp_path / "missing_channels.jsonl").write_text(json.dumps(old | {"case": {}}))
+    with pytest.raises(dj.BadInput, match="missing_channels.jsonl: an older version wrote it; choose another folder"):
+        main(Config(out=tmp_path))
 
 
 def test_outcomes_are_counted_per_set_of_channels():
