@@ -13,7 +13,7 @@ from driftjax.diagnosis.evidence import Cause, NamedEffect, find_causes, named_e
 from driftjax.diagnosis.figure_data import figure_data
 from driftjax.diagnosis.findings import Findings, describe_errors
 from driftjax.diagnosis.fit import Problem, initial_problem, with_estimated_noise
-from driftjax.diagnosis.gain import DECISIVE, horizon_steps
+from driftjax.diagnosis.gain import DECISIVE, Share, horizon_steps
 from driftjax.diagnosis.held_out import (
     DiagnoseConfig,
     PredictionGain,
@@ -232,6 +232,14 @@ def diagnose(
     return _conclude(vehicle, log, config, duration, _judged_by_gain(named, gain, config, report), gain)
 
 
+class _Compared(NamedTuple):
+    """Cars compared by their predictions."""
+
+    sizes: PredictionFit | None  # fitted to predictions, where the likelihood does not suffice
+    comparison: Comparison
+    shares: dict[str, Share]  # of the excess error that each car removes
+
+
 class _Named(NamedTuple):
     """Effects named from all runs, with their evidence."""
 
@@ -239,7 +247,7 @@ class _Named(NamedTuple):
     causes: list[Cause]
     unexplained: Unexplained
     unconfirmed: tuple[str, ...] = ()
-    own: tuple[PredictionFit | None, Comparison] | None = None  # sizes and comparison on own runs, where known
+    compared: _Compared | None = None  # on own runs, where known
 
 
 def _name_causes(initial: Problem, config: DiagnoseConfig, held_out: bool, report: Callable[[str], None]) -> _Named:
@@ -281,27 +289,28 @@ def _judged_by_own_runs(named: _Named, config: DiagnoseConfig) -> _Named:
     naming = named.naming
     if not (naming.problem.data.force_inferred and named.causes):
         return named
-    own = _sizes(naming, None, config)
-    if "extended" not in (shares := comparison_shares(own[1], config.seed)):
-        return named._replace(own=own)
-    share = shares["extended"].value
+    compared = _compare_cars(naming, None, config)
+    if "extended" not in compared.shares:
+        return named._replace(compared=compared)
+    share = compared.shares["extended"].value
     found, unconfirmed = leave_out_unconfirmed(naming.searched, naming.found, share, (), config.seed)
-    return _with_evidence(naming.with_found(found), config, unconfirmed) if unconfirmed else named._replace(own=own)
+    if not unconfirmed:
+        return named._replace(compared=compared)
+    return _with_evidence(naming.with_found(found), config, unconfirmed)
 
 
-def _sizes(
-    naming: Naming, gain: PredictionGain | None, config: DiagnoseConfig
-) -> tuple[PredictionFit | None, Comparison]:
-    """Return the sizes fitted to predictions, where the likelihood does not suffice, and the comparison of the cars."""
+def _compare_cars(naming: Naming, gain: PredictionGain | None, config: DiagnoseConfig) -> _Compared:
+    """Compare the cars by their predictions: those of the `gain` on runs held out, else those on all runs."""
     problem, selection = naming.problem, naming.selection
     if gain:  # what holds without the runs held out holds with them
         sizes = refit_extended(problem, selection) if gain.refitted and selection.selected else None
-        return sizes, gain.comparison
+        return _Compared(sizes, gain.comparison, gain.skills)
     compare = partial(compare_on_own_runs, selection.base, selection.nominal.theta, problem, seed=config.seed)
     likely, sizes = selection.fit.theta, None
     if selection.selected:
         sizes = fit_sizes(problem, selection, compare(likely, disturbed=False), config)
-    return sizes, compare(sizes.theta if sizes else likely)
+    comparison = compare(sizes.theta if sizes else likely)
+    return _Compared(sizes, comparison, comparison_shares(comparison, config.seed))
 
 
 def _conclude(
@@ -313,11 +322,10 @@ def _conclude(
     gain: PredictionGain | None,
 ) -> Diagnosis:
     """Return the diagnosis: the verdict by the size of the error left, the car to use, the next manoeuvre."""
-    naming, causes, remaining, unconfirmed, _ = named
+    naming, causes, remaining, unconfirmed, compared = named
     problem, selection, searched, found = naming.problem, naming.selection, naming.searched, naming.found
-    sizes, comparison = named.own or _sizes(naming, gain, config)
+    sizes, comparison, shares = compared or _compare_cars(naming, gain, config)
     causes = with_sizes(problem, causes, sizes) if sizes else causes
-    shares = gain.skills if gain else comparison_shares(comparison, config.seed)
     horizon = float(horizon_steps(problem)[DECISIVE] * problem.data.dt)
     explained = explained_by(shares, bool(causes), horizon, gain is not None)
     judgement = decide_verdict(searched, found, causes, remaining, duration, explained, config.unexplained, unconfirmed)

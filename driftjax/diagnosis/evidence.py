@@ -159,9 +159,14 @@ def find_causes(problem: Problem, selection: Selection) -> list[Cause]:
             significances[member].exploratory,
             axle_curve(problem, selection, member),
         )  # fmt: skip
-        doubtful = cause.stands_in or cause.small_and_unsure or _of_inferred_force(problem, cause)
-        each.append(cause._replace(exploratory=cause.exploratory or doubtful))
+        each.append(_with_doubts(problem, cause))
     return each
+
+
+def _with_doubts(problem: Problem, cause: Cause) -> Cause:
+    """Return the cause, exploratory where its size or a rival gives reason to doubt it."""
+    doubtful = cause.stands_in or cause.small_and_unsure or _of_inferred_force(problem, cause)
+    return cause._replace(exploratory=cause.exploratory or doubtful)
 
 
 def _of_inferred_force(problem: Problem, cause: Cause) -> bool:
@@ -181,8 +186,7 @@ def with_sizes(problem: Problem, causes: list[Cause], sizes: PredictionFit) -> l
         if own[0] in widths:
             width = np.array([widths[k] for k in own])
             cause = cause._replace(theta=sizes.theta[own], half_width=width, at_bound=ends[own])
-        doubtful = cause.stands_in or _of_inferred_force(problem, cause)
-        each.append(cause._replace(exploratory=cause.exploratory or doubtful))
+        each.append(_with_doubts(problem, cause))
     return each
 
 

@@ -12,13 +12,7 @@ from diagnosis.recorded import DT, EFFECTS, ORDER, build_problem, hidden, record
 from driftjax.core import Control, State
 from driftjax.diagnosis.acceleration import with_inertial_force
 from driftjax.diagnosis.evidence import find_causes, named_effects
-from driftjax.diagnosis.fit import (
-    Problem,
-    depends_on_force,
-    information,
-    initial_noise,
-    initial_problem,
-)
+from driftjax.diagnosis.fit import Problem, depends_on_force, information, initial_noise, initial_problem
 from driftjax.diagnosis.gain import predict
 from driftjax.diagnosis.log_limits import Unidentifiable, find_unidentifiable, information_with_sideslip
 from driftjax.diagnosis.naming import name_effects
@@ -122,7 +116,8 @@ def test_where_sideslip_and_force_are_missing_the_sentence_says_what_small_effec
 @pytest.mark.slow
 def test_without_force_late_sensors_and_a_late_steering_are_as_probable():
     """The force follows from the late speed, so that all the car does is late by as much, as after late commands."""
-    late, back = 3, lambda column: np.r_[np.full(3, np.nan), column[:-3]]
+    late = 3
+    back = lambda column: np.r_[np.full(late, np.nan), column[:-late]]
     runs = tuple(replace(run, V=back(run.V), beta=back(run.beta), r=back(run.r)) for run in recorded(hidden(), 5, 6))
     effects = effects_by_name(("steer_delay", "channel_delay", "yaw_inertia"))
     problem, selection = name_effects(build_problem(sedan(), effects, without(runs, "Fxr")))

@@ -9,13 +9,7 @@ from diagnosis.recorded import EFFECTS, ORDER, hidden, problem_of, recorded, sed
 import driftjax.diagnosis.refine as refining
 from driftjax.diagnosis.beam import quadratic_cost
 from driftjax.diagnosis.diagnose import diagnose
-from driftjax.diagnosis.evidence import (
-    FIRM,
-    SMALL_SHARE,
-    SURE_PROBABILITY,
-    find_causes,
-    named_effects,
-)
+from driftjax.diagnosis.evidence import FIRM, SMALL_SHARE, SURE_PROBABILITY, find_causes, named_effects
 from driftjax.diagnosis.fit import evaluate_fit, information_and_score
 from driftjax.diagnosis.held_out import DiagnoseConfig, measure_gain
 from driftjax.diagnosis.naming import leave_out_unconfirmed, prefer_probable
